@@ -9,7 +9,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.workflows.tracks.follow_recording import follow_recording
-from annotator.workflows.workbench.loaded_detectors import own_view
+from annotator.workflows.workbench.loaded_detectors import view_with_classes
 
 AUTHOR = "annotator follow"
 
@@ -38,7 +38,7 @@ def run(
         done = follow_recording(
             opened,
             opened.recordings.find(recording).id,
-            own_view(opened),
+            view_with_classes(opened),
             AUTHOR,
             tracks=tracks or None,
             forward=direction != "backward",

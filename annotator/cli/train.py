@@ -14,7 +14,7 @@ from annotator.cli.options import ProjectName, Projects, Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
 from annotator.cli.projects import open_named
-from annotator.detection.config import TrainingConfig
+from annotator.detection.config import MOST_MINUTES, TrainingConfig
 from annotator.detection.progress import TrainingProgress
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
@@ -22,7 +22,6 @@ from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import (
     IMAGE_DEFAULTS,
-    MOST_MINUTES,
     VIEW_DEFAULTS,
     Trained,
     TrainPlan,
@@ -53,9 +52,9 @@ def run(
 
     Args:
         only: train only this detector; default: both.
-        minutes: how long to train the pseudo-view detector; what is better after three minutes, and from time to time
-            after that, is used at once. Default: three minutes, or by the number of images if there is no detector to
-            start from.
+        minutes: how long to train the pseudo-view detector; after three minutes, and at intervals after that, the new
+            detector is used if it is better. Default: three minutes, or by the number of images if there is no
+            detector to start from.
         epochs: epochs of the pseudo-view detector; default: depends on the number of training images.
         image_epochs: epochs of the image detector; default: depends on the number of training images.
         size: side of the pseudo-views in training, pixels.

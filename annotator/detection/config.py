@@ -15,6 +15,8 @@ Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnx
 
 # A guess of the training speed with small views on two cores, for the length of a run before its first epoch.
 PICTURES_A_SECOND = 60
+# Longest training, minutes: one day.
+MOST_MINUTES = 1440
 
 
 class Augmentation(BaseModel):

@@ -28,6 +28,8 @@ from annotator.types.errors import ConfigError, DetectionError
 JPEG_QUALITY = 95
 # Boxes whose part inside the image has a shorter side are dropped, pixels.
 MIN_SIDE_PX = 1.0
+# Origin of the boxes on views of generated frames.
+GENERATED = "generated"
 SPLITS: tuple[Split, Split] = ("train", "val")
 
 Rgb = UInt8[np.ndarray, "h w 3"]
@@ -172,14 +174,17 @@ def _val_groups(written: Sequence[_Written], is_held_out: Callable[[str], bool])
     Raises:
         DetectionError: no other group has boxes.
     """
-    with_boxes = {item.group for item in written if item.boxes}
+    # generated frames alone teach a project's detector nothing; the base detector learns from nothing else
+    own = [item for item in written if item.origin != GENERATED] or written
+    with_boxes = {item.group for item in own if item.boxes}
     if not with_boxes:
         raise DetectionError("a training set needs at least one labelled box; label some frames first")
     held_out = frozenset(group for group in {item.group for item in written} if is_held_out(group))
     if with_boxes <= held_out:
+        keys = sorted(group.partition("/")[2] or group for group in with_boxes)
         raise DetectionError(
-            f"all labelled frames ({', '.join(sorted(with_boxes)[:3])}) are among the fifth of the frames that never "
-            "trains and only measures; label another frame"
+            f"all labelled frames ({', '.join(keys[:3])}) are among the fifth of the frames that is kept for measuring "
+            "and never used for training; label another frame"
         )
     return held_out
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ class TrainingProgress:
         batch, batches: number of finished batches of the current epoch, and of all its batches.
         losses: mean losses by name, of the current epoch, or of the last one before its first batch.
         map50, map50_95: of the last validation; None before the first.
-        seconds: since the run started or was resumed.
+        seconds: since the run started or was resumed, without pauses.
         seconds_left: an estimate; None before the first batch.
         note: what the run started from.
         is_timed: whether the run has a fixed duration, and `epochs` is an estimate.
@@ -89,14 +90,15 @@ class Watch:
         self._limit_s = limit_s
         self.role, self.run, self.out, self.epochs = role, run, out, epochs
         self._progress, self._stop = progress, stop
-        self._begin = time.monotonic()
+        self._begin, self._paused_s = time.monotonic(), 0.0
         self._batch, self._first_epoch = 0, -1
         self._map50: float | None = None
         self._map50_95: float | None = None
 
     @property
     def seconds(self) -> float:
-        return time.monotonic() - self._begin
+        """Since the run started or was resumed, without pauses."""
+        return time.monotonic() - self._begin - self._paused_s
 
     def on_batch(self, trainer: Any) -> None:
         if self._first_epoch < 0:
@@ -104,8 +106,10 @@ class Watch:
         self.epochs = trainer.epochs  # a run of fixed duration estimates it anew after each epoch
         batches = len(trainer.train_loader)
         self._batch = self._batch % batches + 1
-        self._send(trainer, trainer.epoch, self._batch, batches)
-        if self._stop is not None and self._stop():
+        with self._clock_stopped(trainer):
+            self._send(trainer, trainer.epoch, self._batch, batches)
+            stopped = self._stop is not None and self._stop()
+        if stopped:
             raise TrainingStoppedError(
                 f"training was stopped in epoch {trainer.epoch + 1} of {self.epochs}; "
                 "train again with the same labels and settings to resume"
@@ -116,7 +120,17 @@ class Watch:
             self._map50 = float(trainer.metrics["metrics/mAP50(B)"])
             self._map50_95 = float(trainer.metrics["metrics/mAP50-95(B)"])
         self.run.model_copy(update={"seconds": self.run.seconds + self.seconds}).write(self.out)
-        self._send(trainer, trainer.epoch + 1, 0, len(trainer.train_loader))
+        with self._clock_stopped(trainer):
+            self._send(trainer, trainer.epoch + 1, 0, len(trainer.train_loader))
+
+    @contextmanager
+    def _clock_stopped(self, trainer: Any) -> Iterator[None]:
+        """The caller's functions block while the training is paused; that time is no training time."""
+        begin = time.monotonic()
+        yield
+        paused_s = time.monotonic() - begin
+        self._paused_s += paused_s
+        trainer.train_time_start += paused_s
 
     def _send(self, trainer: Any, epoch: int, batch: int, batches: int) -> None:
         if self._progress is None:

@@ -83,6 +83,8 @@ class RunRecord(BaseModel):
         fingerprint: hash of training set, settings and detector kind; only a run with the same hash is resumed.
         pretrained, note: what the run started from.
         seconds: time spent up to the last complete epoch.
+        is_timed: whether it has a fixed duration; `annotator train` never resumes such a run, because its settings
+            depend on the clock.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -91,6 +93,7 @@ class RunRecord(BaseModel):
     pretrained: bool
     note: str
     seconds: float
+    is_timed: bool = False
 
     def write(self, folder: Path) -> None:
         """Writes `run.json`."""

@@ -113,6 +113,8 @@ class ViewTrainer(_Trainer):
     hooks: TrainerHooks
     model: Any
     saved_at_s = 0.0
+    metrics: Any
+    fitness: float | None
 
     def get_dataset(self) -> dict[str, Any]:
         hooks = self.hooks
@@ -180,8 +182,12 @@ class ViewTrainer(_Trainer):
 
     def validate(self) -> Any:
         if (self.epoch + 1) % self.hooks.measure_every == 0 or self.epoch + 1 >= self.epochs or self.stop:
-            return super().validate()
+            return self.validate_now()
         return dict.fromkeys(self.metrics, float("nan")), None
+
+    def validate_now(self) -> Any:
+        """Validates this epoch; returns its figures and its fitness."""
+        return super().validate()
 
     def check_resume(self, overrides: dict[str, Any]) -> None:
         """Decides whether the run is resumed; its settings are always those given."""
@@ -217,7 +223,10 @@ class ViewTrainer(_Trainer):
         return False
 
     def final_eval(self) -> None:
-        """Does nothing, because the best epoch has been validated already."""
+        """Validates the last epoch, if that has not been done: a run of fixed duration may end after any epoch."""
+        if self.fitness is None:
+            self.metrics, self.fitness = self.validate_now()
+            self.save_model()
 
 
 def make_trainer(overrides: dict[str, Any], hooks: TrainerHooks) -> ViewTrainer:

@@ -76,7 +76,13 @@ def train_detector(
             check_weights(start.weights)
         _clear(out)
         out.mkdir(parents=True, exist_ok=True)
-        run = RunRecord(fingerprint=fingerprint, pretrained=start.pretrained, note=start.note, seconds=0.0)
+        run = RunRecord(
+            fingerprint=fingerprint,
+            pretrained=start.pretrained,
+            note=start.note,
+            seconds=0.0,
+            is_timed=config.seconds is not None,
+        )
         run.write(out)
         checkpoint = None
     else:

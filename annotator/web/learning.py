@@ -8,6 +8,7 @@ from annotator.project import REVIEWED, Project
 from annotator.types import DetectorKind
 from annotator.web.jobs.records import TrainRequest
 from annotator.web.jobs.runner import JobRunner
+from annotator.workflows.training.model_report import decision_of
 
 OPERATOR = "learning while labelling"
 ROUND = TrainRequest(kind="train", roles=[DetectorKind.VIEW], background=True)
@@ -33,15 +34,28 @@ class Learner:
             self._learned.pop(name, None)
             return
         reviewed = project.labels.count(REVIEWED)
-        # boxes that were reviewed before the first round are due at once
-        first = reviewed if project.models.all(DetectorKind.VIEW) else 0
-        learned = self._learned.setdefault(name, first)
+        if name not in self._learned:
+            self._learned[name] = _learned(project, reviewed)
+        learned = self._learned[name]
         if name in self._rounds and self._jobs.stepped_aside(self._rounds[name][0]):
             self._learned[name] = learned = self._rounds.pop(name)[1]
         if reviewed - learned >= every and self._jobs.is_idle():
             job = self._jobs.add(name, project.path, ROUND, OPERATOR)
             self._rounds[name] = (job.id, learned)
             self._learned[name] = reviewed
+
+
+def _learned(project: Project, reviewed: int) -> int:
+    """The number of reviewed boxes when the training of the newest detector began; 0 without a detector.
+
+    Args:
+        reviewed: the present number, which counts for a detector without a record of it.
+    """
+    models = project.models.all(DetectorKind.VIEW)
+    if not models:
+        return 0
+    decision = decision_of(models[-1])
+    return reviewed if decision is None or decision.reviewed is None else decision.reviewed
 
 
 class StepAside:

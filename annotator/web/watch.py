@@ -44,12 +44,15 @@ class Watch:
                     self._last_events[name] = project.log.last()
                     continue
                 self._last_events[name], changed = project.log.changed_frames(self._last_events[name])
-                self._learner.look(name, project)
             except AnnotatorError as error:
                 LOG.warning("%s: its log cannot be read: %s", name, error)
                 continue
             for frame in changed:
                 self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
+            try:
+                self._learner.look(name, project)
+            except AnnotatorError as error:
+                LOG.warning("%s: a round of training cannot be started: %s", name, error)
 
     def _run(self) -> None:
         while not self._ended.wait(self._every_s):

@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.dataset import TrainingSample, write_dataset, yolo_line
+from annotator.detection.dataset import GENERATED, TrainingSample, write_dataset, yolo_line
 from annotator.detection.held_out import is_held_out
 from annotator.detection.manifest import read_manifest
 from annotator.types import Box2D, BoxKind
@@ -104,6 +104,15 @@ def test_about_a_fifth_is_held_out_whatever_else_there_is() -> None:
     assert 0.17 < len(held) / len(keys) < 0.23
     assert held & set(keys[:100]) == {key for key in keys[:100] if is_held_out(key)}
     assert {key for key in keys if is_held_out(key, 0.05)} < held
+
+
+def test_generated_frames_alone_are_no_training_set_of_a_project(tmp_path: Path) -> None:
+    generated = [sample(f"snapshot/{number}", origin=GENERATED) for number in range(3)]
+    own = [sample("1/000013")]
+    with pytest.raises(DetectionError, match=r"\(000013\) are among the fifth of the frames that is kept"):
+        write_dataset(tmp_path / "set", own + generated, ["hand"], "1/000013".__eq__)
+    # the base detector learns from nothing else
+    assert write_dataset(tmp_path / "set", generated, ["hand"], "snapshot/1".__eq__).images == {"train": 2, "val": 1}
 
 
 def test_without_held_out_groups_the_training_images_validate(tmp_path: Path) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,8 @@ import pytest
 
 from annotator.detection.config import Augmentation, TrainingConfig, default_augmentation
 from annotator.detection.dataset import TrainingSample, write_dataset
-from annotator.detection.trained import TrainedModel, read_trained
+from annotator.detection.progress import Watch
+from annotator.detection.trained import RunRecord, TrainedModel, read_trained
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector, trainer_settings
 from annotator.detection.ultralytics_api import api
 from annotator.types import DetectorKind
@@ -122,6 +125,42 @@ def test_an_interrupted_run_resumes(tiny_dataset: Path, tmp_path: Path, monkeypa
 
 
 @pytest.mark.slow
+def test_a_run_of_fixed_duration_that_ends_after_an_unmeasured_epoch_is_measured(
+    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_epoch = Watch.on_epoch
+
+    def late(self: Watch, trainer: Any) -> None:
+        on_epoch(self, trainer)
+        if trainer.epoch == 1:  # as if writing the checkpoint had taken the rest of the time
+            trainer.train_time_start -= 3600.0
+
+    monkeypatch.setattr(Watch, "on_epoch", late)
+    config = TrainingConfig(
+        pretrained="never", image_size_px=96, batch=6, measure_every=1_000_000, device="cpu", seconds=300.0
+    )
+    trained = train_detector(tiny_dataset, tmp_path / "run", config)
+    assert trained.epochs == 2
+    assert 0.0 <= trained.metrics.map50 <= 1.0
+
+
+def test_pauses_are_no_training_time(tmp_path: Path) -> None:
+    trainer = SimpleNamespace(
+        start_epoch=0, epochs=2, epoch=0, train_loader=[0], tloss=None, train_time_start=100.0, fitness=None
+    )
+    run = RunRecord(fingerprint="", pretrained=False, note="", seconds=0.0)
+
+    def pause(*_: object) -> bool:
+        time.sleep(0.2)
+        return False
+
+    watch = Watch(DetectorKind.VIEW, run, tmp_path, 2, pause, pause, 10.0)
+    watch.on_batch(trainer)
+    watch.on_epoch(trainer)
+    assert watch.seconds < 0.2
+    assert trainer.train_time_start == pytest.approx(100.6, abs=0.15)
+
+
 def test_other_settings_or_a_damaged_checkpoint_restart_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
 

@@ -17,12 +17,14 @@ from annotator.project import Project, create_project
 from annotator.project.labels import Labels
 from annotator.project.models import Models
 from annotator.types import DetectorKind
+from annotator.web import learning
 from annotator.web.jobs import runner
 from annotator.web.jobs.messages import PAUSE, RESUME, STOP
 from annotator.web.jobs.records import WORK, JobState, TrainRequest
 from annotator.web.jobs.runner import STEPPED_ASIDE, JobRunner
 from annotator.web.jobs.worker import Orders
 from annotator.web.learning import Learner
+from annotator.workflows.training.held_out import Decision
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -79,11 +81,21 @@ def test_boxes_from_before_the_newest_detector_are_learned_already(
 ) -> None:
     reviewed = [15]
     monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
+    decisions: list[Decision | None] = [None]
     monkeypatch.setattr(Models, "all", lambda self, role: ("a detector",) if role is DetectorKind.VIEW else ())
+    monkeypatch.setattr(learning, "decision_of", lambda model: decisions[0])
     project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
     learner = Learner(jobs)
     for reviewed[0], waits in ((15, False), (24, False), (25, True)):
         learner.look("room", project)
+        assert jobs.is_idle() is not waits
+    # after a restart, the record of the newest detector tells which ones are new
+    for learned, waits in ((16, False), (15, True)):
+        end_all(jobs)
+        decisions[0] = Decision(
+            objects=0, frames=0, mean_iou=None, compared=(), started_from="", outcome="", reviewed=learned
+        )
+        Learner(jobs).look("room", project)
         assert jobs.is_idle() is not waits
 
 
@@ -98,8 +110,11 @@ def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
     jobs._update(first.id, state=JobState.RUNNING)
     jobs._waiting.clear()
     other = jobs.add("room", project.path, TrainRequest(kind="train"), "Ada")
-    assert jobs.stepped_aside(first.id)
+    assert not jobs.stepped_aside(first.id)
+    jobs._update(first.id, state=JobState.DONE)
+    assert not jobs.stepped_aside(first.id)
     jobs._update(first.id, state=JobState.CANCELLED)
+    assert jobs.stepped_aside(first.id)
     learner.look("room", project)
     assert len(jobs.all()) == 2
     jobs._update(other.id, state=JobState.DONE)

@@ -7,14 +7,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from annotator.detection.config import MOST_MINUTES
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.web.schemas import RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
-# One day.
-MOST_MINUTES = 1440
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 

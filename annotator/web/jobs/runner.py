@@ -95,8 +95,10 @@ class JobRunner:
         return job
 
     def stepped_aside(self, job_id: str) -> bool:
-        """True for a job in the background that was stopped for another job."""
-        return job_id in self._stepped_aside
+        """True for a job in the background that was stopped for another job before it was done."""
+        with self._lock:
+            job = self._jobs.get(job_id)
+            return job_id in self._stepped_aside and job is not None and job.state is JobState.CANCELLED
 
     def is_idle(self) -> bool:
         """True if no job runs or waits."""

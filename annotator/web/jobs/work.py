@@ -42,7 +42,7 @@ RESUMES = "stopped; training again with the same boxes continues from here"
 
 
 def train_work(job: JobContext, request: TrainRequest) -> Outcome:
-    """Trains detectors; each becomes the active one of its role when it is done."""
+    """Trains detectors; a new view detector is put into use if it is better on held-out frames."""
     plan = TrainPlan(
         image=_training_config(IMAGE_DEFAULTS, request.image_pictures, request.image_size_px, request.model),
         view=_training_config(VIEW_DEFAULTS, request.view_pictures, request.view_size_px, request.model),

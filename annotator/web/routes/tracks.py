@@ -21,7 +21,7 @@ from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
 from annotator.workflows.tracks.follow_recording import follow_from_frame
 from annotator.workflows.tracks.interpolate import interpolate_back
 from annotator.workflows.tracks.previous_boxes import boxes_of
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_own_view
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 router = APIRouter(tags=["tracks"])
@@ -189,7 +189,7 @@ def _own_view(ctx: Context, project: Project) -> ReadyDetector | None:
     Raises:
         DetectionError: it cannot be loaded.
     """
-    if not has_own_view(project):
+    if not has_view_with_classes(project):
         return None
     ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
     if ready.problem is not None:

@@ -64,7 +64,9 @@ def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBox
     """
     boxes = {drawn.frame_id: drawn.boxes for drawn in project.boxes.on_images() if drawn.boxes}
     if only_without_labels:
-        boxes = {frame_id: boxes[frame_id] for frame_id in project.boxes.frames_without_labels()}
+        without = project.boxes.frames_without_labels()
+        # a box may have been drawn since the first read
+        boxes = {frame_id: boxes[frame_id] for frame_id in without if frame_id in boxes}
         if not boxes:
             raise ConfigError(f"project {project.config.name}: no frame has boxes on its image but no 3D box")
     if not boxes:

@@ -35,7 +35,7 @@ def follow_recording(
     A reviewed label without a track gets one with its first new box.
 
     Args:
-        view: the project's view detector, if any (`own_view`).
+        view: the project's view detector, if any (`view_with_classes`).
         author: the operator, who can undo this.
         tracks: track ids; None = all reviewed boxes.
         forward, backward: whether to go on after the last, and before the first reviewed box.
@@ -72,7 +72,7 @@ def follow_from_frame(
 
     Args:
         revision: of the frame, as shown to the operator.
-        view: the project's view detector, if any (`own_view`).
+        view: the project's view detector, if any (`view_with_classes`).
         author: the operator, who can undo this.
         uid: a label; None = all reviewed labels of the frame.
         forward: False = backward in time.

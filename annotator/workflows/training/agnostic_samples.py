@@ -39,7 +39,7 @@ FIRST_SEED = 10_000_000
 GENERATED_DRAWS, GENERATED_VIEWS = 2, 13
 # Maximum number of crops per object of the project; each gives two views.
 MOST_DRAWS = 60
-# Score from which a detection counts as the box that is not known.
+# Minimum score of a detection that stands in for an unknown box.
 MIN_SCORE = 0.3
 
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.detection import base_detector
 from annotator.detection.config import Augmentation, TrainingConfig
-from annotator.detection.dataset import TrainingSample, write_dataset
+from annotator.detection.dataset import GENERATED, TrainingSample, write_dataset
 from annotator.detection.held_out import is_held_out
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_manifest
 from annotator.detection.progress import Report
@@ -37,8 +37,6 @@ TASK_FRAMES = 16
 # An upright view is drawn of objects with an axis within this angle of the vertical, radians.
 UPRIGHT_RAD = 0.06
 VIEWS, RUN = "views", "run"
-# Origin of the views of generated frames.
-GENERATED = "generated"
 MANIFEST_FILE, PLAN_FILE = "manifest.json", "plan.json"
 
 

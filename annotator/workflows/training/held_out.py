@@ -1,14 +1,14 @@
 """Measures view detectors on the reviewed objects of held-out frames.
 
-A fixed fifth of the frames, drawn by a hash of their keys (`detection.held_out`), never trains a detector. Its reviewed
-3D boxes decide what a training starts from, and which view detector the project uses afterwards. A detector gets the
-objects' boxes on the image, slightly wrong, as an operator would draw them; the measure is the mean exact 3D IoU of the
-boxes that it then finds.
+A fixed fifth of the frames, drawn by a hash of their recordings and keys (`detection.held_out`), never trains a
+detector. Its reviewed 3D boxes decide what a training starts from, and which view detector the project uses afterwards.
+A detector gets the objects' boxes on the image, slightly wrong, as an operator would draw them; the measure is the mean
+exact 3D IoU of the boxes that it then finds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,6 +60,7 @@ class Decision(BaseModel):
         compared: the other detectors.
         started_from: what the training started from.
         outcome: which detector the project used from then on, and why, in words.
+        reviewed: number of the project's reviewed boxes when the training began; None before 0.3.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -70,6 +71,7 @@ class Decision(BaseModel):
     compared: tuple[Rival, ...]
     started_from: str
     outcome: str
+    reviewed: int | None = None
 
     def write(self, folder: Path) -> None:
         """Writes `held_out.json`."""
@@ -109,17 +111,24 @@ class _HeldOutFrame:
 class HeldOut:
     """The reviewed objects on a project's held-out frames; frames that cannot be read are left out."""
 
-    def __init__(self, project: Project, labels: Mapping[int, Sequence[Label]]) -> None:
+    def __init__(
+        self,
+        project: Project,
+        labels: Mapping[int, Sequence[Label]],
+        check_stop: Callable[[], None] = lambda: None,
+    ) -> None:
         """
         Args:
             labels: reviewed labels by frame id.
+            check_stop: called before each frame is read or measured; may raise to end that.
         """
-        self._project = project
+        self._project, self._check_stop = project, check_stop
         self._frames: list[_HeldOutFrame] = []
         source = FrameSource(project)
         for stored in held_out_frames(project, labels):
             if self.objects >= MOST_OBJECTS:
                 break
+            check_stop()
             try:
                 frame = source.read(stored)
             except FrameError:  # reported by the training, which reads it, too
@@ -155,6 +164,7 @@ class HeldOut:
         rotation = self._project.config.settings.rotation
         ious: list[float] = []
         for held in self._frames:
+            self._check_stop()
             found = lifted(held.frame, held.image_boxes, detector, config, rotation)
             pairs = zip(found, held.truths, strict=True)
             ious += [0.0 if box is None else iou_3d(box, truth) for box, truth in pairs]
@@ -163,13 +173,13 @@ class HeldOut:
 
 def held_out_frames(project: Project, frame_ids: Mapping[int, object]) -> list[StoredFrame]:
     """The held-out frames among some frames, in an order that does not depend on time."""
-    frames = [stored for stored in project.frames.of() if stored.id in frame_ids and is_held_out(stored.key)]
+    frames = [stored for stored in project.frames.of() if stored.id in frame_ids and is_held_out(frame_group(stored))]
     return sorted(frames, key=lambda stored: (stored.id * 2654435761) % 2**32)
 
 
 def held_out_groups(project: Project) -> frozenset[str]:
     """The groups of the training samples of all held-out frames."""
-    return frozenset(frame_group(stored) for stored in project.frames.of() if is_held_out(stored.key))
+    return frozenset(group for stored in project.frames.of() if is_held_out(group := frame_group(stored)))
 
 
 def lifted(

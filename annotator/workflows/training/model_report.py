@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from annotator.detection.dataset import GENERATED
 from annotator.detection.manifest import MANIFEST_NAME, read_manifest
 from annotator.project import StoredModel
 from annotator.types.errors import FormatError
-from annotator.workflows.training.base_detector import GENERATED
 from annotator.workflows.training.held_out import Decision, read_decision
 from annotator.workflows.training.validation_pictures import validation_pictures
 

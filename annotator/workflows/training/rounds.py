@@ -1,22 +1,23 @@
 """What a training of the view detector starts from, how long its parts are, and which detector is used afterwards.
 
-The reviewed objects on held-out frames decide (`training.held_out`). With too few of them the base detector stays; in
-an installation without it, the newest detector is used.
+The reviewed objects on held-out frames decide (`training.held_out`). With too few such objects, what was in use stays
+in use; if there is no base detector, the newest detector is used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from annotator.detection.base_detector import has_base
 from annotator.detection.config import TrainingConfig
 from annotator.detection.manifest import read_manifest
+from annotator.detection.progress import TrainingStoppedError
 from annotator.detection.trained import read_trained
-from annotator.project import Project, StoredModel
+from annotator.project import REVIEWED, Project, StoredModel
 from annotator.types import DetectorKind
-from annotator.types.errors import FormatError
-from annotator.workflows.detectors import UsedModel, base_model, own_model
+from annotator.types.errors import DetectionError, FormatError
+from annotator.workflows.detectors import UsedModel, base_model, own_model, used_model
 from annotator.workflows.training.base_detector import BASE_TRAINING
 from annotator.workflows.training.held_out import MIN_OBJECTS, Decision, HeldOut, Rival, held_out_groups
 
@@ -24,7 +25,7 @@ from annotator.workflows.training.held_out import MIN_OBJECTS, Decision, HeldOut
 DEFAULT_VIEW_PX = 64
 # Length of a training that starts from a detector, and of the first part of a longer one, seconds.
 FIRST_PART_S = 180.0
-# A shorter part is not begun. Drawing the views and measuring count, too.
+# A shorter part is not begun. This includes the time to draw views and to measure.
 MIN_PART_S = 45.0
 # A detector that knows objects already is changed with care.
 LEARNING_RATE, WARMUP_EPOCHS = 0.003, 0.5
@@ -38,33 +39,50 @@ class Start:
 
     Attributes:
         model: None for the published or random weights of the configuration.
-        compared: the candidates by their mean IoU on the held-out objects; empty with too few objects.
+        ious: mean IoU on the held-out objects of each known detector that has not learned them, whether a training
+            with these settings can start from it or not; empty with too few objects.
+        left_out: messages on detectors that could not be measured.
     """
 
     model: UsedModel | None
-    compared: tuple[Rival, ...] = ()
+    ious: Mapping[UsedModel, float] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def compared(self) -> tuple[Rival, ...]:
+        """The measured detectors, for people."""
+        return tuple(Rival(name=model.described, mean_iou=iou) for model, iou in self.ious.items())
 
     def view_px(self, config: TrainingConfig) -> int:
         """Longer side of the views to train on: that of the detector at the start, or the configured one."""
         return config.image_size_px if self.model is None else read_trained(self.model.path.parent).image_size_px
 
 
-def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig) -> Start:
+def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig, decides: bool = True) -> Start:
     """The best known detector: the project's active one, its newest one, or the base detector.
 
     Too few held-out objects leave it to the order: active detector, base detector, newest detector. Weights or a
-    network that the configuration names come first.
+    network that the configuration names come first. A detector that has learned held-out frames is no candidate, since
+    what starts from it would know them, too.
+
+    Args:
+        decides: whether held-out frames decide; False: a detector that has learned them is a candidate.
     """
-    if config.pretrained != "auto":
-        return Start(None)
-    known = [model for model in _candidates(project) if _fits(model, config)]
-    if not known:
-        return Start(None)
-    if not held_out.decides:
-        return Start(known[0])
-    ious = {model: held_out.mean_iou(model) for model in known if not _has_learned(project, model)}
-    compared = tuple(Rival(name=model.described, mean_iou=iou) for model, iou in ious.items())
-    return Start(max(ious, key=ious.__getitem__) if ious else known[0], compared)
+    known = [model for model in _candidates(project) if not decides or not _has_learned(project, model)]
+    ious: dict[UsedModel, float] = {}
+    left_out = []
+    for model in known if held_out.decides else ():
+        try:
+            ious[model] = held_out.mean_iou(model)
+        except TrainingStoppedError:
+            raise
+        except (DetectionError, FormatError) as error:
+            left_out.append(f"the {model.described}, which cannot be measured: {error}")
+    able = ious if held_out.decides else known
+    fitting = [model for model in able if config.pretrained == "auto" and _fits(model, config)]
+    # without measurements, the first one
+    best = max(fitting, key=lambda model: ious.get(model, 0.0), default=None)
+    return Start(best, ious, tuple(left_out))
 
 
 def part_seconds(minutes: float) -> Iterator[float]:
@@ -104,23 +122,39 @@ class Choice:
     Attributes:
         start: what the training started from.
         decides: False: each new detector is used, whatever the held-out objects say.
-        best: the best detector so far; None before the first one of a training from published or random weights.
-        best_iou: of the best detector; None with too few objects.
+        origin: what the next part starts from: the best detector of this training; None before the first one of a
+            training from published or random weights.
+        origin_iou: of that detector; None with too few objects.
+        best: the best detector of all that were measured; None before the first one.
+        best_iou: of the best detector.
+        reviewed: number of the project's reviewed boxes at the start.
+        in_use: the detector that the project used at the start, or since the last decision.
     """
 
     project: Project
     held_out: HeldOut
     start: Start
     decides: bool = True
+    origin: UsedModel | None = field(init=False)
+    origin_iou: float | None = field(init=False)
     best: UsedModel | None = field(init=False)
-    best_iou: float | None = field(init=False)
+    best_iou: float = field(init=False)
+    reviewed: int = field(init=False)
+    in_use: UsedModel | None = field(init=False)
 
     def __post_init__(self) -> None:
-        self.best = self.start.model
-        self.best_iou = max((rival.mean_iou for rival in self.start.compared), default=None)
+        ious = self.start.ious
+        self.origin = self.start.model
+        self.origin_iou = None if self.origin is None else ious.get(self.origin)
+        self.best = max(ious, key=ious.__getitem__, default=None)
+        self.best_iou = max(ious.values(), default=-1.0)
+        self.reviewed = self.project.labels.count(REVIEWED)
+        self.in_use = used_model(self.project, DetectorKind.VIEW)
 
     def add(self, model: StoredModel, note: str) -> Decision:
         """Measures a new detector, activates it or another one, and stores the reasons beside its weights.
+
+        A detector that was chosen by hand during the training stays in use.
 
         Args:
             note: what its training started from, for people.
@@ -130,24 +164,12 @@ class Choice:
         """
         new = own_model(self.project, model)
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None
-        is_better = iou is not None and (self.best_iou is None or iou > self.best_iou)
-        if not self.decides:
-            used, reason = new, "put into use without a measurement, as asked for"
-        elif iou is None and has_base() and self.project.models.active(DetectorKind.VIEW) is None:
-            used = base_model()
-            reason = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames: the base detector stayed in use"
-        elif iou is None:
-            used, reason = (
-                new,
-                f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames: put into use as the newest",
-            )
-        elif is_better or self.best is None:
-            used, reason = new, "the best one on held-out frames: put into use"
-        else:
-            used, reason = self.best, f"no better on held-out frames: the {self.best.described} stayed in use"
-        if is_better or self.best is None or iou is None:
+        used, reason = self._decided(new, iou)
+        if self.origin is None or iou is None or self.origin_iou is None or iou > self.origin_iou:
+            self.origin, self.origin_iou = new, iou
+        if iou is not None and iou > self.best_iou:
             self.best, self.best_iou = new, iou
-        self._use(used, model)
+        self._use(used)
         decision = Decision(
             objects=self.held_out.objects,
             frames=self.held_out.frames,
@@ -155,16 +177,41 @@ class Choice:
             compared=self.start.compared,
             started_from=note,
             outcome=reason,
+            reviewed=self.reviewed,
         )
         decision.write(model.path.parent)
         return decision
 
-    def _use(self, used: UsedModel, new: StoredModel) -> None:
+    def _decided(self, new: UsedModel, iou: float | None) -> tuple[UsedModel | None, str]:
+        """The detector to use, and why; None for the one that is in use.
+
+        Args:
+            iou: of the new detector; None with too few objects.
+        """
+        few = f"fewer than {MIN_OBJECTS} reviewed objects on held-out frames"
+        if used_model(self.project, DetectorKind.VIEW) != self.in_use:
+            return None, "another detector was chosen during the training: it stayed in use"
+        if not self.decides:
+            return new, "put into use without a measurement, as asked for"
+        if iou is None and has_base():
+            return None, f"{few}: what was in use stayed in use"
+        if iou is None:
+            return new, f"{few}: put into use as the newest"
+        if self.best is None:
+            return new, "put into use: there was no detector to compare it with on held-out frames"
+        if iou > self.best_iou:
+            return new, "the best one on held-out frames: put into use"
+        return self.best, f"no better on held-out frames: the {self.best.described} stayed in use"
+
+    def _use(self, used: UsedModel | None) -> None:
+        if used is None:
+            return
         if used.name:
             self.project.models.deactivate(DetectorKind.VIEW)
-            return
-        known = {model.path: model.id for model in self.project.models.all(DetectorKind.VIEW)}
-        self.project.models.activate(known.get(used.path, new.id))
+        else:
+            known = {model.path: model.id for model in self.project.models.all(DetectorKind.VIEW)}
+            self.project.models.activate(known[used.path])
+        self.in_use = used_model(self.project, DetectorKind.VIEW)
 
 
 def _candidates(project: Project) -> list[UsedModel]:
@@ -186,12 +233,14 @@ def _fits(model: UsedModel, config: TrainingConfig) -> bool:
 
 
 def _has_learned(project: Project, model: UsedModel) -> bool:
-    """Whether a detector of an earlier version was trained on frames that are held out now."""
-    if model.manifest is None:
+    """Whether a detector may have been trained on frames that are held out now: unknown training data counts."""
+    if model.name:  # the base detector
         return False
+    if model.manifest is None:
+        return True
     try:
         entries = read_manifest(model.manifest.parent).entries
     except FormatError:
-        return False
+        return True
     held = held_out_groups(project)
     return any(entry.split == "train" and entry.group in held for entry in entries)

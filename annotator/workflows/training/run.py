@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,11 +12,11 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
-from annotator.detection.trained import TrainedModel
+from annotator.detection.trained import RUN_NAME, TrainedModel, read_run
 from annotator.detection.training import train_detector
 from annotator.project import Project, StoredFrame, StoredModel
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import FrameError
+from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.detectors import load_detector
 from annotator.workflows.training.held_out import held_out_groups
 from annotator.workflows.training.validation_pictures import write_validation_pictures
@@ -113,6 +113,33 @@ class LeftOut:
         line = f"frame {stored.key}: {error}"
         if line not in self.lines:
             self.lines.append(line)
+
+
+def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], None]) -> Iterator[TrainingSample]:
+    """Yields the samples; `check_stop` is called after each and may raise to end that."""
+    for sample in samples:
+        yield sample
+        check_stop()
+
+
+def remove_leftovers(project: Project, role: DetectorKind) -> None:
+    """Removes what killed trainings of a role left: incomplete training sets, and timed runs without a model."""
+    folder = project.models_folder / role.value
+    registered = {model.path.parent.resolve() for model in project.models.all(role)}
+    leftovers = list(folder.glob(f".{DATASET}.part-*"))
+    for run in (path.parent for path in folder.glob(f"*/{RUN_NAME}")):
+        if run.resolve() not in registered and _is_timed(run):
+            leftovers.append(run)
+    for path in leftovers:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_timed(folder: Path) -> bool:
+    try:
+        run = read_run(folder)
+    except FormatError:  # reported by a training that would continue it
+        return False
+    return run is not None and run.is_timed
 
 
 def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:

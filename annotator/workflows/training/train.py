@@ -12,7 +12,7 @@ from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample
 from annotator.detection.manifest import DatasetManifest
 from annotator.detection.pretrained import check_start
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.detection.tiles import tiled
 from annotator.detection.trained import MODEL_NAME, TrainedModel
 from annotator.project import Project, StoredModel
@@ -31,7 +31,16 @@ from annotator.workflows.training.rounds import (
     part_seconds,
     starting_config,
 )
-from annotator.workflows.training.run import LeftOut, Ran, Report, Run, Stop, settings_hash
+from annotator.workflows.training.run import (
+    LeftOut,
+    Ran,
+    Report,
+    Run,
+    Stop,
+    remove_leftovers,
+    settings_hash,
+    unless_stopped,
+)
 from annotator.workflows.training.samples import Material, SampleConfig, gather, image_samples, view_samples
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.
@@ -42,9 +51,6 @@ VIEW_DEFAULTS = TrainingConfig(image_size_px=DEFAULT_VIEW_PX, pictures_seen=4800
 GENERATED_SHARE = 0.5
 # Share of the remaining time of a part that is for training; the rest is for measuring. The shortest training, seconds.
 TRAINING_SHARE, MIN_TRAINING_S = 0.85, 10.0
-
-# One day.
-MOST_MINUTES = 1440
 
 ProgressCallback = Callable[[DetectorKind, TrainingProgress], None]
 
@@ -111,14 +117,17 @@ def train(
 
     Args:
         progress: called after each step of a training.
-        stop: returns True to end the training early.
+        stop: returns True to end the training early; asked after each sample, batch and measured frame.
 
     Raises:
         ConfigError: invalid settings.
         DetectionError: there are no labels to learn from, or the training failed.
+        TrainingStoppedError: `stop` returned true.
     """
     rcv_config(project)  # invalid settings are reported before the samples are made
     material = gather(project, roles)
+    for role in roles:
+        remove_leftovers(project, role)
     for role in roles:  # checked before the samples are made, which takes long
         _check_start(project, role, plan.image if role is DetectorKind.IMAGE else plan.view)
     results = []
@@ -155,7 +164,8 @@ def _train_image(
     if material.unreviewed_images:
         left_out.lines.append(f"{material.unreviewed_images} camera images with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
-    ran = run.train(run.write(image_samples(project, material, left_out.skip)), plan.image, report, stop)
+    samples = unless_stopped(image_samples(project, material, left_out.skip), partial(_check_stop, stop))
+    ran = run.train(run.write(samples), plan.image, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
     return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out.lines))
@@ -163,7 +173,7 @@ def _train_image(
 
 @dataclass(eq=False)
 class _ViewTraining:
-    """A training of the view detector in parts; each part starts from the best detector so far."""
+    """A training of the view detector in parts; each part starts from the training's best detector so far."""
 
     project: Project
     material: Material
@@ -173,6 +183,7 @@ class _ViewTraining:
     left_out: LeftOut = field(default_factory=LeftOut)
     view_px: int = field(init=False)
     rcv: RcvConfig = field(init=False)
+    paused_s: float = 0.0
 
     def run(self) -> Trained:
         """Trains all parts; the result is the detector that the project uses now, or else the last one."""
@@ -182,13 +193,14 @@ class _ViewTraining:
             self.left_out.lines.append(
                 f"{self.material.left_out} pseudo-views whose boxes are not of the majority kind, {self.material.kind}"
             )
-        held_out = HeldOut(project, self.material.labels if plan.decides else {})
-        start = choose_start(project, held_out, plan.view)
+        held_out = HeldOut(project, self.material.labels if plan.decides else {}, self._check_stop)
+        start = choose_start(project, held_out, plan.view, plan.decides)
+        self.left_out.lines += start.left_out
         self.view_px = start.view_px(plan.view)
         self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)
         choice = Choice(project, held_out, start, plan.decides)
         ends: list[float | None] = [None]
-        if plan.view.epochs is None and (choice.best is not None or plan.minutes is not None):
+        if plan.view.epochs is None and (choice.origin is not None or plan.minutes is not None):
             ends = [begin + end for end in accumulate(part_seconds(plan.minutes or FIRST_PART_S / 60))]
         parts = []
         for number, end in enumerate(ends):
@@ -206,33 +218,48 @@ class _ViewTraining:
 
         Args:
             number: from 0.
-            end_s: when it should end, by `time.perf_counter`; None: a run of epochs or pictures.
+            end_s: when it should end, by `time.perf_counter`, without pauses; None: a run of epochs or pictures.
         """
-        plan, best = self.plan, choice.best
+        plan, origin = self.plan, choice.origin
         drawing = plan.samples.model_copy(update={"seed": plan.samples.seed + number})
-        agnostic = best is not None and best.class_agnostic
-        samples = self._agnostic_samples(best, drawing) if agnostic and best else self._samples(drawing)
+        agnostic = origin is not None and origin.class_agnostic
+        samples = self._agnostic_samples(origin, drawing) if agnostic and origin else self._samples(drawing)
         classes = AGNOSTIC if agnostic else self.project.config.classes
         run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
-        written = run.write(tiled(samples, self.view_px))
+        written = run.write(tiled(unless_stopped(samples, self._check_stop), self.view_px))
         seconds = None
         if end_s is not None:  # the rest of the time is for measuring the result
-            seconds = max((end_s - time.perf_counter()) * TRAINING_SHARE, MIN_TRAINING_S)
-        if best is None:
+            seconds = max((end_s + self.paused_s - time.perf_counter()) * TRAINING_SHARE, MIN_TRAINING_S)
+        if origin is None:
             config = plan.view.model_copy(update={"seconds": seconds})
         else:
             sized = plan.view.model_copy(update={"image_size_px": self.view_px})
-            config = starting_config(sized, best, seconds, drawing.seed)
+            config = starting_config(sized, origin, seconds, drawing.seed)
         ran = run.train(written, config, report, self.stop)
-        return ran, choice.add(ran.model, ran.result.note if best is None else f"starts from the {best.described}")
+        return ran, choice.add(ran.model, ran.result.note if origin is None else f"starts from the {origin.described}")
+
+    def _check_stop(self) -> None:
+        """Blocks during a pause; adds its length to `paused_s`."""
+        begin = time.perf_counter()
+        _check_stop(self.stop)
+        self.paused_s += time.perf_counter() - begin
 
     def _samples(self, drawing: SampleConfig) -> Iterator[TrainingSample]:
         return view_samples(self.project, self.material, self.rcv, drawing, self.left_out.skip)
 
-    def _agnostic_samples(self, best: UsedModel, drawing: SampleConfig) -> Iterator[TrainingSample]:
-        start = load_detector(best.path)
+    def _agnostic_samples(self, origin: UsedModel, drawing: SampleConfig) -> Iterator[TrainingSample]:
+        start = load_detector(origin.path)
         own = agnostic_samples(self.project, self.material, self.rcv, drawing, start, self.left_out.skip)
         return with_generated(own, self.plan.generated_share, self.view_px, drawing.seed)
+
+
+def _check_stop(stop: Stop | None) -> None:
+    """
+    Raises:
+        TrainingStoppedError: `stop` returned true.
+    """
+    if stop is not None and stop():
+        raise TrainingStoppedError("training was stopped; train again to begin anew or to resume")
 
 
 def _in_part(report: Report, part: int, parts: int, step: TrainingProgress) -> None:

@@ -90,19 +90,19 @@ def ready_view(project: Project) -> ReadyDetector | None:
     return None if model is None else _ready(model, threading.Lock())
 
 
-def has_own_view(project: Project) -> bool:
-    """True if the project uses a view detector of its own."""
+def has_view_with_classes(project: Project) -> bool:
+    """True if the project uses a view detector that knows its classes, which following needs to look for an object."""
     model = used_model(project, DetectorKind.VIEW)
     return model is not None and not model.class_agnostic
 
 
-def own_view(project: Project) -> ReadyDetector | None:
-    """Loads the project's own view detector; None if it has none.
+def view_with_classes(project: Project) -> ReadyDetector | None:
+    """Loads the project's view detector; None without one, or if it is class-agnostic.
 
     Raises:
         DetectionError, FormatError: it cannot be loaded.
     """
-    return ready_view(project) if has_own_view(project) else None
+    return ready_view(project) if has_view_with_classes(project) else None
 
 
 def require_view(project: Project) -> ReadyDetector:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Lock
@@ -16,7 +16,8 @@ from drawing import Scene
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project
-from annotator.types import BoxKind, DetectorKind, Label, ReviewState
+from annotator.types import Box2D, BoxKind, DetectorKind, Label, ReviewState
+from annotator.workflows.detectors import AGNOSTIC
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 expect = pytest.importorskip("playwright.sync_api").expect
@@ -30,6 +31,24 @@ if TYPE_CHECKING:
 
 FRAME = 1
 EDGES = ("x_min", "y_min", "x_max", "y_max")
+
+
+class TwoKinds:
+    """A class-agnostic detector with a small box for the visible part, and a large one for the whole object."""
+
+    labels, fingerprint = AGNOSTIC, "two kinds"
+
+    def detect(self, images: Sequence[Any]) -> list[list[Box2D]]:
+        found = []
+        for image in images:
+            height, width = image.rgb.shape[:2]
+            found.append(
+                [
+                    Box2D(label, share * width, share * height, (1 - share) * width, (1 - share) * height, 0.9)
+                    for label, share in zip(AGNOSTIC, (0.1, 0.3), strict=True)
+                ]
+            )
+        return found
 
 
 @dataclass(eq=False)
@@ -372,9 +391,9 @@ def test_a_failed_save_is_shown_and_can_be_retried(bench: Bench) -> None:
 def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """`teach(image=..., view=...)`: gives the project detectors, and reloads the page."""
 
-    def taught(**detectors: Any) -> None:
+    def taught(class_agnostic: bool = False, **detectors: Any) -> None:
         ready = {
-            DetectorKind(role): Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock()))
+            DetectorKind(role): Readiness("ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock(), class_agnostic))
             for role, detector in detectors.items()
         }
         look = lambda project, role, wait_s=None: ready.get(role, Readiness("none"))  # noqa: E731
@@ -386,6 +405,34 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         bench.page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
 
     return taught
+
+
+def test_another_kind_of_boxes_brings_its_own_suggestions(bench: Bench, teach: Callable[..., None]) -> None:
+    teach(class_agnostic=True, view=TwoKinds())
+    page = bench.page
+    first = bench.draw_on_image(0)["steps"][0]["suggested"]
+    dashed = page.locator(".views .box.suggested")
+    expect(dashed.first).to_be_visible()
+    bench.saved()
+    answers = Event()
+
+    def hold(route: Any) -> None:
+        # Enter must not take the old suggestions meanwhile
+        page.keyboard.press("Enter")
+        answers.set()
+        route.continue_()
+
+    page.route("**/label/steps", hold)
+    with page.expect_response("**/label/steps") as answer:
+        page.keyboard.press("b")
+    second = answer.value.json()["steps"][0]["suggested"]
+    assert answers.is_set()
+    assert bench.labels == []
+    edges = [[[box[edge] for edge in EDGES] for box in boxes] for boxes in (first, second)]
+    assert edges[0] != edges[1]
+    expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")
+    bench.saved()
+    assert bench.state["image_boxes"]["box_kind"] == "box"
 
 
 def test_one_drag_and_enter_make_a_label(

@@ -27,7 +27,7 @@ expect = pytest.importorskip("playwright.sync_api", reason="playwright is not in
 def view(knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
     """A perfect view detector for all projects."""
     ready = ReadyDetector(knowing("people").view, BoxKind.BOX, threading.Lock())
-    monkeypatch.setattr("annotator.web.routes.tracks.has_own_view", lambda _: True)
+    monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
     monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: Readiness("ready", ready))
 
 

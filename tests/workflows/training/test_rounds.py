@@ -13,14 +13,22 @@ import pytest
 from annotator.detection import base_detector
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample
-from annotator.detection.manifest import read_manifest
+from annotator.detection.manifest import DatasetManifest, ManifestEntry, read_manifest
 from annotator.detection.network_file import NetworkDescription, build, write_network
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
-from annotator.detection.trained import TrainedModel, TrainingMetrics, read_trained
+from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_trained
 from annotator.project import Project, StoredModel
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
-from annotator.workflows.detectors import AGNOSTIC, Detectors, UsedModel, base_model, own_model, used_model
+from annotator.workflows.detectors import (
+    AGNOSTIC,
+    Detectors,
+    UsedModel,
+    base_model,
+    load_detector,
+    own_model,
+    used_model,
+)
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import held_out, run
@@ -67,9 +75,11 @@ def no_base(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.fixture
 def labelled(people: Project, monkeypatch: pytest.MonkeyPatch) -> Project:
-    """The project with the true boxes of all 5 frames; two of the frames are held out."""
-    monkeypatch.setattr(held_out, "is_held_out", HELD_OUT.__contains__)
-    import_own_labels(people, people.recordings.all()[0].id)
+    """The project with the true boxes of all 5 frames and drawn views; two of the frames are held out."""
+    recording = people.recordings.all()[0].id
+    monkeypatch.setattr(held_out, "is_held_out", {f"{recording}/{key}" for key in HELD_OUT}.__contains__)
+    import_own_labels(people, recording)
+    simulate_recording(people, recording, BoxKind.BOX, RcvConfig(), every=1)
     return people
 
 
@@ -90,11 +100,25 @@ def install_base() -> None:
     write_model(base_detector.FOLDER)
 
 
-def register(project: Project, name: str, *, active: bool = False) -> StoredModel:
+def register(project: Project, name: str, *, active: bool = False, learned: str | None = "000000") -> StoredModel:
+    """
+    Args:
+        learned: key of a frame that it was trained on; None: unknown.
+    """
     path = write_model(project.models_folder / "view" / name)
+    manifest = path.parent / "manifest.json"
+    if learned is not None:
+        group = f"{project.recordings.all()[0].id}/{learned}"
+        entry = ManifestEntry(image="0.png", split="train", group=group, origin="drawn", boxes=AGNOSTIC[:1])
+        written = DatasetManifest(
+            sha256="", classes=AGNOSTIC, kind=None, measured_on="train", images={"train": 1, "val": 0},
+            boxes_by_class={}, images_by_origin={}, dropped_boxes=0, entries=(entry,),
+        )  # fmt: skip
+        manifest.write_text(written.model_dump_json(), encoding="utf-8")
     return project.models.register(
-        DetectorKind.VIEW, path, labels=AGNOSTIC, box_kind=BoxKind.BOX, metrics={}, fingerprint=name, activate=active
-    )
+        DetectorKind.VIEW, path, labels=AGNOSTIC, box_kind=BoxKind.BOX, metrics={}, fingerprint=name, activate=active,
+        manifest=None if learned is None else manifest,
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -162,7 +186,6 @@ def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
 ) -> None:
     install_base()
     model = register(labelled, "a", active=True)
-    simulate_recording(labelled, labelled.recordings.all()[0].id, BoxKind.BOX, RcvConfig(), every=1)
     manifest = run.Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
         agnostic_samples(labelled, gather(labelled), RcvConfig(), PLAN.samples, Fixed(), lambda *_: None)
     )
@@ -173,6 +196,65 @@ def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
     )  # fmt: skip
     ious.update({"base detector": 0.2, "a": 0.9})
     assert choose_start(labelled, held(labelled), CONFIG).model == base_model()
+
+
+@pytest.mark.parametrize("learned", [HELD_OUT[0], None])
+@pytest.mark.parametrize("objects", [0, 6])
+def test_no_training_starts_from_a_detector_that_may_know_held_out_frames(
+    labelled: Project, ious: dict[str, float], learned: str | None, objects: int
+) -> None:
+    ious["a"] = 0.9
+    register(labelled, "a", active=True, learned=learned)
+    assert choose_start(labelled, held(labelled, objects), CONFIG).model is None
+    # where held-out frames decide nothing, it may
+    assert choose_start(labelled, held(labelled, 0), CONFIG, decides=False).model is not None
+
+
+def test_a_damaged_detector_is_left_out_and_reported(labelled: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    install_base()
+    register(labelled, "a", active=True)  # its weights are no weights
+
+    def measure(self: HeldOut, model: UsedModel) -> float:
+        return 0.5 if model == base_model() else float(len(load_detector(model.path).labels))
+
+    monkeypatch.setattr(HeldOut, "mean_iou", measure)
+    start = choose_start(labelled, held(labelled), CONFIG)
+    assert start.model == base_model()
+    (line,) = start.left_out
+    assert line.startswith("the project's detector a, which cannot be measured: ")
+
+
+def test_a_detector_from_random_weights_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
+    active = register(labelled, "a", active=True)
+    ious.update(a=0.6, worse=0.3, better=0.7)
+    measured = held(labelled)
+    start = choose_start(labelled, measured, CONFIG.model_copy(update={"pretrained": "never"}))
+    assert start.model is None
+    choice = Choice(labelled, measured, start)
+    outcomes = []
+    for name in ("worse", "better"):
+        new = register(labelled, name)
+        outcomes.append(choice.add(new, "").outcome)
+        # the next part goes on from the training's own result
+        assert choice.origin == own_model(labelled, new)
+    assert outcomes == [
+        "no better on held-out frames: the project's detector a stayed in use",
+        "the best one on held-out frames: put into use",
+    ]
+    assert not labelled.models.get(active.id).active
+
+
+def test_a_detector_chosen_by_hand_during_a_training_stays(labelled: Project, ious: dict[str, float]) -> None:
+    old, chosen = register(labelled, "old", active=True), register(labelled, "chosen")
+    ious.update(old=0.5, chosen=0.1, new=0.9, newer=0.95)
+    measured = held(labelled)
+    choice = Choice(labelled, measured, choose_start(labelled, measured, CONFIG))
+    labelled.models.activate(chosen.id)
+    for name in ("new", "newer"):
+        outcome = choice.add(register(labelled, name), "").outcome
+        assert outcome == "another detector was chosen during the training: it stayed in use"
+    assert labelled.models.get(chosen.id).active
+    assert not labelled.models.get(old.id).active
 
 
 def test_a_new_detector_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
@@ -222,6 +304,50 @@ def test_below_five_held_out_objects_the_base_detector_stays(
     assert "fewer than 5 reviewed objects" in decision.outcome
 
 
+def test_below_five_held_out_objects_an_own_detector_stays_in_use(labelled: Project, ious: dict[str, float]) -> None:
+    install_base()
+    active = register(labelled, "a", active=True)
+    measured = held(labelled, 0)
+    choice = Choice(labelled, measured, choose_start(labelled, measured, CONFIG))
+    assert choice.add(register(labelled, "new"), "").outcome.endswith("what was in use stayed in use")
+    assert labelled.models.get(active.id).active
+
+
+def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
+    labelled: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[TrainingSample] = []
+    monkeypatch.setattr(run, "write_dataset", lambda folder, samples, *_: written.extend(samples))
+    for asked, role in ((2, DetectorKind.IMAGE), (6, DetectorKind.VIEW)):
+        answers = iter([False] * asked + [True])
+        with pytest.raises(TrainingStoppedError):
+            train(labelled, PLAN, roles=(role,), stop=lambda answers=answers: next(answers))
+    assert 0 < len(written) < 10
+
+    def stopped() -> None:
+        raise TrainingStoppedError("here")
+
+    monkeypatch.setattr(held_out, "load_detector", lambda path: Fixed())
+    measured = held(labelled)
+    measured._check_stop = stopped
+    with pytest.raises(TrainingStoppedError):
+        measured.mean_iou(own_model(labelled, register(labelled, "a")))
+
+
+def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
+    model = register(labelled, "registered")
+    folder = model.path.parent.parent
+    for name, is_timed in (("registered", True), ("timed", True), ("resumable", False)):
+        (folder / name).mkdir(exist_ok=True)
+        record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0, is_timed=is_timed)
+        record.write(folder / name)
+    (folder / ".dataset.part-x1").mkdir()
+    run.remove_leftovers(labelled, DetectorKind.VIEW)
+    assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
+    assert not (folder / "timed").exists()
+    assert not (folder / ".dataset.part-x1").exists()
+
+
 def test_parts_double_and_none_is_too_short() -> None:
     assert list(part_seconds(1.0)) == [60.0]
     assert list(part_seconds(3.0)) == [180.0]
@@ -266,7 +392,8 @@ def test_no_held_out_frame_teaches_either_detector(
     def stop_at_training(dataset: Path, out: Path, config: TrainingConfig, progress, role, stop) -> TrainedModel:
         entries = read_manifest(dataset).entries
         sets[role] = {
-            split: {e.group for e in entries if e.split == split and e.label_uids} for split in ("train", "val")
+            split: {e.group for e in entries if e.split == split and e.origin != "generated"}
+            for split in ("train", "val")
         }
         raise TrainingStoppedError("here")
 

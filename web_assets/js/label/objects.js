@@ -84,6 +84,14 @@ export function createObjects(app, work, parts) {
     await showViews(loading);
   }
 
+  /** Replaces the current object's suggestions, which were made for another kind of boxes. Until then, Enter waits. */
+  function askAgain() {
+    if (!work.draft) return;
+    // answers that are on their way contain suggestions of the other kind
+    work.draft.changes += 1;
+    work.loaded = loadSteps();
+  }
+
   /**
    * Shows new views; once they are on the screen, the 3D view and prefetching may begin.
    *
@@ -354,6 +362,7 @@ export function createObjects(app, work, parts) {
   return {
     open,
     openLabel,
+    askAgain,
     close,
     acceptAll,
     onFailed,
