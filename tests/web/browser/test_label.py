@@ -428,6 +428,7 @@ def test_another_kind_of_boxes_brings_its_own_suggestions(bench: Bench, teach: C
     second = answer.value.json()["steps"][0]["suggested"]
     assert answers.is_set()
     assert bench.labels == []
+    assert answer.value.request.post_data_json["box_kind"] == "box"
     edges = [[[box[edge] for edge in EDGES] for box in boxes] for boxes in (first, second)]
     assert edges[0] != edges[1]
     expect(page.get_by_test_id("object")).to_have_attribute("data-boxes", "1")

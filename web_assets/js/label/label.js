@@ -197,7 +197,7 @@ export function mount(root, app) {
     keepKind(name);
     const known = app.state.frame?.image_boxes;
     if (known?.boxes.length && known.box_kind !== name && !work.isReadonly) saver.save(kindChange(name));
-    objects.askAgain();
+    void objects.askAgain();
     show();
   }
 

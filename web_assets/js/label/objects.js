@@ -84,12 +84,20 @@ export function createObjects(app, work, parts) {
     await showViews(loading);
   }
 
-  /** Replaces the current object's suggestions, which were made for another kind of boxes. Until then, Enter waits. */
-  function askAgain() {
-    if (!work.draft) return;
+  /**
+   * Replaces the current object's suggestions once another kind of boxes is saved, for which they were not made. Until
+   * then, Enter waits.
+   */
+  async function askAgain() {
+    const { draft } = work;
+    if (!draft) return;
     // answers that are on their way contain suggestions of the other kind
-    work.draft.changes += 1;
-    work.loaded = loadSteps();
+    draft.changes += 1;
+    const { changes } = draft;
+    draft.isLoading = true;
+    await saver.idle();
+    // the answer to a newer change contains new suggestions
+    if (work.draft === draft && draft.changes === changes) work.loaded = loadSteps();
   }
 
   /**
