@@ -15,10 +15,8 @@ import numpy as np
 from annotator.detection.dataset import TrainingSample
 from annotator.project import Project, ViewBoxes
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.recursion import held_direction
-from annotator.rcv.teach import TaughtObject, teach_agnostic_views
+from annotator.rcv.teach import teach_agnostic_views
 from annotator.types import Box2D, BoxKind, Detector, Image
-from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.training.samples import (
     DRAWN,
@@ -26,11 +24,8 @@ from annotator.workflows.training.samples import (
     Material,
     SampleConfig,
     Skip,
-    drawn_objects,
     frame_group,
-    is_labelled,
-    labelled_frames,
-    taught_by_drags,
+    known_objects,
 )
 
 # Generated frames from here on were not seen in the training of the base detector.
@@ -57,21 +52,11 @@ def agnostic_samples(
         start: the class-agnostic detector that the training starts from.
     """
     yield from _drawn(project, material, start)
-    drags = drawn_objects(material)
-    total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
-    if total == 0:
-        return
-    draws = int(np.clip(round(config.views / (2 * total)), 1, MOST_DRAWS))
-    for stored, frame in labelled_frames(project, sorted({*material.labels, *drags}), skip):
-        labels = material.labels.get(stored.id, ())
-        cuts = [taught_by_drags(frame, views) for views in drags.get(stored.id, ())]
-        objects = [TaughtObject(label.label, label.box) for label in labels]
-        objects += [cut for cut in cuts if cut is not None and not is_labelled(frame, cut, labels)]
-        rng = np.random.default_rng([config.seed, stored.id])
-        orientation = orientation_for(project.config.settings.rotation, frame)
-        settings = rcv.model_copy(update={"orientation": orientation})
-        up = held_direction(frame.up, settings)
-        for taught in teach_agnostic_views(frame, objects, range(len(objects)), draws, settings, up, rng):
+    for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip):
+        labels, objects = known.labels, known.objects
+        for taught in teach_agnostic_views(
+            known.frame, objects, range(len(objects)), known.draws, known.rcv, known.up, known.rng
+        ):
             index = taught.objects[0] if taught.objects else None
             boxes, uids = taught.boxes, tuple[str, ...]()
             if index is not None and index < len(labels):
@@ -79,7 +64,7 @@ def agnostic_samples(
             elif index is not None:  # the extent of a drawn silhouette says nothing about the whole
                 seen = [box for box in boxes if box.label == AGNOSTIC_LABELS[BoxKind.SILHOUETTE]]
                 boxes = _completed(start, _Picture(taught.view.rgb), seen)
-            yield TrainingSample(taught.view.rgb, boxes, frame_group(stored), TAUGHT, uids, taught.view.look_px)
+            yield TrainingSample(taught.view.rgb, boxes, frame_group(known.stored), TAUGHT, uids, taught.view.look_px)
 
 
 def with_generated(own: Iterable[TrainingSample], share: float, size_px: int, seed: int) -> Iterator[TrainingSample]:

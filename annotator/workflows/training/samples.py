@@ -146,25 +146,61 @@ def view_samples(
         look_px = 0 if view.geometry is None else view.geometry.look_px
         rgb = project.views.load(view.view_id)
         yield TrainingSample(rgb, view.boxes, group, DRAWN, _drawn_uids(view), look_px)
+    for known in known_objects(project, material, rcv, config, config.most_draws, skip):
+        doubtful = [label.box for label in material.open.get(known.stored.id, ())]
+        for taught in teach_views(
+            known.frame, known.objects, material.kind, known.draws, known.rcv, known.up, known.rng, doubtful
+        ):
+            uids = tuple(known.labels[index].uid for index in taught.objects if index < len(known.labels))
+            drawn = taught.view
+            yield TrainingSample(drawn.rgb, taught.boxes, frame_group(known.stored), TAUGHT, uids, drawn.look_px)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownObjects:
+    """The objects of a frame whose 3D extent is known, and how views of them are drawn.
+
+    Attributes:
+        labels: reviewed labels, which are the first objects.
+        draws: number of view pairs per object.
+        rcv: the settings for this frame.
+        up: the direction that views keep, if any.
+        rng: of the random axes and crops.
+    """
+
+    stored: StoredFrame
+    frame: Frame
+    labels: tuple[Label, ...]
+    objects: list[TaughtObject]
+    draws: int
+    rcv: RcvConfig
+    up: np.ndarray | None
+    rng: np.random.Generator
+
+
+def known_objects(
+    project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, most_draws: int, skip: Skip
+) -> Iterator[KnownObjects]:
+    """Yields the objects whose 3D extent is known, frame by frame.
+
+    Args:
+        most_draws: maximum number of view pairs per object.
+    """
     drags = drawn_objects(material)
     total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
     if total == 0:
         return
-    draws = int(np.clip(round(config.views / (2 * total)), 1, config.most_draws))
+    draws = int(np.clip(round(config.views / (2 * total)), 1, most_draws))
     for stored, frame in labelled_frames(project, sorted({*material.labels, *drags}), skip):
         labels = material.labels.get(stored.id, ())
         cuts = [taught_by_drags(frame, views) for views in drags.get(stored.id, ())]
-        known = [TaughtObject(label.label, label.box) for label in labels]
-        known += [cut for cut in cuts if cut is not None and not is_labelled(frame, cut, labels)]
+        objects = [TaughtObject(label.label, label.box) for label in labels]
+        objects += [cut for cut in cuts if cut is not None and not is_labelled(frame, cut, labels)]
         rng = np.random.default_rng([config.seed, stored.id])
         orientation = orientation_for(project.config.settings.rotation, frame)
         settings = rcv.model_copy(update={"orientation": orientation})
         up = held_direction(frame.up, settings)
-        doubtful = [label.box for label in material.open.get(stored.id, ())]
-        for taught in teach_views(frame, known, material.kind, draws, settings, up, rng, doubtful):
-            uids = tuple(labels[index].uid for index in taught.objects if index < len(labels))
-            drawn = taught.view
-            yield TrainingSample(drawn.rgb, taught.boxes, frame_group(stored), TAUGHT, uids, drawn.look_px)
+        yield KnownObjects(stored, frame, labels, objects, draws, settings, up, rng)
 
 
 def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
