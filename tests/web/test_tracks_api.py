@@ -78,7 +78,7 @@ def test_boxes_are_copied_interpolated_and_undone(live: Live, project: Project) 
 def view(knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
     """A perfect view detector for all projects."""
     ready = ReadyDetector(knowing("people").view, BoxKind.BOX, threading.Lock())
-    monkeypatch.setattr("annotator.web.routes.tracks.has_own_view", lambda _: True)
+    monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
     monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: Readiness("ready", ready))
 
 
@@ -201,7 +201,7 @@ def test_what_cannot_be_followed_is_refused(
     refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid, "direction": "backward"})
     assert refused.status_code == 400
     assert "is the first of its recording; there is no previous frame" in refused.json()["error"]["message"]
-    monkeypatch.setattr("annotator.web.routes.tracks.has_own_view", lambda _: True)
+    monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
     readiness = Readiness("failed", problem="the weights are damaged")
     monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: readiness)
     refused = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 1, "uid": uid})
