@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import fake_jobs
@@ -15,15 +16,19 @@ from test_web_jobs import JOBS, begin, fake, until  # noqa: F401  (`fake` is a f
 
 from annotator.project import Project, create_project
 from annotator.project.labels import Labels
+from annotator.project.log import ChangedFrame, Log
 from annotator.project.models import Models
 from annotator.types import DetectorKind
+from annotator.types.errors import ConfigError
 from annotator.web import learning
+from annotator.web.context import Context
 from annotator.web.jobs import runner
 from annotator.web.jobs.messages import PAUSE, RESUME, STOP
 from annotator.web.jobs.records import WORK, JobState, TrainRequest
 from annotator.web.jobs.runner import STEPPED_ASIDE, JobRunner
 from annotator.web.jobs.worker import Orders
 from annotator.web.learning import Learner
+from annotator.web.watch import Watch
 from annotator.workflows.training.held_out import Decision
 
 if TYPE_CHECKING:
@@ -122,6 +127,25 @@ def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
     for _ in range(3):
         learner.look("room", project)
     assert len(jobs.all()) == 3
+
+
+def test_a_round_that_cannot_start_loses_no_event(
+    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: Learner, name: str, project: Project) -> None:
+        raise ConfigError("20 jobs are waiting already")
+
+    monkeypatch.setattr(Learner, "look", fail)
+    monkeypatch.setattr(Log, "changed_frames", lambda self, event_id: (event_id + 1, (ChangedFrame(7, 2, "Ada"),)))
+    sent: list[int] = []
+    hub = SimpleNamespace(projects=lambda: {"room"}, frame_changed=lambda name, frame_id, *_: sent.append(frame_id))
+    monkeypatch.setattr(Context, "open_projects", lambda self, names: [("room", project)])
+    context = object.__new__(Context)
+    vars(context)["hub"] = hub
+    watch = Watch(context, Learner(jobs))
+    for _ in range(2):  # the first poll only finds the end of the log
+        watch.poll()
+    assert sent == [7]
 
 
 def test_a_paused_job_waits_and_a_stop_ends_the_pause() -> None:
