@@ -4,8 +4,8 @@
     python -m benchmarks.uncertainty --generated N [--base FILE] [--json]
 
 2D boxes on the image are given, as in `benchmarks.cold_start`; the base detector measures the objects. Boxes are
-proposed without and with the expected errors of edges. A box with an IoU below 0.5 is wrong. The last columns are the
-shares of wrong boxes among the tenth that each order puts first.
+proposed without and with the expected errors of edges. A box with an IoU below 0.5 is wrong. The last columns order the
+boxes in three ways; each is the share of wrong boxes in the first tenth.
 """
 
 from __future__ import annotations

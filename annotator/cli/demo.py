@@ -75,17 +75,20 @@ def run(
 
 
 def _without_training(root: Path, plan: FirstDragPlan, *, opens: bool) -> None:
+    is_open = False
     with ExitStack() as workbench:
 
         def show() -> None:
+            nonlocal is_open
             if opens:
                 workbench.enter_context(_workbench(root))
+                is_open = True
 
         with progress_bar() as bar:
             result = run_first_drag(root, plan, _shown_on(bar), show)
         for line in _summary_without_training(root, result):
             print_line(line)
-        if opens:
+        if is_open:
             _wait_for_interrupt()
 
 

@@ -65,7 +65,7 @@ def run_first_drag(
     """Runs the demo in the folder `root`: `recording`, the project `demo`, and the dataset `3D_*`.
 
     Args:
-        on_proposals: called when the first proposals are stored.
+        on_proposals: called when the first proposals are stored; never, if there is nothing to draw.
 
     Raises:
         ConfigError, ProjectError: a file or folder of that name exists.
@@ -82,16 +82,19 @@ def run_first_drag(
         view, operator = require_view(project), SimulatedOperator(project, recording)
         frames = [frame for frame in project.frames.of([recording]) if frame.index is not None]
         report = counted(progress, "draw, follow and review")
+        is_shown = False
         for number, stored in enumerate(frames, start=1):
             tracks = operator.review(stored)
             if operator.missing(stored):
                 operator.draw(stored, view, rcv_config(project))
-                if number == 1:
+                if not is_shown:
+                    is_shown = True
                     watch.end("first boxes")
                     on_proposals()
                 operator.review(stored)
                 operator.place(stored)
                 tracks += operator.track(stored)
+            tracks = operator.reviewed_of(tracks)
             if tracks and number < len(frames):
                 follow_recording(project, recording, None, AUTHOR, tracks=tracks)
             report(number, len(frames))

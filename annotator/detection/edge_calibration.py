@@ -23,8 +23,8 @@ LOG = logging.getLogger("annotator.detectors")
 
 # Images that are read and run at once.
 AT_ONCE = 512
-# A detection belongs to a label with at least this IoU. Of several, the one with the best score times IoU does, plus a
-# little for its score alone, as the recursion chooses (`rcv/cross_view.choose`).
+# A detection belongs to a label with at least this IoU. Of several, the one with the highest
+# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/cross_view.choose`).
 MIN_IOU, STRANGER_WEIGHT = 0.1, 0.1
 # Edges this close to the image's border are left out: what lies beyond it cannot be seen, pixels.
 BORDER_PX = 1.0

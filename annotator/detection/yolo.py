@@ -149,8 +149,8 @@ class YoloDetector:
         errors = self._config.edge_errors.get(label)
         if errors is None:
             return None
-        # rounded, since these numbers are stored with every proposal
-        left, top, right, bottom = np.round(errors.of(spread_px) * scale, 3).tolist()
+        # rounded, since these numbers are stored with every proposal; not to 0, which would weigh infinitely much
+        left, top, right, bottom = np.maximum(np.round(errors.of(spread_px) * scale, 3), 0.001).tolist()
         return left, top, right, bottom
 
 

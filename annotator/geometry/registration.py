@@ -19,7 +19,7 @@ ITERATIONS = 20
 TRIM = 0.75
 # The reach shrinks by this factor in each iteration, down to this share of the first reach.
 SHRINK, LEAST_REACH = 0.85, 0.35
-# The pose has converged if it moves by less than this, share of the first reach.
+# The pose has converged if it moves the points by less than this on average, share of the first reach.
 CONVERGED = 3e-4
 MIN_PAIRS = 6
 
@@ -51,10 +51,10 @@ def register(
         near &= distances <= np.quantile(distances[near], TRIM)
         ours, theirs = moved[near], cloud.data[indices[near]]
         turn = _best_turn(ours - ours.mean(axis=0), theirs - theirs.mean(axis=0), up)
-        last, translation = translation, turn @ (translation - ours.mean(axis=0)) + theirs.mean(axis=0)
+        translation = turn @ (translation - ours.mean(axis=0)) + theirs.mean(axis=0)
         rotation = turn @ rotation
-        is_small = reach <= LEAST_REACH * reach_m
-        if is_small and np.linalg.norm(translation - last) < CONVERGED * reach_m:
+        steps_m = np.linalg.norm(points @ rotation.T + translation - moved, axis=1)
+        if reach <= LEAST_REACH * reach_m and steps_m.mean() < CONVERGED * reach_m:
             break
         reach = max(LEAST_REACH * reach_m, SHRINK * reach)
     return rotation, translation

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import func, select
@@ -37,16 +37,19 @@ class Log:
         """
         return self.writer.to_frame(frame_id, payloads, context)
 
-    def append_to_frames(self, parts: Sequence[FramePart], action: str | None = None) -> tuple[Receipt, ...]:
+    def append_to_frames(
+        self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
+    ) -> tuple[Receipt, ...]:
         """Appends events to several frames, all or none, as one action that a single undo reverts.
 
         Args:
             action: id of an action that is written in several calls (`new_action`); None = a new one.
+            new_tracks: track ids that must still be free in the recording of the first part's frame.
 
         Raises:
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frames`.
+            TrackTakenError, StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frames`.
         """
-        return self.writer.to_frames(parts, action)
+        return self.writer.to_frames(parts, action, new_tracks)
 
     def of_frame(self, frame_id: int) -> tuple[Event, ...]:
         """All events of a frame, in order."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,10 +14,16 @@ from annotator.project.derived import apply_event
 from annotator.project.event_types import PAYLOAD, Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
 from annotator.project.events import Effort, Event, insert_event
 from annotator.project.records import storable
-from annotator.project.schema import events, frames, recordings
+from annotator.project.schema import events, frames, labels, recordings
 from annotator.project.store import Store
 from annotator.types import Source
-from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectError, StaleRevisionError
+from annotator.types.errors import (
+    FinalisedFrameError,
+    NotFoundError,
+    ProjectError,
+    StaleRevisionError,
+    TrackTakenError,
+)
 
 
 @dataclass(frozen=True)
@@ -100,16 +106,22 @@ class Writer:
         where = require_writable(connection, frame_id, context)
         return self._append(connection, frame_id, where, payloads, context)
 
-    def to_frames(self, parts: Sequence[FramePart], action: str | None = None) -> tuple[Receipt, ...]:
+    def to_frames(
+        self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
+    ) -> tuple[Receipt, ...]:
         """Appends events to several frames as one action, all or none; the first part's effort is that of the action.
 
         Args:
             action: id of an action that is written in several calls (`new_action`); None = a new one.
+            new_tracks: track ids that must still be free in the recording of the first part's frame.
 
         Raises:
+            TrackTakenError: one of them is in use.
             StaleRevisionError, FinalisedFrameError, ProjectError: as `to_frame`, of any of the frames.
         """
         with self.store.write() as connection:
+            if new_tracks:
+                _require_free(connection, parts[0].frame_id, new_tracks)
             return self.to_frames_in(connection, parts, action)
 
     def to_frames_in(
@@ -188,6 +200,19 @@ class Writer:
 def new_action() -> str:
     """Returns an id for an action."""
     return uuid.uuid4().hex
+
+
+def _require_free(connection: Connection, frame_id: int, tracks: Collection[int]) -> None:
+    recording = select(frames.c.recording_id).where(frames.c.id == frame_id).scalar_subquery()
+    used = (
+        select(labels.c.track_id)
+        .join(frames, frames.c.id == labels.c.frame_id)
+        .where(frames.c.recording_id == recording, labels.c.track_id.in_(tracks))
+        .limit(1)
+    )
+    track_id = connection.execute(used).scalar()
+    if track_id is not None:
+        raise TrackTakenError(f"track {track_id} has been given to another object in the meantime; try again")
 
 
 def require_writable(connection: Connection, frame_id: int, context: WriteContext) -> str:

@@ -5,11 +5,11 @@ The points that the reviewed box and the last box enclose are registered with th
 class then measures the box anew, starting from there, since articulated objects change their size; its box is taken if
 it agrees. A class-agnostic detector measures less well than the points are registered, so it is of no use here.
 
-It stops rather than drifts. What counts is how much of the reviewed object is still there (`kept`): the share of its
-points that are found again, or, for an object that turns, the product over all frames of the share of the last frame's
-points that are found. Where a box touches something that it did not touch in the reviewed frame, that product falls
-with each frame, so a box that slides slowly onto something else is marked and then lost, and an object that turns
-freely is not. An object of which most points are hidden is lost, too (docs/base_detector.md).
+It stops rather than drifts. `kept` is how much of the reviewed object is still there. It is the larger of two numbers:
+the share of its points that are found again, and the product, over all frames, of the share of the previous frame's
+points that are found (for objects that turn). The product also falls with each frame in which the box touches something
+new. So a box that slides onto something else is marked and then lost; an object that turns freely is not. An object of
+which most points are hidden is lost, too (docs/base_detector.md).
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class FollowConfig(BaseModel):
         "if an object is looked for elsewhere",
     )
     well_found: float = Field(
-        0.8, ge=0, le=1, description="share of the points from which it need not be looked for elsewhere"
+        0.8, ge=0, le=1, description="if at least this share of the points is found, it is not looked for elsewhere"
     )
     tolerance: float = Field(
         0.06, gt=0, description="a point is found again with another one so near, share of the mean side"
@@ -78,12 +78,12 @@ class FollowConfig(BaseModel):
         0.97, gt=0, le=1, description="share of the last frame's points that is found if nothing has changed"
     )
     full_points_share: float = Field(
-        0.4, gt=0, description="share of the points expected from the reviewed box that is left if nothing is missing"
+        0.4, gt=0, description="nothing counts as missing from this share of the expected points on"
     )
     free_contact: float = Field(
         1.0, ge=0, description="new contact of the box's faces with other points that is no sign of drift"
     )
-    full_contact: float = Field(2.5, gt=0, description="new contact from which the object is kept least")
+    full_contact: float = Field(2.5, gt=0, description="new contact from which the loss per frame is greatest")
     contact_loss: float = Field(
         0.2, ge=0, le=1, description="share of the object that is lost with each frame of full contact"
     )

@@ -25,8 +25,8 @@ START_DISTANCE_RAD = float(np.deg2rad(10))
 # Keeps the equations of the centre solvable if a direction is not measured.
 RIDGE = 1e-9
 
-# The views of an object repeat each other's mistakes, so the ends of any number of views tell as much as this number of
-# independent ones. Chosen on five sets of boxes (docs/base_detector.md).
+# The views of an object repeat each other's mistakes, so all measured ends together count as this many independent
+# ones. Chosen on five sets of boxes (docs/base_detector.md).
 INDEPENDENT_ENDS = 8
 # Standard deviation of a Gaussian variable, in medians of its absolute value.
 SIGMAS_PER_MEDIAN = 1.4826

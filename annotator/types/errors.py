@@ -121,6 +121,10 @@ class StaleRevisionError(ProjectError):
         )
 
 
+class TrackTakenError(ProjectError):
+    """A track id that was free when it was chosen is in use by now."""
+
+
 class HistoryError(ProjectError):
     """There is nothing to undo or redo, or someone else has changed it since.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
@@ -47,10 +48,10 @@ class FollowRunJson(Schema):
     """A run.
 
     Attributes:
-        number: of the run, counted from the server's start.
+        number: of the run; a later run has a higher one, also after a restart of the server.
         frame: id of the frame from which objects are followed.
         has_detector: whether the project's view detector measures the boxes; otherwise they keep the reviewed size.
-        done, total: frames, counted for each object.
+        done, total: numbers of frames; a frame counts once for each object and direction.
         first: frame id and uid of the first new box, or null.
         message: why it failed, or null.
     """
@@ -92,7 +93,7 @@ class FollowRuns:
     def __init__(self, hub: Hub, public_message: Callable[[str], str]) -> None:
         self._hub, self._public_message = hub, public_message
         self._lock, self._starting = threading.Lock(), threading.Lock()
-        self._numbers = 0
+        self._number = 0
         self._runs: dict[tuple[str, str], _Running] = {}
 
     def start(self, project: str, operator: str, request: FollowRequest) -> FollowRunJson:
@@ -100,10 +101,11 @@ class FollowRuns:
         with self._starting:
             self.stop(project, operator)
             with self._lock:
-                self._numbers += 1
+                # milliseconds, so that the numbers grow across restarts of the server
+                self._number = max(self._number + 1, time.time_ns() // 1_000_000)
                 state = request.run.state
                 shown = FollowRunJson(
-                    number=self._numbers,
+                    number=self._number,
                     operator=operator,
                     frame=request.frame_id,
                     direction=request.direction,

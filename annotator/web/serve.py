@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 
@@ -140,7 +140,7 @@ def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None
         place: as for `serve`.
 
     Raises:
-        ConfigError: as `serve`.
+        ConfigError: as `serve`; or the server ends before it has started.
     """
     with hold_server_lock(settings.projects_root):
         server = Running(settings)
@@ -150,16 +150,21 @@ def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None
         thread = threading.Thread(target=server.serve_until_stopped)
         thread.start()
         try:
-            _open(server, address)
+            _open(server, address, thread.is_alive)
+            if not server.started:
+                raise ConfigError("the workbench did not start; the messages above say why")
             yield
         finally:
             server.stop()
             thread.join()
 
 
-def _open(server: Running, address: str) -> None:
-    while not server.started:
+def _open(server: Running, address: str, is_alive: Callable[[], bool] = lambda: True) -> None:
+    """Opens a browser once the server has started; does nothing if it ends before."""
+    while not server.started and is_alive():
         time.sleep(0.05)
+    if not server.started:
+        return
     if not has_display() or not webbrowser.open(address):
         sys.stdout.write("no browser could be opened; open the link in one yourself\n")
         sys.stdout.flush()

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,9 +21,9 @@ import pytest
 from annotator.cli import demo as demo_command
 from annotator.cli.main import main
 from annotator.project import create_project
-from annotator.types.errors import MissingExtraError
+from annotator.types.errors import ConfigError, MissingExtraError
 from annotator.web import window
-from annotator.web.serve import serve
+from annotator.web.serve import Running, serve
 from annotator.web.settings import ServerSettings
 
 Capture = pytest.CaptureFixture[str]
@@ -164,9 +165,29 @@ def test_the_demo_opens_the_workbench_only_at_a_terminal(
     assert events[3:] == (["train", "open a", "wait", "close"] if training else ["open a", "follow", "wait", "close"])
 
 
+def test_a_server_that_does_not_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Running, "serve_until_stopped", lambda self: self.socket.close())
+    monkeypatch.setattr(webbrowser, "open", lambda _: pytest.fail("there is nothing to open"))
+    create_project(tmp_path, "demo", ("person",)).close()
+    with pytest.raises(ConfigError, match="the workbench did not start"), demo_command._workbench(tmp_path):
+        pass
+
+
+def test_the_demo_does_not_wait_for_a_workbench_that_was_never_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo_command, "has_base", lambda: True)
+    monkeypatch.setattr(demo_command, "_is_interactive", lambda: True)
+    monkeypatch.setattr(demo_command, "run_first_drag", lambda *_: None)
+    monkeypatch.setattr(demo_command, "_summary_without_training", lambda *_: [])
+    monkeypatch.setattr(demo_command, "_wait_for_interrupt", lambda: pytest.fail("nothing was opened"))
+    assert main(["demo", str(tmp_path / "a")]) == 0
+
+
 def test_the_demo_serves_its_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     opened: list[str] = []
-    monkeypatch.setattr("annotator.web.serve._open", lambda server, address: opened.append(address))
+    monkeypatch.setattr(webbrowser, "open", lambda address: opened.append(address) or True)
+    monkeypatch.setattr("annotator.web.serve.has_display", lambda: True)
     create_project(tmp_path, "demo", ("person",)).close()
     with demo_command._workbench(tmp_path):
         (address,) = opened

@@ -130,6 +130,12 @@ def test_boxes_tell_the_expected_errors_of_their_edges_in_pixels_of_the_image(ra
         index = int(np.argmin(nearest))
         assert nearest[index] < 2e-3 and found.numbers[index] == 0
         np.testing.assert_allclose(np.clip(2 * found.boxes[index], 0, 192) - 0.5, box.xyxy, atol=1e-3)
+    # stored with three decimals, but never as 0, which would weigh infinitely much
+    tiny = {"0": EdgeErrors(factor=1e-9, exponent=1.0, least_px=1e-6, most_px=1e3)}
+    least = [
+        box.edge_sigma_px for box in make(random_weights["yolo11n"], edge_errors=tiny, **settings).detect([picture])[0]
+    ]
+    assert {errors for errors in least if errors is not None} == {(0.001, 0.001, 0.001, 0.001)}
     # neither without such errors nor from a network without spreads
     for silent in (plain, make(random_weights["yolo26n"], edge_errors=errors, **settings)):
         boxes = silent.detect([picture])[0]

@@ -53,6 +53,7 @@ def copy_next(
     Raises:
         ConfigError: the recording is not a sequence, there is no next frame, it is finalised, or it has this box.
         StaleRevisionError: one of the frames was changed in the meantime.
+        TrackTakenError: another object has just been given the label's new track id.
         NotFoundError, RecordingError, FrameError: no such frame or label, or the next frame cannot be read.
     """
     page = read_page(project, frame_id)
@@ -75,14 +76,15 @@ def copy_next(
     box = _moved(project, frame, stored)
     if fit is not None:
         box = fit(next_frame, box, label.label)
+    is_new = label.track_id is None
     track_id = next_track_id(project, frame.recording_id) if label.track_id is None else label.track_id
     payloads = proposal_events(project, next_frame, [NewProposal(label.label, box, track_id)])
     if not payloads:
         raise ConfigError(f"nothing was proposed in frame {next_frame.key}: it already has this box")
     parts: list[FramePart] = [part_of(next_frame, payloads, author, effort)]
-    if label.track_id is None:
+    if is_new:
         parts.append(part_of(frame, [LabelTracked(uid=uid, track_id=track_id)], author))
-    receipts = project.log.append_to_frames(parts)
+    receipts = project.log.append_to_frames(parts, new_tracks=[track_id] if is_new else [])
     changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
     return Copied(next_frame.id, changed)
 

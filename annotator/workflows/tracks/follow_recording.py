@@ -31,8 +31,9 @@ def follow_recording(
     """Proposes boxes of tracks from their reviewed boxes on, as one action.
 
     Between two reviewed boxes a track is followed from both; frames in which the results differ are left out. Reviewed
-    and rejected labels stay, unreviewed proposals of the same objects are replaced, finalised frames stay as they are.
-    A reviewed label without a track gets one with its first new box.
+    and rejected labels stay, and unreviewed proposals of the same objects are replaced. A reviewed label without a
+    track gets one with its first new box. Finalised frames stay as they are, except that a reviewed box there may get
+    a track.
 
     Args:
         view: the project's view detector, if any (`view_with_classes`).
@@ -46,7 +47,7 @@ def follow_recording(
             boxes in a frame.
         NotFoundError: no such recording.
         RecordingError: the recording cannot be opened.
-        StaleRevisionError, DetectionError: as `FollowRun.run`.
+        StaleRevisionError, TrackTakenError, DetectionError: as `FollowRun.run`.
     """
     timeline = Timeline(project, recording_id)
     objects = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict, defaultdict, deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from annotator.project.event_types import LabelProposed, LabelTracked, Payload
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import FollowConfig
 from annotator.types import Frame, Label, Proposal
-from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError
+from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError, TrackTakenError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.follow_frames import DEFAULTS, Follower, Moment
 from annotator.workflows.tracks.interpolate import KeyFrame
@@ -25,7 +25,7 @@ from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 # Boxes found by following forward and backward are the same with at least this IoU.
 SAME_BOX_IOU = 0.5
-# Objects that are followed together need the same frames at about the same time.
+# Objects that are followed from the same frame need the same frames at about the same time; others read them again.
 FRAMES_KEPT = 4
 # If a frame changes while boxes are stored in it, its state is read again, at most so often.
 TRIES = 5
@@ -67,7 +67,7 @@ class Following:
     """The state of a run.
 
     Attributes:
-        done, total: number of frames, counted for each object and direction.
+        done, total: numbers of frames; a frame counts once for each object and direction.
         tracks: one entry per object.
         changed: the frames changed since the last report: (frame id, receipt) each.
         proposed: the labels proposed since the last report: (frame id, uid) each.
@@ -173,13 +173,16 @@ class _Object:
     def label(self) -> Label:
         return self.keys[0].label
 
-    def take(self) -> dict[int, Proposal]:
-        """Returns the boxes that can be stored now; those between two reviewed boxes once both directions are done."""
+    def take(self, ended: bool) -> dict[int, Proposal]:
+        """Returns the boxes that can be stored now.
+
+        Those between two reviewed boxes can be stored once both directions are done, or once the run has ended.
+        """
         taken: dict[int, Proposal] = {}
         for walks in self.walks:
             if len(walks) == 1:
                 taken |= walks[0].boxes
-            elif not any(walk.left for walk in walks):
+            elif ended or not any(walk.left for walk in walks):
                 taken |= self._agreed(*walks)
             else:
                 continue
@@ -200,7 +203,9 @@ class _Object:
         return agreed
 
     def give_up(self, stop: StoppedAt) -> None:
-        """Ends all its walks."""
+        """Ends all its walks. Called again, while the boxes of others are being stored, it does nothing."""
+        if stop in self.stops:
+            return
         self.stops.append(stop)
         for walk in (walk for walks in self.walks for walk in walks):
             walk.left.clear()
@@ -261,23 +266,38 @@ class FollowRun:
 
         Args:
             progress: called after each round, in which every object has moved on by one frame.
-            stopped: asked before each frame; the boxes found so far stay.
+            stopped: asked before each frame.
+
+        After a stop or an error the boxes found so far are stored, between two reviewed boxes also those that were
+        found from one of them only.
 
         Raises:
             StaleRevisionError: a frame is being changed again and again by others.
+            TrackTakenError: new track ids are being taken again and again by others.
             DetectionError: the detector fails.
         """
-        while self._left() and not stopped():
-            for item in self._objects:
-                for walk in [walk for walks in item.walks for walk in walks if walk.left]:
-                    if stopped():
-                        break
-                    self._step(item, walk)
-            changed, proposed = self._store()
-            if progress is not None:
-                state = self.state
-                progress(Following(state.done, state.total, state.tracks, changed, proposed))
+        try:
+            while self._left() and not stopped():
+                for item in self._objects:
+                    for walk in [walk for walks in item.walks for walk in walks if walk.left]:
+                        if stopped():
+                            break
+                        self._step(item, walk)
+                self._report(progress, *self._store())
+        finally:
+            changed, proposed = self._store(ended=True)
+            if changed:
+                self._report(progress, changed, proposed)
         return self.state
+
+    def _report(
+        self,
+        progress: Callable[[Following], None] | None,
+        changed: tuple[tuple[int, Receipt], ...],
+        proposed: tuple[tuple[int, str], ...],
+    ) -> None:
+        if progress is not None:
+            progress(replace(self.state, changed=changed, proposed=proposed))
 
     def _left(self) -> int:
         return sum(len(walk.left) for item in self._objects for walks in item.walks for walk in walks)
@@ -309,17 +329,17 @@ class FollowRun:
     def _settings(self, frame: Frame) -> RcvConfig:
         return frame_config(self._timeline.project, frame, self._view)
 
-    def _store(self) -> tuple[tuple[tuple[int, Receipt], ...], tuple[tuple[int, str], ...]]:
+    def _store(self, *, ended: bool = False) -> tuple[tuple[tuple[int, Receipt], ...], tuple[tuple[int, str], ...]]:
         """Proposes the boxes that were found; returns the changed frames and the new labels.
 
         Raises:
-            StaleRevisionError: others change the frames again and again.
+            StaleRevisionError, TrackTakenError: others change the frames, or take the track ids, again and again.
         """
-        found = [(item, boxes) for item in self._objects if (boxes := item.take())]
+        found = [(item, boxes) for item in self._objects if (boxes := item.take(ended))]
         for attempt in range(TRIES):
             try:
                 return self._try_to_store(found)
-            except StaleRevisionError:
+            except (StaleRevisionError, TrackTakenError):
                 if attempt == TRIES - 1:
                     raise
         raise AssertionError
@@ -328,38 +348,44 @@ class FollowRun:
         self, found: Sequence[tuple[_Object, dict[int, Proposal]]]
     ) -> tuple[tuple[tuple[int, Receipt], ...], tuple[tuple[int, str], ...]]:
         project, frames = self._timeline.project, self._timeline.frames
+        # each frame is read once, before its labels: so a change after that is noticed when the events are appended
+        needed = {index for item, boxes in found for index in (*boxes, item.keys[0].index)}
+        read = {index: project.frames.get(frames[index].id) for index in needed}
         new: dict[int, list[NewProposal]] = defaultdict(list)
         owners: dict[int, _Object] = {}
+        untracked: set[int] = set()
         for item, boxes in found:
-            track_id = self._track_of(item, owners)
-            if track_id is None:
+            label = self._present(item)
+            if label is None:
                 continue
+            track_id = label.track_id
+            if track_id is None:
+                track_id = max([next_track_id(project, self._timeline.recording_id), *(id + 1 for id in owners)])
+                untracked.add(track_id)
             owners[track_id] = item
             for index, proposal in boxes.items():
                 new[index].append(NewProposal(item.label.label, proposal.box, track_id, proposal))
         payloads: dict[int, list[Payload]] = defaultdict(list)
         for index, proposals in new.items():
-            frame = project.frames.get(frames[index].id)
-            if not frame.finalised:
-                payloads[index] += proposal_events(project, frame, proposals)
+            if not read[index].finalised:
+                payloads[index] += proposal_events(project, read[index], proposals)
         proposed = [
             (frames[index].id, payload)
             for index, events in payloads.items()
             for payload in events
             if isinstance(payload, LabelProposed)
         ]
-        for track_id in {payload.track_id for _, payload in proposed if payload.track_id is not None}:
+        given = untracked & {payload.track_id for _, payload in proposed}
+        for track_id in given:
             key = owners[track_id].keys[0]
-            if project.labels.get(key.label.uid).label.track_id is None:
-                payloads[key.index].append(LabelTracked(uid=key.label.uid, track_id=track_id))
+            payloads[key.index].append(LabelTracked(uid=key.label.uid, track_id=track_id))
         parts: list[FramePart] = []
         for index, events in sorted(payloads.items()):
             if events:
-                frame = project.frames.get(frames[index].id)
-                parts.append(part_of(frame, events, self._author, None if parts else self._effort))
+                parts.append(part_of(read[index], events, self._author, None if parts else self._effort))
         if not parts:
             return (), ()
-        receipts = project.log.append_to_frames(parts, self.action)
+        receipts = project.log.append_to_frames(parts, self.action, given)
         self._effort = None
         for _, payload in proposed:
             if payload.track_id is not None:
@@ -368,26 +394,29 @@ class FollowRun:
         changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
         return changed, tuple((frame_id, payload.uid) for frame_id, payload in proposed)
 
-    def _track_of(self, item: _Object, taken: dict[int, _Object]) -> int | None:
-        """Returns the track of an object, or a new one; None, and the object is given up, if a reviewed box changed."""
-        timeline = self._timeline
+    def _present(self, item: _Object) -> Label | None:
+        """Returns an object's first reviewed label as it is now.
+
+        Returns None, and gives the object up, if one of its reviewed labels has changed.
+        """
+        timeline, first = self._timeline, None
         for key in item.keys:
             try:
                 label = timeline.project.labels.get(key.label.uid).label
             except NotFoundError:
                 label = None
-            if label is None or label.state not in REVIEWED or not _is_same_box(label, key.label):
+            if label is None or label.state not in REVIEWED or not _is_same(label, key.label):
                 frame = timeline.frames[key.index]
                 item.give_up(StoppedAt(frame.id, frame.key, KEY_CHANGED))
                 return None
-            if key is item.keys[0]:
-                track_id = label.track_id
-        if track_id is None:
-            track_id = max([next_track_id(timeline.project, timeline.recording_id), *(id + 1 for id in taken)])
-        return track_id
+            first = first or label
+        return first
 
 
-def _is_same_box(a: Label, b: Label) -> bool:
-    return np.array_equal(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix()) and np.array_equal(
-        a.box.size_m, b.box.size_m
+def _is_same(a: Label, b: Label) -> bool:
+    """Returns True for the same class and box."""
+    return (
+        a.label == b.label
+        and np.array_equal(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix())
+        and np.array_equal(a.box.size_m, b.box.size_m)
     )

@@ -453,7 +453,9 @@ def test_one_drag_and_enter_make_a_label(
     expect(dashed).to_have_count(4)
     outline = page.get_by_test_id("image-editor").get_by_test_id("editor-overlay")
     expect(outline).to_have_count(1)
-    expect(page.get_by_test_id("hint")).to_contain_text("Enter accepts")
+    hint = page.get_by_test_id("hint")
+    expect(hint).to_contain_text("Enter accepts")
+    assert hint.evaluate("e => e.scrollHeight <= e.clientHeight + 1 && e.scrollWidth <= e.clientWidth"), "it is not cut"
     expect(page.get_by_test_id("views-source")).to_contain_text("this project's view detector")
     page.remove_listener("request", record)
     assert posts == ["object"], "one request a drag"

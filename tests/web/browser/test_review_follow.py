@@ -147,3 +147,16 @@ def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> 
     expect(desk.page.get_by_test_id("followed")).to_contain_text("4 boxes, to the end")
     # also if the run is faster than the answer that names it
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
+
+
+@pytest.mark.usefixtures("view")
+def test_a_run_that_a_restarted_server_does_not_know_is_no_longer_shown(desk: Desk) -> None:
+    (uid,) = accept_truth(desk, 0)
+    show(desk, 0, uid)
+    desk.press("v")
+    panel = desk.page.get_by_test_id("follow")
+    expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward with the project's detector")
+    desk.live.context.follow_runs._runs.clear()
+    # ends all connections; the page connects again
+    desk.live.context.hub.close()
+    expect(panel).to_be_hidden()

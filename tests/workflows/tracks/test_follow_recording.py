@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Tr
 from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.tracks import follow_run
 from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
 from annotator.workflows.tracks.follow_run import KEY_CHANGED, Following, FollowRun
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
@@ -229,6 +231,38 @@ def test_a_run_can_be_stopped_and_keeps_its_boxes(
     assert [len(labels_of(people, index)) for index in range(5)] == [1, 1, 1, 0, 0]
 
 
+def test_a_stop_between_two_reviewed_boxes_keeps_what_was_found_from_either(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    frames = people.frames.of()
+    for index in (0, 4):
+        accept_truth(people, frames[index], truths[index][:1])
+    run = follow_one(people, view, None)
+    told: list[int] = []
+    done = run.run(lambda state: told.append(len(state.proposed)), lambda: run.state.done == 2)
+    assert (done.done, done.total) == (2, 6)
+    assert [len(labels_of(people, index)) for index in range(5)] == [1, 1, 0, 1, 1]
+    assert told == [0, 2]
+    people.history.undo(ANN)
+    assert [len(labels_of(people, index)) for index in range(5)] == [1, 0, 0, 0, 1]
+
+
+def test_a_changed_class_of_the_reviewed_box_ends_its_run(
+    make_project: Callable[..., Project], generated: Path, truths: list[list[Truth]], view: ReadyDetector
+) -> None:
+    people = make_project(generated / "people", classes=("person", "other"))
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:1])
+    (label,) = labels_of(people, 0)
+
+    def rename(state: Following) -> None:
+        if state.done == 1:
+            people.labels.edit(frames[0].id, label.uid, context_of(people, 0), label="other", box=label.box)
+
+    (track,) = follow_one(people, view, None).run(rename).tracks
+    assert (track.boxes, [stop.reason for stop in track.stops]) == (1, [KEY_CHANGED])
+
+
 def test_a_changed_reviewed_box_ends_its_run(people: Project, truths: list[list[Truth]], view: ReadyDetector) -> None:
     frames = people.frames.of()
     accept_truth(people, frames[0], truths[0][:2])
@@ -251,18 +285,74 @@ def test_changes_of_other_frames_do_not_stop_a_run(
     accept_truth(people, frames[0], truths[0][:1])
     real, others = people.log.writer.to_frames, iter([True, True])
 
-    def interrupted(parts: Sequence[FramePart], action: str | None = None) -> object:
+    def interrupted(parts: Sequence[FramePart], *rest: Any) -> object:
         """Another operator is faster, twice."""
         if next(others, False):
             part = parts[0]
             context = WriteContext(people.frames.get(part.frame_id).revision, "bob")
             people.labels.create(part.frame_id, [NewLabel("person", truths[1][1].box)], context)
-        return real(parts, action)
+        return real(parts, *rest)
 
-    monkeypatch.setattr(Writer, "to_frames", lambda _, parts, action=None: interrupted(parts, action))
+    monkeypatch.setattr(Writer, "to_frames", lambda _, *given: interrupted(*given))
     (track,) = follow_one(people, view, None).run().tracks
     assert (track.boxes, track.stops) == (4, ())
     assert len(labels_of(people, 1)) == 3
+
+
+def before_storing(monkeypatch: pytest.MonkeyPatch, *actions: Callable[[], object]) -> None:
+    """Lets others act after a frame's labels are read, and before its new boxes are stored; one action at a time."""
+    waiting = iter(actions)
+    real = follow_run.proposal_events
+
+    def events(*given: Any) -> object:
+        made = real(*given)
+        next(waiting, lambda: None)()
+        return made
+
+    monkeypatch.setattr(follow_run, "proposal_events", events)
+
+
+def context_of(project: Project, index: int, author: str = "bob") -> WriteContext:
+    return WriteContext(project.frames.of()[index].revision, author)
+
+
+def test_a_proposal_that_is_accepted_while_boxes_are_stored_stays(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = people.frames.of()
+    accept_truth(people, frames[0], truths[0][:1])
+    follow_one(people, view, None).run()
+    (uid,) = [label.uid for label in labels_of(people, 1)]
+    before_storing(monkeypatch, lambda: people.labels.accept(frames[1].id, uid, context_of(people, 1)))
+    follow_one(people, view, None).run()
+    assert [(label.uid, label.state) for label in labels_of(people, 1)] == [(uid, ReviewState.ACCEPTED)]
+
+
+def test_a_reviewed_box_that_is_deleted_while_boxes_are_stored_ends_its_object_only(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second, _ = untracked(people, truths)
+    frame_id = people.frames.of()[0].id
+    before_storing(
+        monkeypatch,
+        lambda: people.labels.delete(frame_id, first, context_of(people, 0)),
+        lambda: people.labels.create(frame_id, [NewLabel("person", truths[0][0].box)], context_of(people, 0)),
+    )
+    tracks = follow_one(people, view, None).run().tracks
+    assert [track.boxes for track in tracks] == [0, 4, 4]
+    assert [stop.reason for stop in tracks[0].stops] == [KEY_CHANGED], "reported once, although stored in three tries"
+    assert people.labels.get(second).label.track_id is not None
+
+
+def test_a_track_id_that_another_operator_takes_meanwhile_is_not_used(
+    people: Project, truths: list[list[Truth]], view: ReadyDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (uid, *_) = untracked(people, truths)
+    other = NewLabel("person", truths[4][1].box, track_id=1)
+    # in a frame that the run does not store at that time, so that no revision tells it
+    before_storing(monkeypatch, lambda: people.labels.create(people.frames.of()[4].id, [other], context_of(people, 4)))
+    (track,) = follow_one(people, view, uid).run().tracks
+    assert (track.track_id, people.labels.get(uid).label.track_id) == (2, 2)
 
 
 @pytest.mark.parametrize("broken", [0, 2])

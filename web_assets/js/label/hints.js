@@ -23,7 +23,7 @@ export function hintFor({ draft, isReadonly, label, hasItems, guesses, notSaved 
   if (draft.stop) return "Change its box on the image, or delete it.";
   if (draft.isLoading) return `Looking for the ${name} …`;
   if (!draft.steps.length) return "";
-  if (hasSuggestions(draft)) return "Enter accepts the dashed boxes. Drag an edge to correct one: the others follow.";
+  if (hasSuggestions(draft)) return "Enter accepts the dashed boxes. Or drag an edge.";
   const step = draft.item.boxes[0] && draft.item.boxes[1] ? 1 : 0;
   const missing = [2 * step, 2 * step + 1].filter((index) => !draft.item.boxes[index]);
   if (!missing.length) return "";

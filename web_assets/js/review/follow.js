@@ -54,10 +54,17 @@ export function createFollow(host, app, desk, { open, onProgress }) {
   const stopEvents = [app.events.on("follow", (message) => take(message.run)), app.events.on("reconnected", load)];
 
   async function load() {
+    const before = run;
     try {
       /** @type {Api.FollowOut} */
       const answer = await app.api.get(app.path("follow"));
-      if (answer.run) take(answer.run);
+      if (answer.run) {
+        take(answer.run);
+      } else if (run === before) {
+        // the server was restarted; it remembers no run
+        run = null;
+        show();
+      }
     } catch (error) {
       app.toast(error);
     }
