@@ -72,7 +72,7 @@ def unlabelled_project(folder: Path, path: Path) -> tuple[float, float, float, f
     """Creates a project "people" with the recording and no labels.
 
     Returns:
-        the outline of the rightmost object's points in the first frame, as shares of the image: left, top, right, bottom.
+        left, top, right and bottom of the rightmost object's points in the first frame, as shares of the image.
     """
     recording = open_recording(path)
     frame = recording.frame(0)

@@ -28,7 +28,8 @@ export function makeDraft(item, frame) {
 }
 
 /**
- * An object as the server needs it to draw its views. Once a box is drawn on the second step, its views keep their axes.
+ * An object as the server needs it to draw its views. Once a box is drawn on the second step, its views keep their
+ * axes.
  *
  * @param {Draft} draft
  */

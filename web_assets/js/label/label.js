@@ -1,9 +1,9 @@
 /**
- * Label: a new object from a box on the image. A detector finds its 3D box and suggests a box on each of its four views
- * (dashed); Enter accepts all, or the operator corrects one and the others follow. Without a detector, the operator draws
- * them: a box on the image gives the front and side view of its frustum, a box on each gives the views of the next step,
- * and a box on each of these finishes the object (the paper's Fig. 6). Every drag is saved, and the answer to that
- * contains the views and suggestions that follow.
+ * Label: a new object from a box on the image. A detector finds its 3D box and suggests a box on each of its four
+ * views (dashed). Enter accepts all; if the operator corrects one, the others follow. Without a detector, the operator
+ * draws them: a box on the image gives the front and side view of its frustum, a box on each gives the views of the
+ * next step, and a box on each of these finishes the object (the paper's Fig. 6). Every drag is saved, and the answer
+ * contains the next views and suggestions.
  *
  * This file assembles the page and registers its keys. work.js holds the state, objects.js handles drags, frames.js
  * opens frames, display.js shows the state, the editor (../editor2d) draws boxes, draft.js loads views, suggestions.js

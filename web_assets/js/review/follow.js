@@ -44,8 +44,8 @@ export function createFollow(host, app, desk, { open, onProgress }) {
    */
   let run = null;
   /**
-   * The frame where the operator has just begun to follow, and the number of the run once it is known; the page goes to
-   * its first box.
+   * The frame where the operator has just begun to follow, and the number of the run once it is known. The page goes
+   * to its first box.
    *
    * @type {{ frame: number, number: number | null } | null}
    */

@@ -1,6 +1,6 @@
 /**
- * The track of an object: a strip with its boxes, steps to the next and previous one, its box copied to the next frame,
- * and proposals between two reviewed boxes. The server does the work (workflows/tracks).
+ * The track of an object: a strip with its boxes, steps to the next and previous one, its box copied to the next
+ * frame, and proposals between two reviewed boxes. The server does the work (workflows/tracks).
  */
 
 import { trackColor } from "../colors.js";

@@ -5,8 +5,8 @@ import { count, h } from "../dom.js";
 
 const ROLES = { image: "Image", view: "View" };
 const HELD_OUT_HELP =
-  "Mean 3D IoU with the reviewed boxes on held-out frames: a fixed fifth of the frames that never trains and decides " +
-  "which view detector is used.";
+  "Mean 3D IoU with the reviewed boxes on held-out frames: a fixed fifth of the frames that is never used for " +
+  "training and decides which view detector is used.";
 const COLUMNS = [
   ["map50", "mAP50"],
   ["map50_95", "mAP50-95"],
