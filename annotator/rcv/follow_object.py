@@ -209,7 +209,7 @@ def follow_object(
     proposal = _registered(box, outline, label, kept, limits)
     if view is not None:
         proposal = _measured(frame, proposal, view, config, limits)
-    stop = _why_stop(frame, proposal.box, start, last, limits)
+    stop = _why_stop(around, proposal.box, start, last, limits)
     return Followed(None, stop) if stop is not None else Followed(proposal, kept=kept)
 
 
@@ -317,14 +317,14 @@ def _measured(frame: Frame, registered: Proposal, view: Detector, config: RcvCon
 
 
 def _why_stop(
-    frame: Frame, box: OrientedBox, start: OrientedBox, last: Look, limits: FollowConfig
+    around: Float[np.ndarray, "m 3"], box: OrientedBox, start: OrientedBox, last: Look, limits: FollowConfig
 ) -> FollowStop | None:
     ratio = np.sort(box.size_m) / np.sort(start.size_m)
     if max(ratio.max(), 1 / ratio.min()) > limits.max_size_ratio:
         return FollowStop.SIZE
     if np.linalg.norm(box.center_m - start.center_m) > limits.max_jump * start.size_m.mean():
         return FollowStop.JUMP
-    points = Look.of(frame.cloud.xyz_m, box).points
+    points = Look.of(around, box).points
     if points < max(limits.min_points, limits.min_points_share * expected_points(last, box)):
         return FollowStop.POINTS
     return None

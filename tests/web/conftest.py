@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from live_server import OPERATOR, Live, running, wait_until
+from live_server import OPERATOR, PATIENCE_S, Live, running, wait_until
 
 from annotator.project import create_project
 from annotator.recordings import open_recording
+from annotator.types import BoxKind
 from annotator.web.settings import ServerSettings
 from annotator.web.watch import Watch
 from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.tracks.follow_frames import Follower
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
 
 __all__ = ["OPERATOR", "Live", "running"]
 
@@ -56,3 +61,24 @@ def live(web_settings: ServerSettings) -> Iterator[Live]:
     """A server for one test, with the project `room`."""
     with running(web_settings) as server:
         yield server
+
+
+@pytest.fixture
+def following_view(knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Following uses a perfect view detector in all projects."""
+    ready = ReadyDetector(knowing("people").view, BoxKind.BOX, threading.Lock())
+    monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
+    monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: Readiness("ready", ready))
+
+
+@pytest.fixture
+def following_gate(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
+    """Following waits here before each frame."""
+    passes, step = threading.Semaphore(0), Follower.step
+
+    def wait(follower: Follower, moment: Any) -> Any:
+        assert passes.acquire(timeout=PATIENCE_S)
+        return step(follower, moment)
+
+    monkeypatch.setattr(Follower, "step", wait)
+    return passes

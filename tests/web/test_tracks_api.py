@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +12,11 @@ from room_api import BOX, ROOM, change, propose, state
 
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
-from annotator.types import BoxKind
 from annotator.web.follow_runs import FollowRequest, FollowRuns
-from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_frames import Follower
 from annotator.workflows.tracks.follow_recording import follow_from_frame
-from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetectors
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -76,27 +73,6 @@ def test_boxes_are_copied_interpolated_and_undone(live: Live, project: Project) 
     assert live.client.get(f"{ROOM}/recordings/9/tracks/5").status_code == 404
 
 
-@pytest.fixture
-def view(knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A perfect view detector for all projects."""
-    ready = ReadyDetector(knowing("people").view, BoxKind.BOX, threading.Lock())
-    monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
-    monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: Readiness("ready", ready))
-
-
-@pytest.fixture
-def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
-    """Following waits here before each frame."""
-    passes, step = threading.Semaphore(0), Follower.step
-
-    def wait(follower: Follower, moment: Any) -> Any:
-        assert passes.acquire(timeout=PATIENCE_S)
-        return step(follower, moment)
-
-    monkeypatch.setattr(Follower, "step", wait)
-    return passes
-
-
 def accept_truth(project: Project, generated: Path, frame: int = 1, objects: int = 1) -> list[str]:
     """Accepts the true boxes of a frame, without tracks; returns their labels."""
     recording = open_recording(generated / "people")
@@ -122,7 +98,7 @@ def boxes(live: Live) -> list[int]:
     return [len(state(live.client, frame)["labels"]) for frame in range(1, 6)]
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_a_box_is_followed_through_the_recording_as_one_action(live: Live, project: Project, generated: Path) -> None:
     (uid,) = accept_truth(project, generated)
     begun = follow(live, uid=uid, effort={"actions": 1, "seconds": 2.0})
@@ -138,20 +114,20 @@ def test_a_box_is_followed_through_the_recording_as_one_action(live: Live, proje
     assert project.labels.get(uid).label.track_id is None
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_boxes_appear_one_by_one_and_a_run_can_be_stopped(
-    live: Live, project: Project, generated: Path, gate: threading.Semaphore
+    live: Live, project: Project, generated: Path, following_gate: threading.Semaphore
 ) -> None:
     accept_truth(project, generated, objects=2)
     follow(live)
-    gate.release(2)
+    following_gate.release(2)
     wait_until(lambda: latest(live)["done"] == 2)
     # the server answers, and has the first boxes
     assert boxes(live) == [2, 2, 0, 0, 0]
     assert latest(live)["state"] == "running"
     stopper = threading.Thread(target=lambda: live.client.post(f"{ROOM}/follow/stop"))
     stopper.start()
-    gate.release(2)
+    following_gate.release(2)
     stopper.join(PATIENCE_S)
     assert latest(live)["state"] == "stopped"
     # of the next frame, either all boxes that were found are there, or it was not begun
@@ -159,7 +135,7 @@ def test_boxes_appear_one_by_one_and_a_run_can_be_stopped(
     assert sum(boxes(live)[1:]) == latest(live)["done"] == sum(track["boxes"] for track in latest(live)["tracks"])
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_a_run_after_a_restart_of_the_server_has_a_higher_number(live: Live, project: Project, generated: Path) -> None:
     accept_truth(project, generated)
     numbers = []
@@ -174,23 +150,23 @@ def test_a_run_after_a_restart_of_the_server_has_a_higher_number(live: Live, pro
     assert numbers[0] < numbers[1] < numbers[2] < 2**53, "the page's numbers are exact to 2**53"
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_undo_stops_a_run_and_takes_back_all_of_it(
-    live: Live, project: Project, generated: Path, gate: threading.Semaphore
+    live: Live, project: Project, generated: Path, following_gate: threading.Semaphore
 ) -> None:
     accept_truth(project, generated)
     follow(live)
-    gate.release(2)
+    following_gate.release(2)
     wait_until(lambda: latest(live)["done"] == 2)
     # the run is asked to stop while it waits for a frame, and ends after that frame
     running = live.context.follow_runs._runs["room", "Ada"]
-    threading.Thread(target=lambda: running.stop.wait(PATIENCE_S) and gate.release(2)).start()
+    threading.Thread(target=lambda: running.stop.wait(PATIENCE_S) and following_gate.release(2)).start()
     assert live.client.post(f"{ROOM}/undo", json={}).status_code == 200
     assert latest(live) is None
     assert boxes(live) == [1, 0, 0, 0, 0]
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_a_lost_object_and_a_failed_run_are_reported(
     live: Live, project: Project, generated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,7 +210,7 @@ def test_no_detector_is_needed(live: Live, project: Project, generated: Path) ->
     assert latest(live)["tracks"][0]["boxes"] == 4
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_a_stale_revision_returns_both_versions(live: Live, project: Project, generated: Path) -> None:
     (uid,) = accept_truth(project, generated)
     stale = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 0, "uid": uid})

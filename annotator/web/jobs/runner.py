@@ -116,9 +116,11 @@ class JobRunner:
         finally:
             with self._lock:
                 self._drawing -= 1
-                timer = threading.Timer(PAUSE_AFTER_S, self._resume, (self._pauses,))
-                timer.daemon = True
-            timer.start()
+                running = self._running()
+                if running is not None and running.background:
+                    timer = threading.Timer(PAUSE_AFTER_S, self._resume, (self._pauses,))
+                    timer.daemon = True
+                    timer.start()
 
     def _resume(self, pauses: int) -> None:
         with self._lock:

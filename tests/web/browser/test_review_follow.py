@@ -3,45 +3,20 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from live_server import PATIENCE_S
 from review_desk import Desk
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, WriteContext
 from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, ReviewState, Truth
-from annotator.workflows.detectors import Detectors
+from annotator.types import ReviewState, Truth
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_frames import Follower
-from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
-
-
-@pytest.fixture
-def view(knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A perfect view detector for all projects."""
-    ready = ReadyDetector(knowing("people").view, BoxKind.BOX, threading.Lock())
-    monkeypatch.setattr("annotator.web.routes.tracks.has_view_with_classes", lambda _: True)
-    monkeypatch.setattr(ReadyDetectors, "readiness", lambda *_: Readiness("ready", ready))
-
-
-@pytest.fixture
-def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:
-    """Following waits here before each frame."""
-    passes, step = threading.Semaphore(0), Follower.step
-
-    def wait(follower: Follower, moment: Any) -> Any:
-        assert passes.acquire(timeout=PATIENCE_S)
-        return step(follower, moment)
-
-    monkeypatch.setattr(Follower, "step", wait)
-    return passes
 
 
 def truths(desk: Desk, index: int) -> list[Truth]:
@@ -69,9 +44,9 @@ def show(desk: Desk, index: int, uid: str) -> None:
     desk.settled()
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
-    desk: Desk, wait_for, gate: threading.Semaphore
+    desk: Desk, wait_for, following_gate: threading.Semaphore
 ) -> None:
     page, project = desk.page, desk.project
     (uid,) = accept_truth(desk, 0)
@@ -80,7 +55,7 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     desk.press("v")
     title = page.get_by_test_id("follow-title")
     expect(title).to_have_text("Following forward with the project's detector")
-    gate.release()
+    following_gate.release()
     # the first box is shown while following goes on
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     desk.settled()
@@ -89,7 +64,7 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     assert iou_3d(desk.label.box, truths(desk, 1)[0].box) > 0.7
     expect(page.get_by_test_id("follow-stop")).to_be_visible()
     expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 1 box")
-    gate.release(3)
+    following_gate.release(3)
     expect(title).to_have_text("Followed forward with the project's detector")
     expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 4 boxes, to the end")
     expect(page.get_by_test_id("track-tick")).to_have_count(5)
@@ -101,18 +76,18 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
         assert [label for label in project.labels.of_frame(frame.id) if label.track_id == truth.track_id] == []
 
 
-@pytest.mark.usefixtures("view")
-def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, gate: threading.Semaphore) -> None:
+@pytest.mark.usefixtures("following_view")
+def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, following_gate: threading.Semaphore) -> None:
     page = desk.page
     uid, *_ = accept_truth(desk, 4, 3)
     show(desk, 4, uid)
     desk.press("Shift+L")
     expect(page.get_by_test_id("follow-title")).to_have_text("Following backward with the project's detector")
-    gate.release(3)
+    following_gate.release(3)
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
     expect(page.get_by_test_id("followed")).to_have_count(3)
     page.get_by_test_id("follow-stop").click()
-    gate.release(3)
+    following_gate.release(3)
     expect(page.get_by_test_id("follow-title")).to_have_text("Stopped backward with the project's detector")
     page.get_by_test_id("follow-close").click()
     expect(page.get_by_test_id("follow")).to_be_hidden()
@@ -120,7 +95,7 @@ def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, gate: 
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_the_operator_goes_to_the_frame_where_an_object_was_lost(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     page, step, frames = desk.page, Follower.step, desk.project.frames.of()
 
@@ -149,7 +124,7 @@ def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> 
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
 
 
-@pytest.mark.usefixtures("view")
+@pytest.mark.usefixtures("following_view")
 def test_a_run_that_a_restarted_server_does_not_know_is_no_longer_shown(desk: Desk) -> None:
     (uid,) = accept_truth(desk, 0)
     show(desk, 0, uid)
