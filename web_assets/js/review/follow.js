@@ -184,7 +184,12 @@ function trackRow(track, isRunning, open) {
   const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
   const end = isRunning || track.stops.length > 0 ? "" : ", to the end";
   const text = h("span", { class: "grow" }, `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
-  if (track.track_id !== null) text.style.color = trackColor(track.track_id);
+  if (track.track_id !== null) {
+    // the colours of tracks are too light for text
+    const dot = h("span", { class: "dot" });
+    dot.style.background = trackColor(track.track_id);
+    text.prepend(dot);
+  }
   return h(
     "li",
     { "data-testid": "followed" },
