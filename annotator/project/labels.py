@@ -139,6 +139,12 @@ class Labels:
         with self.writer.store.read() as connection:
             return tuple(map(stored_label, connection.execute(ordered)))
 
+    def recent(self, label: str, states: Collection[ReviewState], most: int) -> tuple[StoredLabel, ...]:
+        """The latest labels of a class in these states, the newest first."""
+        query = _filtered(select(labels), states, None, [label]).order_by(labels.c.id.desc()).limit(most)
+        with self.writer.store.read() as connection:
+            return tuple(map(stored_label, connection.execute(query)))
+
     def count(self, states: Collection[ReviewState]) -> int:
         """Number of labels in one of these states."""
         query = select(func.count()).select_from(labels).where(labels.c.state.in_([state.value for state in states]))

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from annotator.rcv.typical_sizes import TypicalSize
 from annotator.types import BoxKind
 
 # Part of the fingerprint of annotated frames. Increase it when the same settings give different boxes.
@@ -200,6 +201,9 @@ class FirstLookConfig(BaseModel):
     plane_noise_px: float = Field(
         2.0, ge=0, description="expected error of the image box's edges as bounds of the 3D box, pixels; 0: no bounds"
     )
+    use_typical_sizes: bool = Field(
+        True, description="whether objects whose class has a typical size start from boxes of about this size"
+    )
 
 
 class RcvConfig(BaseModel):
@@ -216,6 +220,9 @@ class RcvConfig(BaseModel):
     fit: FitConfig = FitConfig()
     warm: WarmConfig = WarmConfig()
     first_look: FirstLookConfig = FirstLookConfig()
+    typical_sizes: tuple[TypicalSize, ...] = Field(
+        (), description="typical sizes of classes, in place of those of reviewed boxes and of well-known classes"
+    )
     class_agnostic: bool = Field(
         False, description="whether the view detector measures the object of a crop, whatever its class"
     )
@@ -284,7 +291,7 @@ class RcvConfig(BaseModel):
         """
         left_out: dict[str, Any] = {"orientation": True}
         if not self.class_agnostic:
-            left_out |= {"class_agnostic": True, "first_look": True}
+            left_out |= {"class_agnostic": True, "first_look": True, "typical_sizes": True}
         if self.fit.use_edge_errors:  # a detector that tells them has another fingerprint
             left_out["fit"] = {"use_edge_errors"}
         return self.model_dump(mode="json", exclude=left_out)

@@ -7,18 +7,26 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
+from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.nms import nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
+from annotator.rcv.box_evidence import Candidates, best_expected
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
+from annotator.rcv.placement import changed
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
 
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.
 MIDDLE_MARGIN = 0.03
+# How many times each rival's box is changed, and how much (`placement.changed`).
+CHANGES, CHANGE_SCALE = 20, 0.5
+# How much the IoU with the box of another object of the frame lowers a candidate's score.
+OVERLAP_WEIGHT = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +73,58 @@ def best_rivals(camera: Camera, states: Sequence[ObjectState], config: RcvConfig
     for state in states:
         if state.frustum is not None:
             rivals[id(state.image_box)].append(state)
-    best = [max(each, key=lambda state: _rival_rank(camera, state, state.frustum, config)) for each in rivals.values()]
-    return [state for state in states if state.frustum is None] + best
+    best = []
+    choices = []
+    for each in rivals.values():
+        first = max(each, key=lambda state: _rival_rank(camera, state, state.frustum, config))
+        choice = _choice(first, each)
+        if choice is None:
+            best.append(first)
+        else:
+            choices.append(choice)
+    return [state for state in states if state.frustum is None] + best + _of_typical_sizes(choices)
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """The best rival of an image box whose class has a typical size, and the boxes that it may get, with scores."""
+
+    best: ObjectState
+    candidates: Candidates
+    score: Float64[np.ndarray, "k"]
+
+
+def _choice(best: ObjectState, rivals: Sequence[ObjectState]) -> _Choice | None:
+    """The candidates: boxes placed without a detector, the rivals' boxes, and those changed a little.
+
+    So an object that is not detected on any view has a box, too. None if the class has no typical size.
+    """
+    facts = best.frustum
+    if facts is None or facts.evidence is None or facts.placed is None:
+        return None
+    measured = [(state.box, state.measured) for state in rivals if state.box is not None and state.measured is not None]
+    parts = [facts.placed]
+    if measured:
+        boxes = Candidates.of([box for box, _ in measured])
+        parts += [boxes, changed(boxes, facts.evidence, CHANGES, CHANGE_SCALE, np.random.default_rng(0))]
+    candidates = Candidates.concatenate(parts)
+    return _Choice(best, candidates, facts.evidence.score(candidates, [intervals for _, intervals in measured]))
+
+
+def _of_typical_sizes(choices: Sequence[_Choice]) -> list[ObjectState]:
+    """Each best rival with the best of its candidates; objects with higher scores first, the others do not overlap."""
+    taken: list[OrientedBox] = []
+    chosen: dict[int, ObjectState] = {}
+    for index in sorted(range(len(choices)), key=lambda i: -float(choices[i].score.max())):
+        choice = choices[index]
+        score, best = choice.score, choice.best
+        if taken:
+            score = score - OVERLAP_WEIGHT * iou_3d_matrix(choice.candidates.boxes, taken).max(axis=1)
+        box = best_expected(choice.candidates, score)
+        stop = StopReason.STEP_LIMIT if best.stop in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else best.stop
+        chosen[index] = replace(best, box=canonical_box(box, best.up), stop=stop)
+        taken.append(box)
+    return [chosen[index] for index in range(len(choices))]
 
 
 def _rival_rank(camera: Camera, state: ObjectState, frustum: FrustumFacts | None, config: RcvConfig) -> float:

@@ -17,6 +17,7 @@ from annotator.geometry.oriented_box import box_corners, canonical_box, contains
 from annotator.geometry.outline import NEAR_M
 from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
+from annotator.rcv.box_evidence import Candidates, Evidence
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import depth_crops, image_planes, in_middle
@@ -24,6 +25,8 @@ from annotator.rcv.frustum_views import frustum_views, is_deep
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
+from annotator.rcv.placement import distinct, place
+from annotator.rcv.typical_sizes import typical_size
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -40,6 +43,10 @@ from annotator.types import (
 
 # Points of the middle of an image box that are kept to compare rivals.
 MIDDLE_POINTS = 500
+# Of a class with a typical size: the number of boxes to start from, their maximum IoU, the margin around each within
+# which its points lie (share of its mean side), and the note in the trace.
+STARTS, STARTS_IOU, START_ROOM = 3, 0.5, 0.1
+TYPICAL_SIZE = "started from a box of the class's typical size"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +57,15 @@ class FrustumFacts:
         cloud: all its points.
         middle_m: (k, 3) a sample of the points in the middle of the image box.
         camera: the frame's camera.
+        evidence, placed: of an object of a class with a typical size: what is known of it, and the boxes that are
+            plausible before a detector is used.
     """
 
     cloud: PointCloud
     middle_m: Float32[np.ndarray, "k 3"]
     camera: Camera
+    evidence: Evidence | None = None
+    placed: Candidates | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +156,8 @@ def start(
 def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:
     """The states of an object that a class-agnostic detector measures: its frustum, and crops along its depth.
 
+    An object of a class with a typical size starts from plausible boxes of about this size instead.
+
     Args:
         state: from `start`.
     """
@@ -153,9 +166,26 @@ def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[
     xyz_m = state.cloud.xyz_m
     middle = xyz_m[in_middle(camera, xyz_m, state.image_box)]
     facts = FrustumFacts(state.cloud, middle[:: max(len(middle) // MIDDLE_POINTS, 1)], camera)
+    typical = typical_size(state.image_box.label, config.typical_sizes) if config.first_look.use_typical_sizes else None
+    if typical is not None and config.box_kind is BoxKind.BOX:
+        evidence = Evidence.of(camera, xyz_m, state.image_box, typical, state.up)
+        return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), config)
     crops = depth_crops(camera, xyz_m, state.image_box, config.first_look, config.min_points)
     whole = [] if crops and is_deep(state.cloud, config) else [replace(state, frustum=facts)]
     return whole + [replace(state, cloud=state.cloud.select(crop), frustum=facts) for crop in crops]
+
+
+def _placed(state: ObjectState, facts: FrustumFacts, config: RcvConfig) -> list[ObjectState]:
+    """The states that start from the best placed boxes; without their points, the state that has only the frustum."""
+    assert facts.placed is not None
+    started = []
+    for placed in distinct(facts.placed, STARTS, STARTS_IOU):
+        box = canonical_box(placed, state.up)
+        cloud = state.cloud.select(contains(box, state.cloud.xyz_m, START_ROOM * float(box.size_m.mean())))
+        if len(cloud) >= config.min_points:
+            notes = (TYPICAL_SIZE,)
+            started.append(replace(state, cloud=cloud, box=box, axes=box.rotation.T, frustum=facts, notes=notes))
+    return started or [replace(state, frustum=facts)]
 
 
 def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -> StepPlan:

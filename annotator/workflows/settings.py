@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from annotator.project.config import CONFIG_FILE
 from annotator.rcv.config import RcvConfig
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.reviewed_sizes import reviewed_sizes
 
 Settings = Mapping[str, JsonValue]
 """Some of `RcvConfig`'s fields; groups are nested objects."""
@@ -34,7 +35,12 @@ class _File(RootModel[dict[str, JsonValue]]):
 
 
 def rcv_config(
-    project: Project, file: Path | None = None, options: Settings | None = None, *, view_px: int | None = None
+    project: Project,
+    file: Path | None = None,
+    options: Settings | None = None,
+    *,
+    view_px: int | None = None,
+    without_frames: Collection[int] = (),
 ) -> RcvConfig:
     """Returns the settings for the recursion and for drawing its pseudo-views in a project.
 
@@ -43,6 +49,7 @@ def rcv_config(
         options: from the command line; override both.
         view_px: size of pseudo-views if no setting gives one, pixels; None = the size that the project's view detector
             was trained at, or the default without a detector.
+        without_frames: ids of frames whose reviewed boxes do not count for the typical sizes of classes.
 
     Raises:
         ConfigError: an unknown field or a value out of range; the message names the file and the field.
@@ -53,6 +60,8 @@ def rcv_config(
     from_file = {} if file is None else _checked(read_model(file, _File).root, f"{file}: ")
     from_options = _checked(options or {}, "command line: ")
     config = _validated(_merged(_merged(stored, from_file), from_options))
+    sizes = (*config.typical_sizes, *reviewed_sizes(project, without_frames))
+    config = config.model_copy(update={"typical_sizes": sizes})
     if "size_px" in config.view.model_fields_set:
         return config
     size_px = view_px or _trained_px(project) or config.view.size_px

@@ -125,7 +125,9 @@ class HeldOut:
         self._project, self._check_stop = project, check_stop
         self._frames: list[_HeldOutFrame] = []
         source = FrameSource(project)
-        for stored in held_out_frames(project, labels):
+        held_out = held_out_frames(project, labels)
+        self._held_out = frozenset(stored.id for stored in held_out)
+        for stored in held_out:
             if self.objects >= MOST_OBJECTS:
                 break
             check_stop()
@@ -159,7 +161,8 @@ class HeldOut:
             DetectionError, FormatError: the detector cannot be loaded.
         """
         detector = load_detector(model.path)
-        config = rcv_config(self._project, view_px=read_trained(model.path.parent).image_size_px)
+        view_px = read_trained(model.path.parent).image_size_px
+        config = rcv_config(self._project, view_px=view_px, without_frames=self._held_out)
         config = config.for_detector(model.box_kind, model.class_agnostic)
         rotation = self._project.config.settings.rotation
         ious: list[float] = []

@@ -33,7 +33,7 @@ from annotator.rcv.first_look import image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.operator import Span, cut_out
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
+from annotator.rcv.recursion import TYPICAL_SIZE, ObjectState, absorb_step, box_trace, held_direction, plan_step
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -58,6 +58,8 @@ NOT_DETECTED = "the detector found no object in this box"
 KNOWN_MARGIN = 0.03
 # Expected error of a drawn edge, share of that of the best detected one.
 KNOWN_DOUBT = 0.2
+# Expected error of the faces of a box that was placed by the typical size of its class, share of its mean side.
+PLACED_DOUBT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +178,8 @@ def _found(
 
 def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config: RcvConfig) -> OrientedBox:
     """Fits a proposal again, with the spans of drawn boxes beside what was detected."""
-    detected = traced_intervals(found.trace[1:], config)
+    is_placed = found.trace[0].fallback[:1] == (TYPICAL_SIZE,)
+    detected = _spans_of(found.box) if is_placed else traced_intervals(found.trace[1:], config)
     if detected is None:
         return found.box
     directions = np.concatenate([axes[:2] for axes, _ in known])
@@ -193,6 +196,13 @@ def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config:
     if fit is None:
         return found.box
     return canonical_box(OrientedBox.from_parts(fit.center_m, fit.rotation, fit.size_m), up)
+
+
+def _spans_of(box: OrientedBox) -> Intervals:
+    """A box as the intervals along its axes, with the errors of a box of typical size."""
+    axes, half = box.rotation.T, box.size_m / 2
+    ends = (axes @ box.center_m)[:, None] + np.stack([-half, half], axis=1)
+    return Intervals(axes, ends, np.full((3, 2), PLACED_DOUBT * float(box.size_m.mean())))
 
 
 def _agreement(proposal: Proposal) -> float:

@@ -1,0 +1,186 @@
+"""What the points of a frustum, the image box, the typical size and the views say about candidates of a 3D box.
+
+Each candidate gets a score, a weighted sum of six terms (`Evidence.score`). The result is not the candidate with the
+highest score, but the one with the highest expected IoU (`best_expected`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from annotator.geometry.iou import iou_3d_matrix
+from annotator.geometry.projection import undistort_px
+from annotator.rcv.first_look import in_middle
+from annotator.rcv.interval_fit import Intervals
+from annotator.rcv.typical_sizes import TypicalSize
+from annotator.types import Box2D, Camera, OrientedBox
+
+# Number of points of a frustum that are used.
+POINTS = 300
+# Margin around a box within which points count as inside, share of its mean side.
+MARGIN = 0.03
+# Expected error of an edge of the image box: pixels, and share of the box's width or height.
+EDGE_PX, EDGE_SHARE = 2.0, 0.03
+# Limit of an edge's error and of a side's deviation, standard deviations; of a view's error, mean sides.
+FURTHEST, FURTHEST_END = 4.0, 0.5
+# Weights of the score; the geometric ones in the order of the terms. Chosen on generated frames and on several
+# recordings (docs/base_detector.md).
+WEIGHTS = np.array([0.5, 0.6, 0.6, -0.2, -0.12])
+MEASURED_WEIGHT = -3.0
+# How many of the best candidates may be right, and how much more probable one is for a score that is higher by 1 (log).
+PROBABLE, SHARPNESS = 30, 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """k boxes.
+
+    Attributes:
+        rotation: columns = box axes in the camera frame.
+        center_m, size_m: metres.
+    """
+
+    rotation: Float64[np.ndarray, "k 3 3"]
+    center_m: Float64[np.ndarray, "k 3"]
+    size_m: Float64[np.ndarray, "k 3"]
+
+    def __len__(self) -> int:
+        return len(self.center_m)
+
+    def take(self, index: np.ndarray) -> Candidates:
+        """The candidates at these indices."""
+        return Candidates(self.rotation[index], self.center_m[index], self.size_m[index])
+
+    @property
+    def boxes(self) -> list[OrientedBox]:
+        """The candidates as boxes."""
+        parts = zip(self.center_m, self.rotation, self.size_m, strict=True)
+        return [OrientedBox.from_parts(*each) for each in parts]
+
+    @classmethod
+    def of(cls, boxes: Sequence[OrientedBox]) -> Candidates:
+        """From boxes; at least one."""
+        rotation = np.stack([box.rotation for box in boxes])
+        return cls(rotation, np.stack([b.center_m for b in boxes]), np.stack([b.size_m for b in boxes]))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Candidates]) -> Candidates:
+        """All candidates of all parts."""
+        rotation = np.concatenate([p.rotation for p in parts])
+        return cls(rotation, np.concatenate([p.center_m for p in parts]), np.concatenate([p.size_m for p in parts]))
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known of an object without a detector on views.
+
+    Attributes:
+        points: a sample of the points in its frustum, camera frame.
+        middle: which of them project into the middle of the image box.
+        window: left, right, top and bottom end of the image box, normalised (x/z, y/z).
+        image: the ends of the image, in the same way.
+        pixel: size of a pixel, normalised.
+        typical: size of its class.
+        up: unit vector against gravity for an upright box, None for a free one.
+    """
+
+    points: Float64[np.ndarray, "n 3"]
+    middle: Bool[np.ndarray, "n"]
+    window: Float64[np.ndarray, "4"]
+    image: Float64[np.ndarray, "4"]
+    pixel: float
+    typical: TypicalSize
+    up: Float64[np.ndarray, "3"] | None
+
+    @classmethod
+    def of(
+        cls,
+        camera: Camera,
+        xyz_m: Float[np.ndarray, "n 3"],
+        image_box: Box2D,
+        typical: TypicalSize,
+        up: Float64[np.ndarray, "3"] | None,
+    ) -> Evidence:
+        """From the points in the frustum of an image box; other arguments as the attributes."""
+        chosen = np.random.default_rng(0).permutation(len(xyz_m))[:POINTS]
+        points = xyz_m[chosen].astype(np.float64)
+        ends = (-0.5, camera.width_px - 0.5, -0.5, camera.height_px - 0.5)
+        edges = (image_box.x_min, image_box.x_max, image_box.y_min, image_box.y_max)
+        window, image = _normalised(camera, edges), _normalised(camera, ends)
+        return cls(points, in_middle(camera, points, image_box), window, image, 1 / camera.fx, typical, up)
+
+    @property
+    def size_orders(self) -> list[tuple[int, ...]]:
+        """The orders in which typical sides may lie along a box's axes; an upright box's last side is its height."""
+        return list(permutations(range(3))) if self.up is None else [(0, 1, 2), (1, 0, 2)]
+
+    def outlines(self, boxes: Candidates) -> Float64[np.ndarray, "k 4"]:
+        """The outlines of boxes, clipped to the image: left, right, top, bottom, normalised."""
+        from annotator.rcv.kernels.box_evidence import outlines
+
+        return outlines(boxes.rotation, boxes.center_m, boxes.size_m, self.image)
+
+    def edge_errors(self, boxes: Candidates) -> Float64[np.ndarray, "k"]:
+        """The mean distance of the outlines' edges from the image box's, standard deviations, each limited."""
+        left, right, top, bottom = self.window
+        sides = np.array([right - left, right - left, bottom - top, bottom - top])
+        sigma = np.hypot(EDGE_PX * self.pixel, EDGE_SHARE * sides)
+        return np.asarray(np.minimum(np.abs(self.outlines(boxes) - self.window) / sigma, FURTHEST).mean(axis=1))
+
+    def score(self, boxes: Candidates, measured: Sequence[Intervals] = ()) -> Float64[np.ndarray, "k"]:
+        """The score of each box.
+
+        The terms: hits (points of the frustum inside the box) as a share of all points, of those that are not in front
+        of the box, and the same in the middle of the image box; the errors of the outline's edges; the deviation of
+        the sides from the typical ones; and the distance of the box's ends from those that views have measured.
+
+        Args:
+            measured: what the views of each rival measured; the one with the least distance counts.
+        """
+        from annotator.rcv.kernels.box_evidence import point_evidence
+
+        hits = point_evidence(boxes.rotation, boxes.center_m, boxes.size_m, self.points, self.middle, MARGIN)
+        terms = np.column_stack([hits, self.edge_errors(boxes), self._deviation(boxes.size_m)])
+        score = terms @ WEIGHTS
+        if measured:
+            score += MEASURED_WEIGHT * np.min([_distance(boxes, intervals) for intervals in measured], axis=0)
+        return score
+
+    def _deviation(self, size_m: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k"]:
+        """The mean deviation of each box's sides from the typical ones, standard deviations, each limited."""
+        sides, spread = np.log(self.typical.size_m), np.array(self.typical.spread)
+        away = [np.abs(np.log(size_m) - sides[list(o)]) / spread[list(o)] for o in self.size_orders]
+        return np.asarray(np.minimum(away, FURTHEST).mean(axis=2).min(axis=0))
+
+
+def best_expected(boxes: Candidates, score: Float64[np.ndarray, "k"]) -> OrientedBox:
+    """The candidate with the highest expected IoU with the true box.
+
+    One of the best candidates is taken to be the true box, with a probability that grows exponentially with its score.
+    """
+    best = np.argsort(-score, kind="stable")[:PROBABLE]
+    probable = boxes.take(best).boxes
+    weight = np.exp(SHARPNESS * (score[best] - score[best[0]]))
+    return probable[int(np.argmax(iou_3d_matrix(probable, probable) @ weight))]
+
+
+def _distance(boxes: Candidates, measured: Intervals) -> Float64[np.ndarray, "k"]:
+    """The mean distance of each box's ends from the measured ones, in mean sides, each limited."""
+    directions, known = measured.directions, np.isfinite(measured.sigma_m)
+    reach = np.einsum("kmi,ki->km", np.abs(directions @ boxes.rotation), boxes.size_m) / 2
+    middle = boxes.center_m @ directions.T
+    away = np.abs(np.stack([middle - reach, middle + reach], axis=2) - measured.ends_m)[:, known]
+    return np.asarray(np.minimum(away / boxes.size_m.mean(axis=1, keepdims=True), FURTHEST_END).mean(axis=1))
+
+
+def _normalised(camera: Camera, ends_px: tuple[float, float, float, float]) -> Float64[np.ndarray, "4"]:
+    """Left, right, top and bottom of a rectangle on the image as x/z and y/z, at the middles of its sides."""
+    left, right, top, bottom = ends_px
+    u, v = (left + right) / 2, (top + bottom) / 2
+    xy = undistort_px(camera, np.array([(left, v), (right, v), (u, top), (u, bottom)]))
+    return np.array([xy[0, 0], xy[1, 0], xy[2, 1], xy[3, 1]])
