@@ -365,6 +365,7 @@ type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns"> & {
 type Wanted = { label: string; track_id: number | null; box: Box3D };
 
 type Desk = ReturnType<typeof import("../../web_assets/js/review/desk.js").createDesk>;
+type Opening = ReturnType<typeof import("../../web_assets/js/review/opening.js").createOpening>;
 type DeskEvent = "frame" | "selection" | "draft" | "saving";
 /** One of `Api.ChangesIn`. */
 type Change = {
