@@ -16,6 +16,7 @@ from annotator.cli.projects import open_named
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy
+from annotator.workflows.detectors import stand_in
 from annotator.workflows.proposing.annotate import annotate_with, require_limit
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
@@ -81,6 +82,7 @@ def run(
             return 0
         require_limit(limit)
         source = trained_detectors(opened, backend)
+        named = stand_in(opened)
         chosen = [opened.recordings.find(name).id for name in recordings] or None
         present = opened.frames.count_present(chosen)
         with (
@@ -107,6 +109,8 @@ def run(
                 from_reviewed=from_reviewed,
                 progress=progress,
             )
+    if named is not None:
+        print_line(f"view detector: {named}")
     for line in summary_lines(done):
         print_line(line)
     return 1 if done.failures else 0

@@ -42,6 +42,8 @@ def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
     yield "  by state", _listed(counts.labels.by_state)
     yield "  by class", _listed(counts.labels.by_class)
     yield "  by source", _listed(counts.labels.by_source)
+    for detector, suggested in counts.suggested.items():
+        yield f"  suggested by {detector}", f"{suggested.as_suggested} as suggested, {suggested.corrected} corrected"
     yield "2D boxes on camera images", f"{counts.image_boxes.boxes} on {counts.image_boxes.pictures} images"
     yield "2D boxes on pseudo-views", f"{counts.view_boxes.boxes} on {counts.view_boxes.pictures} views"
     yield "boxes with measured effort", counts.effort.boxes

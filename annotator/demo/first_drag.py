@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,12 +21,14 @@ from annotator.demo.stages import (
     require_free,
 )
 from annotator.detection.base_detector import has_base
-from annotator.types.errors import DetectionError
+from annotator.project import StoredFrame
+from annotator.rcv.config import RcvConfig
+from annotator.types.errors import ConfigError, DetectionError, StaleRevisionError, TrackTakenError
 from annotator.workflows.exporting import ExportReport, export_project
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import AUTHOR
 from annotator.workflows.tracks.follow_recording import follow_recording
-from annotator.workflows.workbench.loaded_detectors import require_view
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
 
 
 @dataclass(frozen=True)
@@ -82,21 +85,25 @@ def run_first_drag(
         view, operator = require_view(project), SimulatedOperator(project, recording)
         frames = [frame for frame in project.frames.of([recording]) if frame.index is not None]
         report = counted(progress, "draw, follow and review")
-        is_shown = False
+        shown = False
+
+        def first_boxes() -> None:
+            nonlocal shown
+            if not shown:
+                shown = True
+                watch.end("first boxes")
+                on_proposals()
+
         for number, stored in enumerate(frames, start=1):
-            tracks = operator.review(stored)
-            if operator.missing(stored):
-                operator.draw(stored, view, rcv_config(project))
-                if not is_shown:
-                    is_shown = True
-                    watch.end("first boxes")
-                    on_proposals()
-                operator.review(stored)
-                operator.place(stored)
-                tracks += operator.track(stored)
-            tracks = operator.reviewed_of(tracks)
-            if tracks and number < len(frames):
-                follow_recording(project, recording, None, AUTHOR, tracks=tracks)
+            tracks: list[int] = []
+            # a frame that a viewer has finalised, or changes again and again, is left to them
+            with suppress(StaleRevisionError, TrackTakenError):
+                if not project.frames.get(stored.id).finalised:
+                    tracks = _label(operator, stored, view, rcv_config(project), first_boxes)
+            # a viewer may have deleted or doubled the boxes to follow; what is missing is drawn on the next frame
+            with suppress(StaleRevisionError, TrackTakenError, ConfigError):
+                if tracks and number < len(frames):
+                    follow_recording(project, recording, None, AUTHOR, tracks=tracks)
             report(number, len(frames))
         watch.end("follow and review")
         dataset = export_project(
@@ -105,3 +112,21 @@ def run_first_drag(
         watch.end("export")
     ious = operator.done.ious
     return FirstDragResult(operator.done, float(np.mean(ious)) if ious else 0.0, dataset, watch.seconds)
+
+
+def _label(
+    operator: SimulatedOperator,
+    stored: StoredFrame,
+    view: ReadyDetector,
+    config: RcvConfig,
+    on_proposals: Callable[[], None],
+) -> list[int]:
+    """Reviews a frame, and draws what is missing; returns the tracks to follow from here."""
+    tracks = operator.review(stored)
+    if operator.missing(stored):
+        operator.draw(stored, view, config)
+        on_proposals()
+        operator.review(stored)
+        operator.place(stored)
+        tracks += operator.track(stored)
+    return operator.reviewed_of(tracks)

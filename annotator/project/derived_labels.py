@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import Connection, case, delete, insert, select, update
+from sqlalchemy import Connection, case, delete, func, insert, select, update
 
 from annotator.project.event_types import (
     LabelAccepted,
@@ -20,7 +20,7 @@ from annotator.project.event_types import (
     ProposedObject,
 )
 from annotator.project.events import Event
-from annotator.project.records import ProposalRecord, box_2d_json
+from annotator.project.records import ProposalRecord, box_2d_json, suggestion_json
 from annotator.project.schema import labels
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
@@ -86,6 +86,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
     if isinstance(payload, LabelCreated):
         row |= {"score": payload.score, "state": payload.state.value}
         row |= {"origin": payload.origin, "image_box": box_2d_json(payload.image_box)}
+        row |= {"suggestion": suggestion_json(payload.suggestion)}
     else:
         row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
         row |= {"track_linked": payload.track_id is not None}
@@ -158,7 +159,17 @@ def _new_values(payload: LabelAccepted | LabelEdited | LabelRejected) -> dict[st
         case LabelEdited():
             drawn: dict[str, Any] = {} if payload.image_box is None else {"image_box": box_2d_json(payload.image_box)}
             edited = {"label": payload.label, "box": payload.box.model_dump_json()}
+            edited |= {"suggestion": _new_suggestion(payload)}
             return drawn | edited | {"state": ReviewState.EDITED.value} | track_values(payload.track_id)
+
+
+def _new_suggestion(payload: LabelEdited) -> Any:
+    """The column `suggestion` after an edit: another 3D box than the suggested one counts as corrected."""
+    if payload.suggestion is not None:
+        return suggestion_json(payload.suggestion)
+    is_same = labels.c.box == payload.box.model_dump_json()
+    corrected = func.json_set(labels.c.suggestion, "$.corrected", func.json("true"))
+    return case((is_same, labels.c.suggestion), else_=corrected)
 
 
 def restore_label(connection: Connection, event: Event, payload: LabelRestored) -> None:
@@ -172,12 +183,13 @@ def restore_label(connection: Connection, event: Event, payload: LabelRestored) 
     if connection.execute(select(labels.c.id).where(same, labels.c.frame_id != event.frame_id)).first():
         raise ProjectError(f"label {payload.uid} is in another frame")
     connection.execute(delete(labels).where(same))
-    row: dict[str, Value] = former.model_dump(exclude={"box", "image_box", "place"}, mode="json")
+    row: dict[str, Value] = former.model_dump(exclude={"box", "image_box", "suggestion", "place"}, mode="json")
     row |= {
         "uid": payload.uid,
         "frame_id": event.frame_id,
         "box": former.box.model_dump_json(),
         "image_box": box_2d_json(former.image_box),
+        "suggestion": suggestion_json(former.suggestion),
         "event_id": event.id,
     }
     # the former row id restores the order of the frame's labels, unless another label uses it now

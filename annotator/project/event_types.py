@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
 from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, ViewGeometry
-from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Source
+from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Source, Suggestion
 from annotator.types.label import MOST_TRACK
 
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -61,6 +61,7 @@ class LabelState(BaseModel):
     image_agreement: float | None = None
     track_linked: bool = False
     expected_iou_loss: float | None = None
+    suggestion: Suggestion | None = None
 
 
 class ImageBoxesState(BaseModel):
@@ -169,6 +170,7 @@ class LabelCreated(_Payload):
     Attributes:
         origin: how an operator made it, if one did.
         image_box: box on the camera image that the label was made from, if any.
+        suggestion: the detector that suggested its boxes, if the operator accepted any.
     """
 
     kind: Literal["label_created"] = "label_created"
@@ -180,6 +182,7 @@ class LabelCreated(_Payload):
     state: ReviewState = ReviewState.ACCEPTED
     origin: Origin | None = None
     image_box: Box2D | None = None
+    suggestion: Suggestion | None = None
 
     @model_validator(mode="after")
     def _reviewed(self) -> LabelCreated:
@@ -254,6 +257,8 @@ class LabelEdited(_Payload):
 
     Attributes:
         image_box: the new box on the camera image that the label is made from; None = unchanged.
+        suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. None = the
+            operator made the new 3D box, and an earlier suggestion counts as corrected.
     """
 
     kind: Literal["label_edited"] = "label_edited"
@@ -262,6 +267,7 @@ class LabelEdited(_Payload):
     box: BoxRecord
     track_id: int | None = None
     image_box: Box2D | None = None
+    suggestion: Suggestion | None = None
 
     def classes(self) -> set[str]:
         return {self.label}

@@ -20,6 +20,7 @@ from annotator.project.records import parsed
 from annotator.project.schema import AnyRow, events, frames, revertible
 from annotator.project.undo_state import FRAME, IMAGE, LABEL, VIEW, read_state, restoring, same_state
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
+from annotator.types import Source
 from annotator.types.errors import HistoryError
 
 # Events of automatic passes and imports that may change a target after an action.
@@ -201,6 +202,7 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
             events.c.id,
             events.c.frame_id,
             events.c.kind,
+            events.c.source,
             revertible.c.subject.label("target"),
             revertible.c.before,
             revertible.c.after,
@@ -283,6 +285,8 @@ def _target_name(target: str, state: str | None) -> str:
 def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
     """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
     where = _frame_range(connection, rows)
+    if rows[0].source == Source.IMPORTED.value:
+        return f"import 2D boxes ({where})"
     kinds = {row.kind for row in rows}
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
     # labels that new proposals replace are not counted

@@ -10,10 +10,10 @@ from typing import Any
 from sqlalchemy import Connection, Select, func, select
 
 from annotator.project.event_types import LabelAccepted, LabelCreated, LabelDeleted, LabelEdited, LabelRejected, Origin
-from annotator.project.records import BoxRecord, box_2d_of, parsed, storable
+from annotator.project.records import BoxRecord, box_2d_of, parsed, storable, suggestion_of
 from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.writing import Receipt, WriteContext, Writer
-from annotator.types import Box2D, Label, OrientedBox, Quality, ReviewState, Source
+from annotator.types import Box2D, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK
 
@@ -32,6 +32,7 @@ class NewLabel:
         track_id: the object's id over the recording, if known.
         state: any but PROPOSED, which the next automatic pass would remove.
         origin: how an operator made it, if one did.
+        suggestion: as in `Label`.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
@@ -42,6 +43,7 @@ class NewLabel:
     track_id: int | None = None
     state: ReviewState = ReviewState.ACCEPTED
     origin: Origin | None = None
+    suggestion: Suggestion | None = None
 
     def __post_init__(self) -> None:
         # the limit of the database and of exported files
@@ -219,6 +221,7 @@ def _created(entry: NewLabel) -> LabelCreated:
         track_id=entry.track_id,
         state=entry.state,
         origin=entry.origin,
+        suggestion=entry.suggestion,
     )
 
 
@@ -240,6 +243,7 @@ def _label(row: AnyRow) -> Label:
         row.time_ns,
         row.track_id,
         None if row.state == ReviewState.EDITED else row.expected_iou_loss,
+        suggestion_of(row.suggestion),
     )
 
 

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, 
 from pydantic_core import PydanticSerializationError
 from scipy.spatial.transform import RigidTransform
 
-from annotator.types import Box2D, OrientedBox, Proposal, PseudoView, Quality, StepTrace
+from annotator.types import Box2D, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
 from annotator.types.errors import ProjectError
 from annotator.types.proposal import Matrix3
 
@@ -142,6 +142,7 @@ class ViewGeometry(BaseModel):
 
 
 _BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)
+_SUGGESTION: TypeAdapter[Suggestion] = TypeAdapter(Suggestion)
 BOXES_2D: TypeAdapter[tuple[Box2D, ...]] = TypeAdapter(tuple[Box2D, ...], config=ConfigDict(extra="forbid"))
 
 
@@ -153,6 +154,16 @@ def box_2d_json(box: Box2D | None) -> str | None:
 def box_2d_of(content: str | None) -> Box2D | None:
     """The 2D box of a database column, or None."""
     return None if content is None else _BOX_2D.validate_json(content)
+
+
+def suggestion_json(suggestion: Suggestion | None) -> str | None:
+    """A suggestion as JSON for a database column, or None."""
+    return None if suggestion is None else _SUGGESTION.dump_json(suggestion).decode()
+
+
+def suggestion_of(content: str | None) -> Suggestion | None:
+    """The suggestion of a database column, or None."""
+    return None if content is None else parsed(_SUGGESTION.validate_json, content)
 
 
 @contextmanager

@@ -121,6 +121,7 @@ labels = Table(
     Column("image_agreement", Float),
     Column("track_linked", Boolean, nullable=False),
     Column("expected_iou_loss", Float),
+    Column("suggestion", Text),
 )
 
 image_labels = Table(

@@ -9,6 +9,7 @@ from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
 from annotator.project.efforts import EffortStatistics, read_review
 from annotator.project.jobs import Status, latest_results
+from annotator.project.labels import REVIEWED
 from annotator.project.schema import (
     events,
     frame_results,
@@ -36,6 +37,20 @@ class LabelCounts(BaseModel):
     by_source: dict[Source, int]
 
 
+class SuggestedCounts(BaseModel):
+    """Counts of the accepted and edited labels whose boxes a view detector suggested while they were drawn.
+
+    Attributes:
+        as_suggested: the operator accepted all boxes, and nobody has changed the 3D box since.
+        corrected: the others.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    as_suggested: int
+    corrected: int
+
+
 class BoxCounts(BaseModel):
     """Counts of 2D boxes and of the labelled images (`pictures`), images labelled as empty included."""
 
@@ -53,6 +68,7 @@ class Statistics(BaseModel):
         frames: found by the latest scans.
         frames_with_proposals: with at least one unreviewed proposal.
         frames_failed: with a failed latest automatic pass.
+        suggested: by the name of the detector.
         effort, accepted_untouched, iou_proposal_to_final: as in `ReviewStatistics`.
     """
 
@@ -65,6 +81,7 @@ class Statistics(BaseModel):
     frames_with_proposals: int
     frames_failed: int
     labels: LabelCounts
+    suggested: dict[str, SuggestedCounts]
     image_boxes: BoxCounts
     view_boxes: BoxCounts
     events: int
@@ -94,6 +111,7 @@ def read_statistics(store: Store) -> Statistics:
             frames_with_proposals=_number(connection, select(func.count(distinct(labels.c.frame_id))).where(proposed)),
             frames_failed=_number(connection, select(func.count()).where(failed)),
             labels=_label_counts(connection),
+            suggested=_suggested_counts(connection),
             image_boxes=_box_counts(connection, image_labels),
             view_boxes=_box_counts(connection, view_labels),
             events=_rows(connection, events),
@@ -131,6 +149,17 @@ def _label_counts(connection: Connection) -> LabelCounts:
         by_class_and_state=_class_and_state(connection),
         by_source=_by_source(_grouped(connection, labels, "source", func.count())),
     )
+
+
+def _suggested_counts(connection: Connection) -> dict[str, SuggestedCounts]:
+    detector = func.json_extract(labels.c.suggestion, "$.detector")
+    corrected = func.sum(func.json_extract(labels.c.suggestion, "$.corrected"))
+    reviewed = labels.c.suggestion.is_not(None) & labels.c.state.in_([state.value for state in REVIEWED])
+    query = select(detector, corrected, func.count()).where(reviewed).group_by(detector).order_by(detector)
+    return {
+        name: SuggestedCounts(as_suggested=total - changed, corrected=changed)
+        for name, changed, total in connection.execute(query)
+    }
 
 
 def _class_and_state(connection: Connection) -> dict[str, dict[ReviewState, int]]:

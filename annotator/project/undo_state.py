@@ -26,7 +26,7 @@ from annotator.project.event_types import (
     ViewBoxesSet,
     ViewBoxesState,
 )
-from annotator.project.records import BOXES_2D, BoxRecord, ViewGeometry, box_2d_of, parsed
+from annotator.project.records import BOXES_2D, BoxRecord, ViewGeometry, box_2d_of, parsed, suggestion_of
 from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
 from annotator.types.errors import ProjectError
 
@@ -120,6 +120,7 @@ def _label_state(row: AnyRow) -> LabelState:
         image_agreement=row.image_agreement,
         track_linked=row.track_linked,
         expected_iou_loss=row.expected_iou_loss,
+        suggestion=suggestion_of(row.suggestion),
     )
 
 

@@ -161,7 +161,7 @@ class Writer:
         """`shared_action`: id of the action over several frames that the events belong to; None = a new action."""
         self._require_classes(where, payloads)
         time_ns = self.store.clock()
-        action = (shared_action or new_action()) if _is_action(frame_id, payloads, context) else None
+        action = (shared_action or new_action()) if _is_action(frame_id, payloads, context, shared_action) else None
         appended: list[Event] = []
         for revision, payload in enumerate(payloads, context.revision + 1):
             content, stored = _encoded(where, payload)
@@ -237,9 +237,13 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
     return where
 
 
-def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: WriteContext) -> bool:
-    """True for changes that an operator can undo: not automatic passes, imports, or changes without a frame."""
-    by_hand = frame_id is not None and context.source is Source.MANUAL
+def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: WriteContext, action: str | None) -> bool:
+    """True for changes that an operator can undo: not automatic passes, or changes without a frame.
+
+    An import is one if its caller says so, by passing the id of an action.
+    """
+    undoable = context.source is Source.MANUAL or (context.source is Source.IMPORTED and action is not None)
+    by_hand = frame_id is not None and undoable
     return by_hand and not any(isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads)
 
 

@@ -151,10 +151,10 @@ def axial_kmeans(
         if (assigned == member).all():
             break
         member = assigned
-        for k in range(clusters):
-            members = directions[member == k]
-            if len(members):
-                centre[k] = np.linalg.eigh(members.T @ members)[1][:, -1]
+        # one call for all clusters, as each call takes longer than its computation
+        filled = [(k, members) for k in range(clusters) if len(members := directions[member == k])]
+        moments = np.array([members.T @ members for _, members in filled])
+        centre[[k for k, _ in filled]] = np.linalg.eigh(moments)[1][:, :, -1]
     return centre, np.bincount(member, minlength=clusters)
 
 

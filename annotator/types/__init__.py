@@ -4,7 +4,7 @@ from annotator.types.boxes import Box2D, OrientedBox
 from annotator.types.camera import Camera
 from annotator.types.detector import Detector, DetectorKind, Image, Region
 from annotator.types.frame import Frame
-from annotator.types.label import BoxKind, Label, ReviewState, Source, Truth
+from annotator.types.label import BoxKind, Label, ReviewState, Source, Suggestion, Truth
 from annotator.types.point_cloud import PointCloud
 from annotator.types.proposal import (
     BoxTrace,
@@ -38,6 +38,7 @@ __all__ = [
     "Source",
     "StepTrace",
     "StopReason",
+    "Suggestion",
     "Truth",
     "ViewTrace",
 ]

@@ -39,6 +39,21 @@ class BoxKind(StrEnum):
     SILHOUETTE = "silhouette"
 
 
+@dataclass(frozen=True)
+class Suggestion:
+    """The view detector that suggested boxes from which an operator made a label.
+
+    Attributes:
+        detector: its name.
+        fingerprint: as in `Detector`.
+        corrected: True if the operator drew some of the boxes, or has changed the 3D box since.
+    """
+
+    detector: str
+    fingerprint: str
+    corrected: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Label:
     """One 3D box of one frame, in its current state.
@@ -54,6 +69,7 @@ class Label:
         time_ns: time of the last change, nanoseconds since the epoch.
         track_id: the object's id within the recording; None if unknown.
         expected_iou_loss: as in `Quality`, of a proposal that nobody edited; None for other boxes.
+        suggestion: the detector that suggested its boxes while the operator drew it, if one did.
     """
 
     uid: str
@@ -66,6 +82,7 @@ class Label:
     time_ns: int
     track_id: int | None = None
     expected_iou_loss: float | None = None
+    suggestion: Suggestion | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
 from annotator.web.settings import ServerSettings
+from annotator.web.uploads import as_sent
 
 OPERATOR_COOKIE = "annotator_operator"
 # A hidden folder within the projects folder, thus not a project.
@@ -88,7 +89,7 @@ class Context:
 
     def public_message(self, text: str) -> str:
         """A message for browsers: absolute paths are replaced, so that it names files but not their folders."""
-        return hide_paths(text, self._path_names())
+        return as_sent(hide_paths(text, self._path_names()), self.settings.projects_root.absolute().name)
 
     def _path_names(self) -> Iterator[tuple[Path, str]]:
         yield from self.folders.roots()

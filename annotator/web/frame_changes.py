@@ -23,7 +23,17 @@ from annotator.project.event_types import (
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind
 from annotator.types.label import MOST_TRACK
-from annotator.web.schemas import MOST_BOXES, Box2DJson, Box3DJson, ClassName, Effort, RowId, Schema, Uid
+from annotator.web.schemas import (
+    MOST_BOXES,
+    Box2DJson,
+    Box3DJson,
+    ClassName,
+    Effort,
+    RowId,
+    Schema,
+    SuggestionJson,
+    Uid,
+)
 
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
@@ -83,13 +93,17 @@ class Track(Schema):
 
 
 class Create(Schema):
-    """Creates an accepted label; `image_box` is the box on the image that it was fitted to, if any."""
+    """Creates an accepted label.
+
+    `image_box` is the box on the image that it was fitted to, if any; `suggestion` the detector that fitted it.
+    """
 
     kind: Literal["create"]
     label: ClassName
     box: Box3DJson
     track_id: TrackId | None = None
     image_box: Box2DJson | None = None
+    suggestion: SuggestionJson | None = None
 
     def payload(self) -> Payload:
         return LabelCreated(
@@ -99,6 +113,7 @@ class Create(Schema):
             track_id=self.track_id,
             origin=Origin.PLACED if self.image_box is None else Origin.DRAWN,
             image_box=None if self.image_box is None else self.image_box.box(),
+            suggestion=None if self.suggestion is None else self.suggestion.stored(),
         )
 
 

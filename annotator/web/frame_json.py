@@ -29,6 +29,7 @@ from annotator.web.schemas import (
     LabelJson,
     ObjectJson,
     QualityJson,
+    SuggestionJson,
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
@@ -192,6 +193,7 @@ def _label(shown: ShownLabel, measured_by: str | None) -> LabelJson:
         quality=quality_json(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,
+        suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
         outline=shown.outline.round(2).tolist(),
         points=shown.points,
     )

@@ -11,7 +11,7 @@ from annotator.project import ListedProject, Project, StoredModel, StoredRecordi
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
-from annotator.workflows.detectors import detector_title, used_model
+from annotator.workflows.detectors import stand_in
 
 
 class MissingRecording(BaseModel):
@@ -119,7 +119,7 @@ def project_info(name: str, project: Project) -> ProjectInfo:
         detectors=ActiveDetectors(
             image=_detector(project, DetectorKind.IMAGE),
             view=_detector(project, DetectorKind.VIEW),
-            stand_in=_stand_in(project),
+            stand_in=stand_in(project),
         ),
     )
 
@@ -155,8 +155,3 @@ def _detector(project: Project, role: DetectorKind) -> ModelInfo | None:
 
 def _broken(name: str, classes: list[str], problem: str) -> ProjectSummary:
     return ProjectSummary(name=name, classes=classes, frames=0, recordings=0, labels_by_state={}, problem=problem)
-
-
-def _stand_in(project: Project) -> str | None:
-    used = used_model(project, DetectorKind.VIEW)
-    return None if used is None or not used.name else detector_title(used.name)

@@ -5,6 +5,7 @@ Pixel coordinates are continuous, (0, 0) is the centre of the first pixel; metre
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from scipy.spatial.transform import Rotation
 
 from annotator.project import Effort as StoredEffort
-from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source, Suggestion
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
 Px = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
@@ -155,6 +156,21 @@ class QualityJson(Schema):
     expected_iou_loss: float | None
 
 
+class SuggestionJson(Schema):
+    """The view detector that suggested boxes; `corrected`: the operator drew or changed some of them."""
+
+    detector: Annotated[str, StringConstraints(min_length=1, max_length=200)]
+    fingerprint: Annotated[str, StringConstraints(max_length=200)]
+    corrected: bool
+
+    @classmethod
+    def of(cls, suggestion: Suggestion) -> SuggestionJson:
+        return cls.model_construct(**asdict(suggestion))
+
+    def stored(self) -> Suggestion:
+        return Suggestion(self.detector, self.fingerprint, self.corrected)
+
+
 class LabelJson(Schema):
     """A 3D label with its outline on the image, its number of points and its doubt.
 
@@ -173,6 +189,7 @@ class LabelJson(Schema):
     quality: QualityJson | None
     doubt: float | None
     measured_by: str | None
+    suggestion: SuggestionJson | None
     outline: Outline
     points: int
 

@@ -33,6 +33,10 @@ from annotator.web.errors import (
 from annotator.web.settings import ServerSettings
 
 BODY_LIMIT = 1 << 20
+# The same for the files that pages send, on the one path that takes them.
+UPLOAD_LIMIT = 64 << 20
+UPLOADS = re.compile(r"/api/projects/[^/]+/boxes-files")
+# How much is read beyond the limit.
 READ_ON = 8 * BODY_LIMIT
 TOKEN_LENGTH = 16
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
@@ -190,21 +194,22 @@ async def _whole_body(scope: Scope, headers: Headers, receive: Receive) -> bytes
         return None
     declared = headers.get("content-length", "0")
     size, parts, more = 0, list[bytes](), True
-    too_large = not declared.isdecimal() or int(declared) > BODY_LIMIT
-    # reads on up to READ_ON: a browser loses the response if the connection is closed while it still sends
-    while more and size <= READ_ON:
+    limit = UPLOAD_LIMIT if UPLOADS.fullmatch(scope["path"]) else BODY_LIMIT
+    too_large = not declared.isdecimal() or int(declared) > limit
+    # reads on by READ_ON: a browser loses the response if the connection is closed while it still sends
+    while more and size <= limit + READ_ON:
         message = await receive()
         if message["type"] == "http.disconnect":
             break
         size += len(message.get("body", b""))
         more = message.get("more_body", False)
-        too_large = too_large or size > BODY_LIMIT
+        too_large = too_large or size > limit
         if too_large:
             parts.clear()
         else:
             parts.append(message.get("body", b""))
     if too_large:
-        raise TooLargeError(f"the request's body has more than {BODY_LIMIT} bytes")
+        raise TooLargeError(f"the request's body has more than {limit} bytes")
     return b"".join(parts)
 
 

@@ -198,6 +198,13 @@ def used_model(project: Project, role: DetectorKind) -> UsedModel | None:
     return base_model() if role is DetectorKind.VIEW and has_base() else None
 
 
+def stand_in(project: Project) -> str | None:
+    """Names the detector that is used in place of a view detector of the project, for people; None if it has its own,
+    or if nothing takes its place."""
+    used = used_model(project, DetectorKind.VIEW)
+    return None if used is None or not used.name else detector_title(used.name)
+
+
 def view_model(project: Project) -> UsedModel:
     """As `used_model` for the view detector.
 

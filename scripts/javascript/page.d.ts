@@ -264,6 +264,8 @@ type Item = {
   uid: string | null;
   boxes: ViewBox[];
   views: (Api.ViewJson | null)[];
+  /** The detectors whose boxes were accepted. */
+  suggested: (Api.SuggestionJson | null)[];
   stored: Box2D | null;
 };
 
@@ -287,6 +289,8 @@ type Draft = {
   detector: Api.StepsOut["detector"];
   /** The name of the detector that suggests boxes. */
   measuredBy: string | null;
+  /** What a label records of this detector. */
+  suggestion: Api.SuggestionJson | null;
   /** The reason why the detector could not be loaded. */
   problem: string | null;
   /** The reason why it suggests nothing. */
@@ -361,6 +365,7 @@ type PageLabel = Omit<Api.LabelJson, "source" | "author" | "time_ns"> & {
 type Wanted = { label: string; track_id: number | null; box: Box3D };
 
 type Desk = ReturnType<typeof import("../../web_assets/js/review/desk.js").createDesk>;
+type Opening = ReturnType<typeof import("../../web_assets/js/review/opening.js").createOpening>;
 type DeskEvent = "frame" | "selection" | "draft" | "saving";
 /** One of `Api.ChangesIn`. */
 type Change = {
@@ -370,6 +375,7 @@ type Change = {
   box?: Box3D;
   track_id?: number | null;
   image_box?: (Rect & { label: string }) | null;
+  suggestion?: Api.SuggestionJson | null;
 };
 /** A label that the operator is changing: `sending` are the values being sent, `sent` is whether that succeeds. */
 type LabelDraft = { wanted: Wanted; sending: Wanted | null; sent: Promise<boolean>; problem: string | null };
@@ -377,6 +383,8 @@ type LabelDraft = { wanted: Wanted; sending: Wanted | null; sent: Promise<boolea
 type NewLabel = {
   label: PageLabel;
   image_box: Rect & { label: string };
+  /** The box that the detector found. */
+  found: Box3D;
   actions: number;
   problem: string | null;
   sending: Promise<boolean> | null;

@@ -61,6 +61,6 @@ def test_the_report_contains_no_home_path_and_leaves_no_files(tmp_path: Path) ->
     assert str(home) not in done.stdout
     assert "for ~/data/projects" in done.stdout
     sections = list(dict.fromkeys(line.section for line in report.lines))
-    assert sections == ["machine", "packages", "extras", "backends", "self-test"]
+    assert sections == ["machine", "packages", "extras", "backends", "detectors", "self-test"]
     assert list(temporary.iterdir()) == []
     assert {path.name for path in home.rglob("*") if path.is_file()} <= {"settings.json"}

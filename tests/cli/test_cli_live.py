@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from annotator.cli.main import main
+from annotator.detection import base_detector
 from annotator.project import create_project, open_project
 from annotator.recordings import open_recording
 from annotator.recordings.frame_writer import FrameWriter
@@ -52,6 +53,21 @@ def test_frames_are_shown_recorded_and_added_to_the_project(
     with open_project(tmp_path / "projects" / "room") as project:
         frames = project.frames.of([project.recordings.find("seen").id])
         assert [len(project.labels.of_frame(frame.id)) for frame in frames] == [2, 2, 2]
+
+
+def test_the_base_detector_is_named_where_it_stands_in(
+    live: Callable[..., int], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pages: list[dict[str, str]] = []
+    real = live_run.LivePage
+    monkeypatch.setattr(live_run, "LivePage", lambda name, facts: (pages.append(dict(facts)), real(name, facts))[1])
+    assert live("--limit", 1, "--rate", 2) == 0
+    assert base_detector.NAME not in capsys.readouterr().err
+    (tmp_path / "detector.safetensors").write_bytes(b"weights")
+    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    assert live("--limit", 1, "--rate", 2) == 0
+    assert f"view detector: {base_detector.TITLE}" in capsys.readouterr().err
+    assert [page.get("view detector") for page in pages] == [None, base_detector.TITLE]
 
 
 def test_ctrl_c_ends_it_cleanly_and_keeps_the_recorded_frames(

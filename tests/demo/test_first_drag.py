@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -16,11 +17,12 @@ from annotator.demo.stages import add_recording, generate, new_project
 from annotator.detection import base_detector
 from annotator.detection.nearest_cluster import NearestCluster
 from annotator.formats.rcv import read_rcv
-from annotator.project import REVIEWED, Project, WriteContext, open_project
-from annotator.project.event_types import LabelProposed
+from annotator.project import REVIEWED, NewLabel, Project, WriteContext, open_project
+from annotator.project.event_types import LabelDeleted, LabelProposed
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
+from annotator.workflows.simulate import AUTHOR
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 
@@ -117,6 +119,44 @@ def test_what_a_viewer_changes_meanwhile_is_kept(tmp_path: Path, monkeypatch: py
         assert project.labels.of_frame(frame.id) == ()
         assert operator.done == Reviewed(), "nothing is counted twice"
         assert operator.reviewed_of([7]) == []
+
+
+@pytest.mark.usefixtures("clusters")
+@pytest.mark.parametrize("deed", ["finalise", "delete", "copy"])
+def test_a_viewer_may_change_frames_at_any_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deed: str) -> None:
+    """Before and after each step of the operator, a viewer finalises a frame, deletes its boxes, or doubles one."""
+    done: list[str] = []
+
+    def interfere(operator: SimulatedOperator) -> None:
+        project = operator._project
+        stored = project.frames.of()[len(done) // 2 % 2]
+        state, labels = project.frames.get(stored.id), project.labels.of_frame(stored.id)
+        context = WriteContext(state.revision, "viewer")
+        done.append(stored.key)
+        if deed == "finalise" and not state.finalised:
+            project.frames.finalise(stored.id, context)
+        elif deed == "delete" and labels and len(done) < 14:
+            project.log.append(stored.id, [LabelDeleted(uid=label.uid) for label in labels], context)
+        elif deed == "copy" and labels:
+            project.labels.create(
+                stored.id, [NewLabel(labels[0].label, labels[0].box, track_id=labels[0].track_id)], context
+            )
+
+    def watched(step: Callable[..., object]) -> Callable[..., object]:
+        def run(self: SimulatedOperator, *given: Any) -> object:
+            interfere(self)
+            result = step(self, *given)
+            interfere(self)
+            return result
+
+        return run
+
+    for moment in ("review", "draw", "place", "track", "reviewed_of"):
+        monkeypatch.setattr(SimulatedOperator, moment, watched(getattr(SimulatedOperator, moment)))
+    run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=2), lambda *_: None)
+    with open_project(tmp_path / "demo") as project:
+        events = [event for frame in project.frames.of() for event in project.log.of_frame(frame.id)]
+    assert {"viewer", AUTHOR} <= {event.author for event in events}
 
 
 @pytest.mark.parametrize("there", ["recording", "demo", "3D_HAND"])

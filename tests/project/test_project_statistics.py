@@ -65,6 +65,7 @@ def test_labels_boxes_and_events_are_counted(project: Project, recording: Stored
             },
             "by_source": {"manual": 0, "auto": 2, "imported": 1},
         },
+        "suggested": {},
         "image_boxes": {"pictures": 2, "boxes": 2, "boxes_by_source": {"manual": 2, "auto": 0, "imported": 0}},
         "view_boxes": {"pictures": 1, "boxes": 3, "boxes_by_source": {"manual": 0, "auto": 0, "imported": 3}},
         "events": 7,

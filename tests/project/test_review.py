@@ -8,8 +8,10 @@ from dataclasses import replace
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
 
-from annotator.project import REVIEWED, NewLabel, Project, StoredRecording, WriteContext
-from annotator.types import BoxKind, Label, ReviewState, Source
+from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
+from annotator.project.event_types import LabelEdited
+from annotator.project.records import BoxRecord
+from annotator.types import BoxKind, Label, ReviewState, Source, Suggestion
 from annotator.types.errors import ProjectError
 
 
@@ -116,6 +118,30 @@ def test_a_label_has_the_expected_iou_loss_of_its_proposal_until_somebody_edits_
     edited = project.labels.get(uid)
     assert edited.label.expected_iou_loss is None
     assert edited.quality is not None and edited.quality.expected_iou_loss == 0.25
+
+
+def test_a_suggestion_counts_as_corrected_once_the_box_changes(project: Project, frame: int) -> None:
+    given = Suggestion("base detector", "f00d")
+    new = NewLabel("hand", box_at(0.0), origin=Origin.DRAWN, suggestion=given)
+    (uid,) = project.labels.create(frame, [new], by_hand()).uids
+    project.labels.edit(frame, uid, by_hand(1), label="person", box=box_at(0.0))
+    assert project.labels.get(uid).label.suggestion == given, "only the class is another"
+    project.labels.edit(frame, uid, by_hand(2), label="person", box=box_at(2.0))
+    project.labels.accept(frame, uid, by_hand(3))
+    assert project.labels.get(uid).label.suggestion == replace(given, corrected=True)
+    counts = project.statistics().suggested
+    assert {name: (each.as_suggested, each.corrected) for name, each in counts.items()} == {"base detector": (0, 1)}
+    for _ in range(2):
+        project.history.undo(by_hand().author)
+    assert project.labels.get(uid).label.suggestion == given
+    redrawn = LabelEdited(
+        uid=uid, label="hand", box=BoxRecord.of(box_at(3.0)), suggestion=replace(given, detector="own")
+    )
+    project.log.append(frame, [redrawn], by_hand(project.frames.get(frame).revision))
+    counts = project.statistics().suggested
+    assert {name: (each.as_suggested, each.corrected) for name, each in counts.items()} == {"own": (1, 0)}
+    project.labels.reject(frame, uid, by_hand(project.frames.get(frame).revision))
+    assert project.statistics().suggested == {}, "a rejected object is not counted"
 
 
 def test_labels_are_selected_by_state_class_and_recording(

@@ -55,11 +55,17 @@ def test_a_drawn_box_is_fitted_and_its_label_counts_as_drawn(taught: Live, scene
     assert taught.client.get(FRAME).json()["labels"] == []  # nothing is stored yet
 
     created = {"kind": "create", "label": "person", "box": found["box"], "image_box": image_box}
+    created["suggestion"] = found["suggestion"]
     body = {"revision": 0, "changes": [created], "effort": {"actions": 2, "seconds": 4.0}}
     answer = taught.client.post(f"{FRAME}/changes", json=body)
     assert answer.status_code == 200, answer.text
     (label,) = answer.json()["labels"]
     assert (label["state"], label["author"]) == ("accepted", "Ada")
+    assert label["suggestion"] == found["suggestion"]
+    assert (label["suggestion"]["detector"], label["suggestion"]["corrected"]) == (
+        "this project's view detector",
+        False,
+    )
     np.testing.assert_allclose(label["box"]["center"], found["box"]["center"], atol=1e-9)
     stored = taught.context.project("room").labels.get(label["uid"])
     assert stored.image_box is not None and stored.image_box.xyxy == tuple(

@@ -57,7 +57,7 @@ def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
     monkeypatch.setattr(work, "require_view", lambda _: base)
     project = live.context.project("room")
     sent: list[WorkerMessage] = []
-    job = JobContext(project, tmp_path, sent.append, lambda: False)
+    job = JobContext(project, tmp_path, "Ada", sent.append, lambda: False)
     with pytest.raises(ConfigError, match="no frame has boxes on its image but no 3D box"):
         work.lift_work(job, LiftRequest(kind="lift"))
     scene, stored = Scene.of(generated / "people", 0, ["person"]), project.frames.of()[0]
@@ -65,7 +65,7 @@ def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
     drawn = ImageBoxesSet(boxes=boxes, box_kind=BoxKind.SILHOUETTE)
     project.log.append(stored.id, [drawn], WriteContext(stored.revision, "Ada"))
     assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 1
-    stopped = JobContext(project, tmp_path, sent.append, lambda: True)
+    stopped = JobContext(project, tmp_path, "Ada", sent.append, lambda: True)
     with pytest.raises(JobStoppedError):
         work.lift_work(stopped, LiftRequest(kind="lift"))
     outcome = work.lift_work(job, LiftRequest(kind="lift"))

@@ -189,6 +189,7 @@ def test_a_worker_ends_when_its_server_has_died(fake: None, web_settings: Server
         "target": "fake_jobs:work",
         "project": str(web_settings.projects_root / "room"),
         "folder": str(tmp_path),
+        "operator": "Ada",
         "request": {"kind": "propose", "limit": fake_jobs.LONG},
     }
     command = [sys.executable, "-m", "annotator.web.jobs.worker"]

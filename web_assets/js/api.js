@@ -20,16 +20,17 @@ export function createApi(effort, onSignedOut) {
   async function request(method, path, body, options = {}) {
     /** @type {Record<string, string>} */
     const headers = { Accept: "application/json" };
-    if (body !== undefined) headers["Content-Type"] = "application/json";
+    const isFile = body instanceof Blob;
+    if (body !== undefined) headers["Content-Type"] = isFile ? "application/octet-stream" : "application/json";
     let response;
     try {
-      const text = body === undefined ? undefined : JSON.stringify(body);
+      const sent = isFile ? body : body === undefined ? undefined : JSON.stringify(body);
       response = await fetch(path, {
         method,
         headers,
         credentials: "same-origin",
         signal: options.signal,
-        body: text,
+        body: sent,
       });
     } catch (error) {
       if (isAborted(error)) throw error;
@@ -64,6 +65,16 @@ export function createApi(effort, onSignedOut) {
      * @returns {Promise<T>}
      */
     post: (path, body = {}, options = {}) => request("POST", path, body, options),
+
+    /**
+     * A POST of a file.
+     *
+     * @template T
+     * @param {string} path
+     * @param {File} file
+     * @returns {Promise<T>}
+     */
+    upload: (path, file) => request("POST", path, file),
 
     /**
      * @template T

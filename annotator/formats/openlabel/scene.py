@@ -156,6 +156,11 @@ def _seconds(time_ns: int) -> str:
 def _cuboid(label: Label, uid: str) -> Cuboid:
     numbers = {"score": label.score, "track_id": label.track_id, "expected_iou_loss": label.expected_iou_loss}
     texts = {"state": label.state.value, "source": label.source.value, "author": label.author}
+    if label.suggestion is not None:
+        texts |= {
+            "suggested_by": label.suggestion.detector,
+            "suggestion": "corrected" if label.suggestion.corrected else "accepted",
+        }
     return Cuboid(
         name=f"{CAMERA}__cuboid__{label.label}",
         val=cuboid_values(label.box),

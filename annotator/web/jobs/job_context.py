@@ -24,12 +24,14 @@ class JobContext:
     Attributes:
         project: open.
         folder: for the job's results; initially empty.
+        operator: who started the job.
         send: sends a message to the server.
         stopped: returns True once a stop is requested.
     """
 
     project: Project
     folder: Path
+    operator: str
     send: Callable[[WorkerMessage], None]
     stopped: Callable[[], bool]
 

@@ -24,11 +24,13 @@ class Order(_Message):
         target: "module:function" of the work.
         project: the project's folder.
         folder: an empty folder for the results.
+        operator: who started it.
     """
 
     target: str
     project: Path
     folder: Path
+    operator: str
     request: JobRequest
 
 

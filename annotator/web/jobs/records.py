@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from annotator.detection.config import MOST_MINUTES
-from annotator.types import DetectorKind, ReviewState
+from annotator.types import BoxKind, DetectorKind, ReviewState
 from annotator.types.errors import ConfigError
-from annotator.web.schemas import RowId
+from annotator.web.schemas import ClassName, RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
@@ -59,6 +59,24 @@ class LiftRequest(_Request):
     """Propose 3D boxes from the 2D boxes on the images of frames that have no 3D box yet."""
 
     kind: Literal["lift"]
+
+
+class BoxesRequest(_Request):
+    """Import the 2D boxes of a file that a page has sent.
+
+    Attributes:
+        upload: its id.
+        names: the project's class of each class of the file that has another name.
+        recording: the recording of its images; null: any.
+        lift: then propose 3D boxes from them.
+    """
+
+    kind: Literal["boxes"]
+    upload: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
+    names: Annotated[dict[str, ClassName], Field(max_length=1000)] = Field(default_factory=dict)
+    recording: RowId | None = None
+    box_kind: BoxKind = BoxKind.SILHOUETTE
+    lift: bool = False
 
 
 class SplitRequest(_Request):
@@ -111,7 +129,8 @@ class ImportRequest(_Request):
 
 
 JobRequest = Annotated[
-    TrainRequest | ProposeRequest | LiftRequest | ExportRequest | ImportRequest, Field(discriminator="kind")
+    TrainRequest | ProposeRequest | LiftRequest | BoxesRequest | ExportRequest | ImportRequest,
+    Field(discriminator="kind"),
 ]
 
 
@@ -126,6 +145,7 @@ WORK: dict[str, str] = {
     "train": "annotator.web.jobs.work:train_work",
     "propose": "annotator.web.jobs.work:propose_work",
     "lift": "annotator.web.jobs.work:lift_work",
+    "boxes": "annotator.web.jobs.work:boxes_work",
     "export": "annotator.web.jobs.work:export_work",
     "import": "annotator.web.jobs.work:import_work",
 }
@@ -176,7 +196,7 @@ class Job(BaseModel):
 
     id: str
     project: str
-    kind: Literal["train", "propose", "lift", "export", "import"]
+    kind: Literal["train", "propose", "lift", "boxes", "export", "import"]
     state: JobState = JobState.QUEUED
     stage: str = ""
     done: float = 0.0

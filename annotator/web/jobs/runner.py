@@ -230,7 +230,13 @@ class JobRunner:
         self._update(job_id, stage="starting")
         folder = self.folder / job_id
         folder.mkdir(parents=True, exist_ok=True)
-        order = Order(target=WORK[request.kind], project=path.resolve(), folder=folder.resolve(), request=request)
+        order = Order(
+            target=WORK[request.kind],
+            project=path.resolve(),
+            folder=folder.resolve(),
+            operator=self.get(job_id).operator,
+            request=request,
+        )
         worker = WorkerProcess(order, folder / WORK_LOG)
         with self._lock:
             self._worker = worker

@@ -12,9 +12,11 @@ from typing import TypeVar
 
 from annotator.detection.config import PICTURES_A_SECOND, TrainingConfig
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.project import new_action
 from annotator.types import DetectorKind
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import (
+    BoxesRequest,
     CurvePoint,
     ExportRequest,
     ImportRequest,
@@ -22,13 +24,15 @@ from annotator.web.jobs.records import (
     ProposeRequest,
     TrainRequest,
 )
+from annotator.web.uploads import find_upload, remove_upload
 from annotator.workflows.detectors import used_model
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
+from annotator.workflows.importing import Imported, Importer, import_image_boxes
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.sources import trained_detectors
-from annotator.workflows.proposing.lift import drawn_boxes, lift
+from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.rounds import FIRST_PART_S
@@ -161,6 +165,56 @@ def lift_work(job: JobContext, request: LiftRequest) -> Outcome:
     boxes, view = drawn_boxes(job.project, only_without_labels=True), require_view(job.project)
     done = lift(job.project, boxes, view, rcv_config(job.project), job.counter("propose 3D boxes"))
     return _proposed(done, f", measured by: {view.title}")
+
+
+def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
+    """Imports the 2D boxes of a file as one action of the operator, and proposes 3D boxes from them if asked to."""
+    project, upload = job.project, find_upload(job.project, request.upload)
+    recording = None if request.recording is None else project.recordings.get(request.recording).name
+    # loaded first, so that nothing is imported if it cannot be
+    view = require_view(project) if request.lift else None
+    job.progress("read the file")
+    if view is not None:
+        given = boxes_of_file(project, upload.path, upload.format, recording, request.names)
+        require_known(view, {box.label for boxes in given.of_frame.values() for box in boxes})
+    done = import_image_boxes(
+        project,
+        upload.path,
+        request.box_kind,
+        recording,
+        upload.format,
+        request.names,
+        Importer(job.operator, new_action()),
+        job.counter("store the 2D boxes"),
+    )
+    message, result = _imported(done)
+    if view is not None:
+        lifted = _proposed(
+            lift(project, given, view, rcv_config(project), job.counter("propose 3D boxes")),
+            f", measured by: {view.title}",
+        )
+        message, result = f"{message}; {lifted.message}", result | lifted.result
+    remove_upload(project, upload.id)
+    return Outcome(message, result)
+
+
+def _imported(done: Imported) -> tuple[str, dict[str, object]]:
+    left_out = sum(done.other_classes.values())
+    parts = [
+        f"{done.boxes} 2D boxes on {done.pictures} images imported",
+        f"{left_out} boxes of other classes left out ({', '.join(sorted(done.other_classes))})" if left_out else "",
+        f"{len(done.unmatched)} images without a frame left out" if done.unmatched else "",
+        f"{done.finalised} finalised frames left as they are" if done.finalised else "",
+        f"{len(done.unreadable)} frames could not be read" if done.unreadable else "",
+    ]
+    result: dict[str, object] = {
+        "images": done.pictures,
+        "boxes": done.boxes,
+        "left_out": done.other_classes,
+        "unmatched": done.unmatched[:MOST_FAILURES],
+        "unreadable": done.unreadable[:MOST_FAILURES],
+    }
+    return ", ".join(filter(None, parts)), result
 
 
 def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:

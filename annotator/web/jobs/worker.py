@@ -98,7 +98,9 @@ def _work(order: Order, writer: MessageWriter, orders: Orders) -> Outcome:
     module, _, function = order.target.partition(":")
     work = getattr(import_module(module), function)
     with open_project(order.project) as project:
-        outcome: Outcome = work(JobContext(project, order.folder, writer.send, orders.stopped), order.request)
+        outcome: Outcome = work(
+            JobContext(project, order.folder, order.operator, writer.send, orders.stopped), order.request
+        )
         return outcome
 
 

@@ -18,7 +18,7 @@ from annotator.web.security import Guard, check_settings, link
 from annotator.web.serve import Running, with_token
 from annotator.web.settings import ServerSettings
 from annotator.web.viewport.proxy import forward_http, forward_socket
-from annotator.workflows.detectors import active_detectors
+from annotator.workflows.detectors import active_detectors, stand_in
 from annotator.workflows.live.detection import LiveDetection
 from annotator.workflows.live.open_source import open_source
 from annotator.workflows.live.pipeline import Pipeline
@@ -101,13 +101,16 @@ def _run(
     detectors = active_detectors(project, backend=options.backend)
     rotation = project.config.settings.rotation
     detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=options.warm_start)
-    backend = detectors.backends[1] or options.backend
+    facts = {"backend": detectors.backends[1] or options.backend, "warm start": "on" if options.warm_start else "off"}
+    if named := stand_in(project):
+        report(f"view detector: {named}")
+        facts["view detector"] = named
     if options.record is None:
-        return LiveResult(_show(options, settings, source, detection, None, backend, report, interrupts), None)
+        return LiveResult(_show(options, settings, source, detection, None, facts, report, interrupts), None)
     with Recorder(options.record, report) as recorder:
         stored = None
         try:
-            figures = _show(options, settings, source, detection, recorder, backend, report, interrupts)
+            figures = _show(options, settings, source, detection, recorder, facts, report, interrupts)
         finally:
             if frames := recorder.finish():
                 report(f"storing the detections of the {frames} frames in {recorder.out}")
@@ -123,13 +126,12 @@ def _show(
     source: Source,
     detection: LiveDetection,
     recorder: Recorder | None,
-    backend: str,
+    facts: dict[str, str],
     report: Callable[[str], None],
     interrupts: Interrupts,
 ) -> Figures:
-    facts = {"backend": backend, "warm start": "on" if options.warm_start else "off"}
     if recorder is not None:
-        facts["recording"] = recorder.out.name
+        facts = facts | {"recording": recorder.out.name}
     page = LivePage(source.name, facts)
     log = _LimitedLog(report)
     try:

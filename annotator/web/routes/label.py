@@ -26,6 +26,7 @@ from annotator.web.schemas import (
     Outline,
     RowId,
     Schema,
+    SuggestionJson,
     Uid,
     ViewJson,
 )
@@ -72,7 +73,8 @@ class StepsOut(Schema):
     further step.
 
     While `detector` is "loading", a later request returns suggestions; `problem` is the reason why it failed.
-    `measured_by` names the detector; `note` is the reason why it suggests nothing.
+    `measured_by` names the detector, `suggestion` is what a label records that its boxes are accepted for; `note` is
+    the reason why it suggests nothing.
     """
 
     steps: list[StepJson]
@@ -82,14 +84,16 @@ class StepsOut(Schema):
     stop: str | None
     detector: Literal["none", "loading", "ready", "failed"]
     measured_by: str | None
+    suggestion: SuggestionJson | None
     problem: str | None
     note: str | None
 
 
 class ObjectIn(DrawnIn):
-    """An object with the boxes drawn so far; its label's uid, if it has one."""
+    """An object with the boxes drawn so far; its label's uid, if it has one; the detector that suggested its boxes."""
 
     uid: Uid | None = None
+    suggestion: SuggestionJson | None = None
 
 
 class SaveIn(Schema):
@@ -153,6 +157,7 @@ def _steps_json(ctx: Context, name: str, opened: OpenFrame, labelling: Labelling
         stop=labelling.stop,
         detector=ready.state,
         measured_by=None if ready.detector is None else ready.detector.title,
+        suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
         problem=None if ready.problem is None else ctx.public_message(ready.problem),
         note=None if labelling.note is None else ctx.public_message(labelling.note),
     )
@@ -183,7 +188,8 @@ def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn)
     if body.object is not None:
         on_views = [None if box is None else box.box() for box in body.object.boxes]
         labelling, ready = _labelled(ctx, project, opened, body.object, body.box_kind)
-        drawn = ObjectDrawn(body.object.image_box.box(), on_views, labelling, body.object.uid)
+        suggested = None if body.object.suggestion is None else body.object.suggestion.stored()
+        drawn = ObjectDrawn(body.object.image_box.box(), on_views, labelling, body.object.uid, suggested)
         answer = _steps_json(ctx, name, opened, labelling, ready)
     try:
         saved = save_object(project, frame_id, opened, image_boxes, body.box_kind, drawn, context)

@@ -27,6 +27,7 @@ from annotator.web.schemas import (
     QualityJson,
     RowId,
     Schema,
+    SuggestionJson,
     ViewJson,
 )
 from annotator.workflows.workbench.copy_boxes import copy_boxes
@@ -85,7 +86,7 @@ class FitIn(Schema):
 class FitOut(Schema):
     """The object in an image box; if none was found, `box` is null and `note` is the reason.
 
-    `measured_by` names the detector that looked for it.
+    `measured_by` names the detector that looked for it; `suggestion` is what a label made from it records.
     """
 
     box: Box3DOut | None
@@ -94,6 +95,7 @@ class FitOut(Schema):
     score: float | None
     quality: QualityJson | None
     measured_by: str | None
+    suggestion: SuggestionJson | None
     note: str | None
 
 
@@ -141,6 +143,7 @@ def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FitIn) -
         score=fitted.score,
         quality=quality_json(fitted.quality),
         measured_by=None if ready.detector is None else ready.detector.title,
+        suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
         note=None if fitted.note is None else ctx.public_message(fitted.note),
     )
 

@@ -32,6 +32,7 @@ CHECKS: Mapping[str, Check] = {
     "extras": packages.extras,
     "kinect": packages.kinect,
     "choices": packages.choices,
+    "base detector": packages.base_detector,
     "backends": self_test.backends,
     "gpu": self_test.gpu,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from importlib.util import find_spec
@@ -13,7 +13,9 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from annotator.detection.backends.choose import chosen
+from annotator.detection.base_detector import TITLE, base_weights, has_base
 from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.trained import read_trained
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError, DeviceError, MissingExtraError
 from annotator.workflows.doctor.report import Line, State
@@ -255,6 +257,20 @@ def choices(_: Path) -> Iterator[Line]:
         for role in DetectorKind:
             remedy = "" if state is State.OK else "see the packages above"
             yield Line(section="backends", name=f"{role}, {setting}", state=state, found=choice, remedy=remedy)
+
+
+def base_detector(_: Path) -> Iterator[Line]:
+    """Reports whether this installation has the base detector, and can use it."""
+    line = partial(Line, section="detectors", name="base detector")
+    if not has_base():
+        yield line(state=State.OK, found="not installed: a project needs a view detector of its own")
+        return
+    try:
+        read_trained(base_weights().parent)
+    except AnnotatorError as error:
+        yield line(state=State.FAILED, found=_first_line(error), remedy="install annotator again")
+        return
+    yield line(state=State.OK, found=f"installed; in a project without a view detector, it is used as {TITLE}")
 
 
 def _broken(name: str, package: str, error: BaseException, state: State) -> Line:

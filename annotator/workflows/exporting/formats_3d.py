@@ -40,7 +40,7 @@ def rcv_dataset(job: ExportJob) -> ExportReport:
 
 
 def _detectors(job: ExportJob) -> tuple[RcvDetector, ...]:
-    """Returns the detectors that proposed these labels, in the order of their runs."""
+    """Returns the detectors that proposed these labels, in the order of their runs, and those that suggested them."""
     project = job.project
     run_ids = {entry.run_id for chosen in job.chosen for entry in chosen.labels}
     names = {(model.role.value, model.fingerprint): model.path.parent.name for model in project.models.all()}
@@ -57,6 +57,10 @@ def _detectors(job: ExportJob) -> tuple[RcvDetector, ...]:
         if origin := lifted_from(run):
             names["image", run.image_detector] = origin
     # other detectors that were not trained in the project (as in the benchmarks) have no name
+    for suggestion in [entry.label.suggestion for chosen in job.chosen for entry in chosen.labels]:
+        if suggestion is not None:
+            names.setdefault(("view", suggestion.fingerprint), suggestion.detector)
+            detectors.setdefault(("view", suggestion.fingerprint))
     return tuple(RcvDetector(role=r, name=names.get((r, f), UNREGISTERED), fingerprint=f) for r, f in detectors)
 
 

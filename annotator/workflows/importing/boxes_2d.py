@@ -6,18 +6,21 @@ The whole dataset is checked before anything is stored, so an invalid dataset ch
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
+from annotator.workflows.importing.image_boxes import PROGRAM, Importer, Stored, checked_images, store_on_image
 from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
 from annotator.workflows.importing.view_boxes import checked_views, store_on_view
 from annotator.workflows.views.places import ViewPlace, read_places
+
+NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,9 @@ def import_image_boxes(
     kind: BoxKind,
     recording: str | None = None,
     format: FlatFormat = FlatFormat.COCO,
+    names: Mapping[str, str] = NO_NAMES,
+    importer: Importer = PROGRAM,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Imported:
     """Imports boxes of camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg`: 000012).
 
@@ -65,6 +71,8 @@ def import_image_boxes(
         path: a file, or the folder of a dataset.
         kind: what the boxes measure.
         recording: name of the recording of the file names, if several recordings have such frames.
+        names: the project's class of each class of the file; classes that are not listed keep their names.
+        progress: called with (images stored, images).
 
     Raises:
         FormatError: not in this format; an image that fits two recordings, occurs twice, or has another size than the
@@ -73,7 +81,17 @@ def import_image_boxes(
     """
     dataset = read_pictures(format, path)
     places = {folder: read_places(folder) for folder in {picture.folder for picture in dataset.pictures}}
-    return _import(project, dataset, places, kind, recording, all_views=False)
+    return _import(
+        project,
+        dataset,
+        places,
+        kind,
+        recording,
+        all_views=False,
+        names=names,
+        importer=importer,
+        progress=progress,
+    )
 
 
 def import_view_boxes(
@@ -100,8 +118,11 @@ def _import(
     kind: BoxKind,
     recording: str | None,
     all_views: bool,
+    names: Mapping[str, str] = NO_NAMES,
+    importer: Importer = PROGRAM,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Imported:
-    tally = _Tally(dataset.path, project, dataset.pictures)
+    tally = _Tally(dataset.path, project, dataset.pictures, names)
     pairs = [(picture, places[picture.folder].get(picture.file_name)) for picture in dataset.pictures]
     on_images = [picture for picture, place in pairs if place is None and not all_views]
     on_views = [
@@ -115,9 +136,11 @@ def _import(
     drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
     for view in views:
         drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
-    for image in images.matched if images is not None else ():
+    for done, image in enumerate(images.matched if images is not None else (), start=1):
         known, base = tally.known(image.boxes), drawn_from[image.frame_id]
-        tally.add(image.boxes, store_on_image(project, dataset.path, image, known, kind, base))
+        tally.add(image.boxes, store_on_image(project, dataset.path, image, known, kind, base, importer))
+        if progress is not None and images is not None:
+            progress(done, len(images.matched))
     stored_images = tally.pictures
     revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
     for view in views:
@@ -138,17 +161,22 @@ def _import(
 class _Tally:
     """Counts imported boxes, and boxes left out because the project has no such class."""
 
-    def __init__(self, path: Path, project: Project, pictures: Sequence[PictureLabels]) -> None:
+    def __init__(
+        self, path: Path, project: Project, pictures: Sequence[PictureLabels], names: Mapping[str, str]
+    ) -> None:
         """
+        Args:
+            names: the project's class of each class of the dataset that has another name.
+
         Raises:
             FormatError: no box has a class of the project, so every image would be stored as empty.
         """
-        self._classes = set(project.config.classes)
+        self._classes, self._names = set(project.config.classes), names
         self.pictures = self.boxes = 0
         self.other: Counter[str] = Counter()
         self.outcomes: Counter[Stored] = Counter()
         named = {label for picture in pictures for label in picture.labels}
-        if named and not named & self._classes:
+        if named and not {names.get(label, label) for label in named} & self._classes:
             raise FormatError(
                 path,
                 f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(named))}, the "
@@ -157,7 +185,8 @@ class _Tally:
 
     def known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
         """Returns the boxes of the project's classes."""
-        return [box for box in boxes if box.label in self._classes]
+        renamed = [replace(box, label=self._names.get(box.label, box.label)) for box in boxes]
+        return [box for box in renamed if box.label in self._classes]
 
     def add(self, boxes: Sequence[Box2D], stored: Stored) -> None:
         """Counts an image with its boxes, by the outcome of storing them."""
@@ -166,4 +195,4 @@ class _Tally:
             return
         self.pictures += 1
         self.boxes += len(self.known(boxes))
-        self.other.update(box.label for box in boxes if box.label not in self._classes)
+        self.other.update(box.label for box in boxes if self._names.get(box.label, box.label) not in self._classes)

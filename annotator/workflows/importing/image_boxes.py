@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.formats.reading import read_picture
-from annotator.project import Project, StoredFrame, WriteContext
+from annotator.project import FramePart, Project, StoredFrame, WriteContext
 from annotator.project.event_types import ImageBoxesSet
 from annotator.project.overview import read_page
 from annotator.project.records import storable
@@ -25,6 +25,21 @@ from annotator.workflows.views.follow_image_boxes import view_followers
 
 # Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
 ROUNDED_PX = 0.01
+
+
+@dataclass(frozen=True)
+class Importer:
+    """Who imports.
+
+    Attributes:
+        action: id of the action (`project.new_action`) that undoes the whole import; None = it cannot be undone.
+    """
+
+    author: str = AUTHOR
+    action: str | None = None
+
+
+PROGRAM = Importer()
 
 
 @dataclass(frozen=True)
@@ -105,9 +120,7 @@ def _matched(
     matched: dict[int, tuple[PictureLabels, StoredFrame]] = {}
     unmatched: list[str] = []
     for picture in pictures:
-        origin = dataset.origins.get(picture.stem)
-        key = picture.stem if origin is None else origin.key
-        fitting = frames.find(None if origin is None else origin.recording, key)
+        key, fitting = frames_of(dataset, picture, frames)
         if len(fitting) > 1:
             raise FormatError(
                 path, f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; choose one with --recording"
@@ -120,13 +133,25 @@ def _matched(
         else:
             matched[fitting[0].id] = (picture, fitting[0])
     if not matched:
-        raise FormatError(
-            path,
-            "none of the dataset's images has a frame in the project; name image files after the frames' keys "
-            "(000012.jpg for the frame 000012)",
-        )
+        raise no_frame(path)
     named = (stored for picture, stored in matched.values() if picture.stem in dataset.origins)
     return list(matched.values()), unmatched, frames.renamed(named)
+
+
+def frames_of(dataset: PictureSet, picture: PictureLabels, frames: FrameFinder) -> tuple[str, list[StoredFrame]]:
+    """Returns the key that an image names, and the frames with it: several if several recordings have the key."""
+    origin = dataset.origins.get(picture.stem)
+    key = picture.stem if origin is None else origin.key
+    return key, frames.find(None if origin is None else origin.recording, key)
+
+
+def no_frame(path: Path) -> FormatError:
+    """The error for a dataset without an image of the project."""
+    return FormatError(
+        path,
+        "none of the dataset's images has a frame in the project; name image files after the frames' keys "
+        "(000012.jpg for the frame 000012)",
+    )
 
 
 def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) -> None:
@@ -154,7 +179,13 @@ def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) 
 
 
 def store_on_image(
-    project: Project, path: Path, image: OnImage, boxes: Sequence[Box2D], kind: BoxKind, drawn_from: Sequence[Box2D]
+    project: Project,
+    path: Path,
+    image: OnImage,
+    boxes: Sequence[Box2D],
+    kind: BoxKind,
+    drawn_from: Sequence[Box2D],
+    importer: Importer,
 ) -> Stored:
     """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
 
@@ -169,11 +200,12 @@ def store_on_image(
         before = () if page.image_boxes is None else page.image_boxes.boxes
         with storable(f"{path}: {image.file_name}"):
             on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
-        context = WriteContext(page.frame.revision, AUTHOR, Source.IMPORTED)
+        context = WriteContext(page.frame.revision, importer.author, Source.IMPORTED)
+        part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)
         # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            project.log.append(image.frame_id, [on_image, *view_followers(page, on_image)], context)
-            is_drawn = page.image_boxes is not None and page.image_boxes.author != AUTHOR
+            project.log.append_to_frames([part], importer.action)
+            is_drawn = page.image_boxes is not None and page.image_boxes.source is not Source.IMPORTED
             return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
 
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from annotator.project import Project
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image, Suggestion
 from annotator.types.errors import AnnotatorError
 from annotator.workflows.detectors import UsedModel, detector_title, load_detector, used_model, view_model
 from annotator.workflows.warm_up import warm_up_with
@@ -29,6 +29,7 @@ class ReadyDetector:
     Attributes:
         box_kind, class_agnostic: as in `workflows.detectors.Detectors`.
         name: the base detector's name, or "" for the project's own detector.
+        training: name of the folder of its training, or "" for the base detector.
     """
 
     detector: Detector
@@ -36,11 +37,17 @@ class ReadyDetector:
     lock: threading.Lock
     class_agnostic: bool = False
     name: str = ""
+    training: str = ""
 
     @property
     def title(self) -> str:
         """Its name for people."""
         return detector_title(self.name)
+
+    @property
+    def suggestion(self) -> Suggestion:
+        """What a label records whose boxes it suggested."""
+        return Suggestion(self.training or self.title, self.fingerprint)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -115,7 +122,8 @@ def require_view(project: Project) -> ReadyDetector:
 
 
 def _ready(model: UsedModel, lock: threading.Lock) -> ReadyDetector:
-    return ReadyDetector(load_detector(model.path), model.box_kind, lock, model.class_agnostic, model.name)
+    training = "" if model.name else model.path.parent.name
+    return ReadyDetector(load_detector(model.path), model.box_kind, lock, model.class_agnostic, model.name, training)
 
 
 class ReadyDetectors:

@@ -26,6 +26,7 @@ from annotator.geometry.edges import visible_edges
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import aligned_box, canonical_box
 from annotator.geometry.outline import NEAR_M, box_on_image
+from annotator.geometry.thinning import thin
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import traced_intervals
@@ -54,6 +55,8 @@ SEARCH_FACTOR = 1.3
 # The recursion starts as if this many steps had led to the given box.
 STEPS_BEFORE = 2
 NOT_DETECTED = "the detector found no object in this box"
+# Points in the frustum of a drawn box, at most: a view shows no more of them, and the operator waits.
+MOST_POINTS = 16_384
 # Margin around a drawn box within which points belong to the object, share of the box's mean side.
 KNOWN_MARGIN = 0.03
 # Expected error of a drawn edge, share of that of the best detected one.
@@ -160,6 +163,7 @@ def _found(
         margins_m = [KNOWN_MARGIN * float(np.diff(span_m).mean()) for _, span_m in known]
         inside = cut_out(frame, image_box, list(zip(known, margins_m, strict=True)))
         frame = replace(frame, cloud=frame.cloud.select(inside))
+    frame = _thinned(frame, image_box)
     # an object lost during the recursion has no box
     strict = config.model_copy(update={"coarse_box": False})
     # a drawn box is certain
@@ -174,6 +178,13 @@ def _found(
         box = _through_known(frame, best, known, config)
     outline = visible_edges(frame.camera, [box])[0]
     return FoundBox(box, outline, opened.points_in(box), best.score, best.quality, None)
+
+
+def _thinned(frame: Frame, image_box: Box2D) -> Frame:
+    """Returns the frame with `MOST_POINTS` points of a frustum that has more of them, and with no others."""
+    inside = np.flatnonzero(in_frustum(frame.camera, frame.cloud.xyz_m, image_box))
+    kept = thin(len(inside), MOST_POINTS)
+    return frame if kept is None else replace(frame, cloud=frame.cloud.select(inside[kept]))
 
 
 def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config: RcvConfig) -> OrientedBox:

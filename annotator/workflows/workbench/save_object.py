@@ -17,7 +17,7 @@ from annotator.project.event_types import (
 )
 from annotator.project.overview import FramePage
 from annotator.project.records import BoxRecord
-from annotator.types import Box2D, BoxKind
+from annotator.types import Box2D, BoxKind, Suggestion
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.views.follow_image_boxes import changes_kind, view_followers
 from annotator.workflows.views.places import geometry_of
@@ -37,12 +37,14 @@ class ObjectDrawn:
         boxes: on its views, as for `label_steps`.
         labelling: what `label_steps` returned for these boxes.
         uid: of the object's label, or None while it has none.
+        suggestion: the detector that suggested boxes, if the operator accepted any.
     """
 
     image_box: Box2D
     boxes: Boxes
     labelling: Labelling
     uid: str | None = None
+    suggestion: Suggestion | None = None
 
 
 @dataclass(frozen=True)
@@ -161,15 +163,32 @@ def _label_change(
     name, uid = drawn.image_box.label, _label_uid(page, drawn)
     if uid is not None:
         present = _label(page, uid)
-        box = present.label.box if measured is None or _are_drawn(page, view_boxes) else measured
+        if measured is None or _are_drawn(page, view_boxes):
+            box, suggestion = present.label.box, None
+        else:
+            box, suggestion = measured, drawn.suggestion
         if present.image_box == drawn.image_box and present.label.label == name and same_box(present.label.box, box):
             return None
         track = present.label.track_id
-        return LabelEdited(uid=uid, label=name, box=BoxRecord.of(box), track_id=track, image_box=drawn.image_box)
+        return LabelEdited(
+            uid=uid,
+            label=name,
+            box=BoxRecord.of(box),
+            track_id=track,
+            image_box=drawn.image_box,
+            suggestion=suggestion,
+        )
     if measured is None:
         return None
     new = uuid.uuid4().hex
-    return LabelCreated(uid=new, label=name, box=BoxRecord.of(measured), origin=Origin.DRAWN, image_box=drawn.image_box)
+    return LabelCreated(
+        uid=new,
+        label=name,
+        box=BoxRecord.of(measured),
+        origin=Origin.DRAWN,
+        image_box=drawn.image_box,
+        suggestion=drawn.suggestion,
+    )
 
 
 def _are_drawn(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> bool:

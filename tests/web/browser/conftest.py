@@ -16,17 +16,23 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Lock
+from typing import TYPE_CHECKING, Any
 
+import knowing_jobs
 import pytest
 from browser_page import sign_in
+from drawing import Scene
+from label_bench import FRAME, Bench
 from live_server import Live, running
 from review_desk import Desk, begin
 
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
+from annotator.types import BoxKind, DetectorKind
 from annotator.web.settings import ServerSettings
 from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -181,6 +187,46 @@ def desk_3d(shared_page_3d: Page, shop: Shop) -> Desk:
     desk = begin(shared_page_3d, shop)
     desk.page.locator('[data-testid=viewport][data-state="ready"]').wait_for()
     return desk
+
+
+@pytest.fixture
+def bench(shared_page: Page, shop: Shop, generated: Path) -> Bench:
+    """Label mode on a frame without labels, without the 3D view; `live.client` is another operator."""
+    project = shop.new_project()
+    sign_in(shared_page, shop.live.url, "Bob")
+    shared_page.goto(f"/#/{project.path.name}/label/{FRAME}")
+    shown = f"img.picture[src*='/{project.path.name}/frames/{FRAME}/']"
+    shared_page.get_by_test_id("image-editor").locator(shown).wait_for()
+    return Bench(shared_page, shop.live, project, Scene.of(generated / "people", 0, ("person",)))
+
+
+@pytest.fixture
+def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """`teach(image=..., view=...)`: gives the project detectors, and reloads the page."""
+
+    def taught(class_agnostic: bool = False, name: str = "", **detectors: Any) -> None:
+        ready = {
+            DetectorKind(role): Readiness(
+                "ready", ReadyDetector(detector, BoxKind.SILHOUETTE, Lock(), class_agnostic, name)
+            )
+            for role, detector in detectors.items()
+        }
+        look = lambda project, role, wait_s=None: ready.get(role, Readiness("none"))  # noqa: E731
+        monkeypatch.setattr(bench.live.context.caches.detectors, "readiness", look)
+        info = bench.live.client.get(bench.api).json()
+        models = {role: {"id": 1} if role in detectors else None for role in ("image", "view")}
+        bench.page.route(f"**{bench.api}", lambda route: route.fulfill(json={**info, "detectors": models}))
+        bench.page.reload()
+        bench.page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+
+    return taught
+
+
+@pytest.fixture
+def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worker processes can import `knowing_jobs`."""
+    paths = [str(Path(knowing_jobs.__file__).parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
 def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3d: bool) -> Iterator[Page]:

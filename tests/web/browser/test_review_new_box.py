@@ -105,6 +105,7 @@ def test_a_new_box_is_drawn_on_the_image(
     (made,) = (stored for stored in desk.project.labels.select() if stored.label.uid not in known)
     assert made.label.state is ReviewState.ACCEPTED and made.image_box is not None
     assert made.label.box.size_m[0] == pytest.approx(0.9)
+    assert made.label.suggestion is not None and made.label.suggestion.corrected
     assert np.linalg.norm(made.label.box.center_m - scene.objects[0].box.center_m) < 0.1
     statistics = desk.live.client.get(f"{desk.api}/statistics").json()
     assert (

@@ -7,13 +7,11 @@ measures it.
 
 from __future__ import annotations
 
-import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import knowing_jobs
 import numpy as np
 import pytest
 from browser_page import answers_drag, drag_box, draw_on_views
@@ -48,13 +46,6 @@ def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
 
 def begins_job(answer: Response) -> bool:
     return answer.request.method == "POST" and answer.url.endswith("/jobs")
-
-
-@pytest.fixture
-def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Worker processes can import `knowing_jobs`."""
-    paths = [str(Path(knowing_jobs.__file__).parent), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
 @dataclass(eq=False)

@@ -15,6 +15,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from annotator import __version__
+from annotator.detection import base_detector
 from annotator.detection.backends import choose
 from annotator.gpu import facts
 from annotator.types.errors import DetectionError
@@ -204,6 +205,17 @@ def test_the_choice_of_a_backend_is_explained(monkeypatch: pytest.MonkeyPatch) -
     assert lines(packages.choices)["image, auto"].found.startswith("torch (")
     monkeypatch.setattr(choose, "has_cuda", lambda: True)
     assert lines(packages.choices)["image, auto"].found == "torch (there is a CUDA device)"
+
+
+def test_the_base_detector_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    assert "a project needs a view detector of its own" in lines(packages.base_detector)["base detector"].found
+    (tmp_path / "detector.safetensors").write_bytes(b"weights")
+    broken = lines(packages.base_detector)["base detector"]
+    assert broken.state is State.FAILED and "model.json" in broken.found
+    monkeypatch.setattr(packages, "read_trained", lambda _: None)
+    found = lines(packages.base_detector)["base detector"]
+    assert found.state is State.OK and found.found.endswith(base_detector.TITLE)
 
 
 def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,9 +11,19 @@ import pytest
 from annotator.formats.losses import Lost
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.model import RcvManifest
-from annotator.project import NewLabel, Project, RunShare, WriteContext
+from annotator.project import NewLabel, Origin, Project, RunShare, WriteContext
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, ReviewState, Source
+from annotator.types import (
+    Box2D,
+    BoxKind,
+    DetectorKind,
+    OrientedBox,
+    Proposal,
+    Quality,
+    ReviewState,
+    Source,
+    Suggestion,
+)
 from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
 from annotator.workflows.add_recordings import add_recordings, register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, export_project
@@ -144,6 +154,14 @@ def test_boxes_drawn_by_hand_name_no_detector(people: Project, tmp_path: Path) -
     trained(people, DetectorKind.VIEW, "view-1", "v1")
     label_all(people, (0,))
     assert exported(people, tmp_path / "out").detectors == ()
+
+
+def test_the_detector_that_suggested_a_drawn_box_is_named(people: Project, tmp_path: Path) -> None:
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
+    drawn = [NewLabel("person", box, origin=Origin.DRAWN, suggestion=Suggestion("base detector", "b1"))]
+    people.labels.create(people.frames.of()[0].id, drawn, WriteContext(0, "me"))
+    (found,) = exported(people, tmp_path / "out").detectors
+    assert (found.role, found.name, found.fingerprint) == ("view", "base detector", "b1")
 
 
 def test_images_can_be_exported_as_jpeg(people: Project, tmp_path: Path) -> None:

@@ -11,20 +11,22 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Origin, Project, WriteContext
 from annotator.project.event_types import LabelRejected
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.drawing import BACKGROUND
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, OrientedBox, Truth
+from annotator.types import BoxKind, Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.workbench import refit as refit_module
 from annotator.workflows.workbench.copy_boxes import copy_boxes
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.ortho_views import ortho_views
-from annotator.workflows.workbench.refit import POINTS, RCV, refit
+from annotator.workflows.workbench.refit import POINTS, RCV, find_box, refit
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +124,31 @@ def test_an_unknown_class_or_missing_object_gives_a_note(
     found = refit(opened, empty, "person", RcvConfig(), detector)
     assert found.note is not None and "found no object" in found.note and "the box is unchanged" in found.note
     assert found.box is empty
+
+
+def test_a_dense_frustum_is_thinned_and_gives_the_same_box(
+    opened: OpenFrame, truths: list[Truth], knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view, config = knowing("people").view, RcvConfig(orientation=Orientation.UPRIGHT)
+    image_box = box_on_image(opened.frame.camera, truths[0].box, truths[0].label)
+    assert image_box is not None
+    seen: list[int] = []
+    real = refit_module.propose_from_boxes
+
+    def counted(frames: list[Frame], *given: object) -> object:
+        seen.append(len(frames[0].cloud))
+        return real(frames, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(refit_module, "propose_from_boxes", counted)
+    inside, boxes = int(opened.frustum(image_box).sum()), []
+    for most in (inside, inside - inside // 3):
+        opened._results.clear()
+        monkeypatch.setattr(refit_module, "MOST_POINTS", most)
+        boxes.append(find_box(opened, image_box, config, view).box)
+    assert seen == [len(opened.frame.cloud), inside - inside // 3]
+    dense, thin = boxes
+    assert dense is not None and thin is not None
+    assert iou_3d(dense, thin) > 0.9
 
 
 def test_permuting_axes_keeps_the_box() -> None:

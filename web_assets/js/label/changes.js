@@ -1,7 +1,7 @@
 /** The changes of a frame, for saver.js. */
 
 import { drawnObject } from "./draft.js";
-import { exchanged, makeItem, plainBox } from "./items.js";
+import { exchanged, makeItem, plainBox, suggestionOf } from "./items.js";
 
 /**
  * Saves an object as it is now. Afterwards `stored` is its image box, which later changes replace.
@@ -17,6 +17,7 @@ export function objectChange(draft, { after, kind, onDrawn }) {
   const { item, outline } = draft;
   const drawn = drawnObject(draft);
   const { image_box: box, boxes } = drawn;
+  const suggestion = suggestionOf(item);
   const before = item.stored;
   item.stored = box;
   return {
@@ -26,7 +27,7 @@ export function objectChange(draft, { after, kind, onDrawn }) {
     body: (state) => ({
       image_boxes: exchanged(state.image_boxes?.boxes ?? [], before, box),
       box_kind: kind(),
-      object: { ...drawn, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null },
+      object: { ...drawn, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null, suggestion },
     }),
     done({ uid, drawn: following }) {
       item.uid = uid ?? item.uid;

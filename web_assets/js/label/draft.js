@@ -22,6 +22,7 @@ export function makeDraft(item, frame) {
     changes: 0,
     detector: "none",
     measuredBy: null,
+    suggestion: null,
     problem: null,
     note: null,
   };
@@ -154,6 +155,7 @@ export function takeSteps(draft, answer) {
   draft.stop = answer.stop;
   draft.detector = answer.detector;
   draft.measuredBy = answer.measured_by;
+  draft.suggestion = answer.suggestion;
   draft.problem = answer.problem;
   draft.note = answer.note;
 }

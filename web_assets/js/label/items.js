@@ -52,6 +52,7 @@ export function makeItem(imageBox, views = [], uid = null) {
     uid,
     views: Array(VIEWS).fill(null),
     boxes: Array(VIEWS).fill(null),
+    suggested: Array(VIEWS).fill(null),
     stored: null,
   };
   views.forEach(([view, box], index) => {
@@ -61,6 +62,17 @@ export function makeItem(imageBox, views = [], uid = null) {
     item.boxes[place] = box && plainBox(box);
   });
   return item;
+}
+
+/**
+ * What a label records of the detector whose boxes the operator accepted; null if there are none.
+ *
+ * @param {Item} item
+ * @returns {Api.SuggestionJson | null}
+ */
+export function suggestionOf({ suggested }) {
+  const used = suggested.find(Boolean);
+  return used ? { ...used, corrected: !suggested.every(Boolean) } : null;
 }
 
 /**

@@ -220,6 +220,7 @@ export function createObjects(app, work, parts) {
     // a box on the second step confirms the first one, from which its views follow
     if (index >= 2) accept(draft, [0, 1]);
     item.boxes[index] = { ...plainBox(box), label: item.image_box.label, score: 1 };
+    item.suggested[index] = null;
     draft.suggestions[index] = null;
     draft.kept[index] = false;
     const isMove = index < 2 && [2, 3].some((later) => item.boxes[later]);
@@ -245,8 +246,9 @@ export function createObjects(app, work, parts) {
    * @param {Draft} draft
    * @param {number[]} indices
    */
-  function accept({ item, suggestions, kept }, indices) {
+  function accept({ item, suggestions, suggestion, kept }, indices) {
     for (const index of indices) {
+      if (suggestions[index] && !item.boxes[index] && !kept[index]) item.suggested[index] = suggestion;
       const box = item.boxes[index] ?? suggestions[index];
       item.boxes[index] = box && { ...plainBox(box), score: 1 };
       suggestions[index] = null;
@@ -263,6 +265,7 @@ export function createObjects(app, work, parts) {
     const { draft } = work;
     if (!draft) return;
     draft.item.boxes[index] = null;
+    draft.item.suggested[index] = null;
     if (index < 2) demoteSecondStep(draft);
     save(draft);
     show();

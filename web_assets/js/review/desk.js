@@ -196,10 +196,13 @@ export function createDesk(app) {
     // completes an edit by arrow keys that were pressed just before
     if (uid === id) leave();
     applyDraft(id, 1);
-    const { label, box, track_id } = entry.label;
+    const { label, box, track_id, suggestion: given } = entry.label;
+    const suggestion = given && { ...given, corrected: !sameBox(box, entry.found) };
     const known = new Set(labels().map((one) => one.uid));
     app.effort.action(entry.actions);
-    const error = await send([{ kind: "create", label, box, track_id, image_box: entry.image_box }], null);
+    /** @type {Change} */
+    const change = { kind: "create", label, box, track_id, image_box: entry.image_box, suggestion };
+    const error = await send([change], null);
     entry.problem = error;
     // the next try counts its own effort
     if (error) entry.actions = 0;
@@ -304,7 +307,7 @@ export function createDesk(app) {
      * Adds a new box: the object found in the box that was drawn on the image.
      *
      * @param {Pick<PageLabel, "label" | "box" | "outline" | "points" | "score" | "quality" |
-     *     "measured_by"> &
+     *     "measured_by" | "suggestion"> &
      *     Pick<NewLabel, "image_box">} fit
      */
     add({ image_box, ...fit }) {
@@ -322,7 +325,7 @@ export function createDesk(app) {
         track_id: null,
         doubt: null,
       };
-      added.set(uid, { label, image_box, actions: 1, problem: null, sending: null });
+      added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");
     },
 

@@ -286,8 +286,12 @@ function describe(label) {
   const facts = rows.map(([name, value, help]) =>
     h("div", { title: `${name}: ${help}` }, h("dt", {}, name), h("dd", { class: "number ellipsis" }, value)),
   );
-  if (!label.measured_by) return facts;
-  return [h("div", { class: "wide" }, h("dt", {}, "Measured by"), h("dd", {}, label.measured_by)), ...facts];
+  const { measured_by: measured, suggestion } = label;
+  const wide = [];
+  if (measured) wide.push(["Measured by", measured]);
+  if (suggestion)
+    wide.push(["Suggested by", `${suggestion.detector}${suggestion.corrected ? " (corrected since)" : ""}`]);
+  return [...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who))), ...facts];
 }
 
 /**

@@ -1,12 +1,17 @@
 /**
- * Follows the jobs that read boxes of recordings. The start page has no open project, so it receives no events of
+ * Follows the jobs that read boxes of recordings and files. The start page has no open project, so it receives no events of
  * these jobs.
  */
 
 import { isActive } from "../jobs.js";
 
 /** Reading boxes takes between a moment and minutes, so the interval between requests grows. */
+/** @type {Api.Job["kind"][]} */
+const KINDS = ["import", "boxes"];
 const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
+
+/** @param {Api.Job} job */
+export const isOfImport = ({ kind }) => KINDS.includes(kind);
 
 /**
  * Requests the jobs once, and then repeatedly while boxes are being read.
@@ -20,7 +25,7 @@ export function followImports(app, onDone) {
   let timer = 0;
   let waitMs = WAIT_MS.first;
   /** @param {Api.Job} job */
-  const isImport = (job) => job.kind === "import" && isActive(job);
+  const isImport = (job) => isOfImport(job) && isActive(job);
   const running = () => app.state.jobs.filter(isImport).map(({ id }) => id);
 
   function plan() {

@@ -4,7 +4,8 @@ import { count, glyph, h } from "../dom.js";
 import { makeHash } from "../router.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, isActive } from "../jobs.js";
-import { followImports } from "./imports.js";
+import { importBoxes } from "./boxes_file.js";
+import { followImports, isOfImport } from "./imports.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 import { createProject } from "./new_project.js";
 
@@ -18,6 +19,12 @@ export function mount(root, app) {
   const list = h("div", { class: "projects", "aria-live": "polite" });
   /** @type {JobLine[]} */
   let lines = [];
+  /**
+   * Ids of the jobs that import boxes and were started here: their outcome stays on the page.
+   *
+   * @type {Set<string>}
+   */
+  const started = new Set();
   const page = h(
     "div",
     { class: "page start" },
@@ -56,14 +63,26 @@ export function mount(root, app) {
     if (await locateRecording(app, name, recording)) await refresh();
   }
 
+  /** @param {string} name */
+  async function addBoxes(name) {
+    try {
+      const job = await importBoxes(app, name);
+      if (!job) return;
+      started.add(job.id);
+      await refresh();
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
   async function refresh() {
     try {
       /** @type {Api.ProjectList} */
       const { projects } = await app.api.get("/api/projects");
-      lines = projects.map(({ name }) => importLine(app, name));
+      lines = projects.map(({ name }) => importLine(app, name, started));
       list.replaceChildren(
         ...(projects.length
-          ? projects.map((project, i) => card(project, { add, locate, line: lines[i].root }))
+          ? projects.map((project, i) => card(project, { add, addBoxes, locate, line: lines[i].root }))
           : [nothing()]),
       );
       showLines();
@@ -98,20 +117,21 @@ export function mount(root, app) {
 }
 
 /**
- * The progress of reading the boxes of recordings, or the reason why that failed.
+ * The progress of reading boxes of recordings or of a file, or the reason why that failed.
  *
  * @param {App} app
  * @param {string} project
+ * @param {Set<string>} started
  */
-function importLine(app, project) {
+function importLine(app, project, started) {
   const own = () =>
     app.state.jobs
-      .filter((job) => job.kind === "import" && job.project === project)
+      .filter((job) => isOfImport(job) && job.project === project)
       .toSorted((a, b) => b.created_ns - a.created_ns);
   return createJobLine(
     app,
     "import",
-    () => own().find(isActive) ?? own().find((job, i) => i === 0 && job.state === "failed"),
+    () => own().find(isActive) ?? own().find((job, i) => i === 0 && (job.state === "failed" || started.has(job.id))),
   );
 }
 
@@ -119,10 +139,11 @@ function importLine(app, project) {
  * @param {Api.ProjectSummary} project
  * @param {object} parts
  * @param {(name: string) => void} parts.add
+ * @param {(name: string) => void} parts.addBoxes
  * @param {(name: string, recording: Api.MissingRecording) => void} parts.locate
  * @param {HTMLElement} parts.line
  */
-function card(project, { add, locate, line }) {
+function card(project, { add, addBoxes, locate, line }) {
   const { name, problem } = project;
   const labels = project.labels_by_state;
   const proposed = labels.proposed ?? 0;
@@ -145,6 +166,14 @@ function card(project, { add, locate, line }) {
     glyph("plus"),
     "Recording",
   );
+  const boxesButton = h(
+    "button",
+    { type: "button", onclick: () => addBoxes(name), "data-testid": `import-boxes-${name}` },
+    glyph("plus"),
+    "2D boxes",
+  );
+  boxesButton.title = "Import 2D boxes on camera images from a COCO or YOLO file, and propose 3D boxes from them";
+  boxesButton.hidden = !project.recordings;
   const links = project.recordings
     ? [
         link(name, "label", "Label"),
@@ -167,7 +196,7 @@ function card(project, { add, locate, line }) {
     h("p", { class: "number states" }, stateCounts(labels)),
     ...project.missing.map((recording) => missing(recording, () => locate(name, recording))),
     line,
-    h("div", { class: "row" }, links, addButton),
+    h("div", { class: "row" }, links, addButton, boxesButton),
   );
   return box;
 }

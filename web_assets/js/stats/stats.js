@@ -209,12 +209,24 @@ function projectTable(known) {
     ["2D boxes on images", known.image_boxes.boxes],
     ["2D boxes on views", known.view_boxes.boxes],
     ["Models", known.models],
+    ...suggestedRows(known),
   ];
   const counted = rows.map(([name, value]) => [name, number(value, 0)]);
   return section(
     "The project",
     table(["", "Number"], [...counted, ["View detector in use", known.view_detector ?? "none"]], "stats-project"),
   );
+}
+
+/**
+ * @param {Api.ReportedStatistics} known
+ * @returns {[string, number][]}
+ */
+function suggestedRows({ suggested }) {
+  return Object.entries(suggested).flatMap(([detector, { as_suggested, corrected }]) => [
+    [`Boxes accepted as suggested by ${detector}`, as_suggested],
+    [`Boxes suggested by ${detector} and corrected`, corrected],
+  ]);
 }
 
 /**

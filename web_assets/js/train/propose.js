@@ -4,6 +4,7 @@ import { count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, isActive, latestJob, startJob } from "../jobs.js";
 import { makeHash } from "../router.js";
+import { importBoxes } from "../start/boxes_file.js";
 
 /**
  * @param {HTMLElement} host
@@ -12,6 +13,12 @@ import { makeHash } from "../router.js";
 export function createPropose(host, app) {
   const line = createJobLine(app, "propose");
   const liftLine = createJobLine(app, "lift");
+  const boxesLine = createJobLine(app, "boxes");
+  const importButton = h(
+    "button",
+    { type: "button", "data-testid": "import-boxes", onclick: () => void addBoxes() },
+    "Import 2D boxes …",
+  );
   const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
   const limit = h("input", {
     type: "number",
@@ -47,8 +54,8 @@ export function createPropose(host, app) {
   );
   const lift = h("div", { class: "row", hidden: true, "data-testid": "lift" }, liftText, liftStart);
   host.append(
-    h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), review),
-    h("div", { class: "body stack" }, lift, liftLine.root, form, line.root),
+    h("header", {}, h("h2", {}, "Propose boxes"), h("span", { class: "grow" }), importButton, review),
+    h("div", { class: "body stack" }, boxesLine.root, lift, liftLine.root, form, line.root),
   );
   let toLift = 0;
   const boxes = new Map();
@@ -81,9 +88,18 @@ export function createPropose(host, app) {
     }
   }
 
+  async function addBoxes() {
+    try {
+      if (await importBoxes(app, app.state.route.project)) show();
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
   /** @param {Api.ProjectInfo} project */
   function showLift({ detectors }) {
     liftLine.show();
+    boxesLine.show();
     const running = latestJob(app, "lift");
     const isRunning = Boolean(running && isActive(running));
     const view = detectors.view ? "this project's view detector" : detectors.stand_in;

@@ -1,0 +1,76 @@
+"""2D boxes from files: what a file would give, before a job imports it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Query
+from pydantic import BaseModel
+
+from annotator.project import Project
+from annotator.web.context import Ctx, Operator
+from annotator.web.schemas import RowId
+from annotator.web.uploads import Upload, add_upload, find_upload, remove_upload
+from annotator.workflows.importing import FlatFormat, preview
+
+router = APIRouter(prefix="/api/projects/{project}/boxes-files", tags=["boxes"])
+
+UploadId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
+FileName = Annotated[str, Query(min_length=1, max_length=255)]
+Content = Annotated[bytes, Body(media_type="application/octet-stream")]
+# Number of image names that are shown.
+SHOWN = 5
+
+
+class BoxesFile(BaseModel):
+    """A file with 2D boxes on camera images.
+
+    Attributes:
+        images: number of its images.
+        unmatched: number of those without a frame in the project; `unmatched_names` are some of them.
+        ambiguous: number of those that fit frames of several recordings: one of these must be chosen.
+        boxes: number of boxes on the others, by class name.
+    """
+
+    id: str
+    name: str
+    format: FlatFormat
+    images: int
+    unmatched: int
+    unmatched_names: list[str]
+    ambiguous: int
+    boxes: dict[str, int]
+
+
+@router.post("", status_code=201)
+def upload(project: str, name: FileName, content: Content, ctx: Ctx, operator: Operator) -> BoxesFile:
+    """Send a COCO file, or a packed YOLO or COCO folder. Nothing is imported."""
+    opened = ctx.project(project)
+    stored = add_upload(opened, name, content)
+    try:
+        return _described(opened, stored, None)
+    except BaseException:
+        remove_upload(opened, stored.id)
+        raise
+
+
+@router.get("/{id}")
+def look(project: str, id: UploadId, ctx: Ctx, operator: Operator, recording: RowId | None = None) -> BoxesFile:
+    """A file that was sent, matched with one recording, or with all."""
+    opened = ctx.project(project)
+    return _described(opened, find_upload(opened, id), recording)
+
+
+def _described(project: Project, upload: Upload, recording: int | None) -> BoxesFile:
+    name = None if recording is None else project.recordings.get(recording).name
+    found = preview(project, upload.path, upload.format, name)
+    return BoxesFile(
+        id=upload.id,
+        name=upload.path.name,
+        format=upload.format,
+        images=found.images,
+        unmatched=len(found.unmatched),
+        unmatched_names=list(found.unmatched[:SHOWN]),
+        ambiguous=found.ambiguous,
+        boxes=found.boxes,
+    )

@@ -1,0 +1,134 @@
+"""Files with 2D boxes that a page has sent, kept in the project's folder until they are imported.
+
+A COCO file is kept as it is. Of a packed dataset (`.zip`), only the text files are unpacked: images are not needed,
+since the project has them.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+import uuid
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from annotator.files import is_within
+from annotator.formats.coco_dataset import ANNOTATIONS
+from annotator.formats.yolo_dataset import DATA_YAML
+from annotator.formats.yolo_read import CLASSES
+from annotator.project import Project
+from annotator.types.errors import FormatError, NotFoundError
+from annotator.workflows.importing import FlatFormat
+
+FOLDER = ".uploads"
+# Number of uploads kept per project: those that nobody has imported.
+MOST_KEPT = 5
+# Limits of a packed dataset: files, and bytes of its text files.
+MOST_FILES, MOST_BYTES = 200_000, 1 << 30
+TEXTS = (".json", ".txt", ".yaml", ".csv")
+_NAME = re.compile(r"[^\w.-]+")
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A dataset of 2D boxes: the file or the folder to read."""
+
+    id: str
+    path: Path
+    format: FlatFormat
+
+
+def add_upload(project: Project, name: str, content: bytes) -> Upload:
+    """Stores a file, and unpacks it if it is a `.zip`; removes the oldest uploads.
+
+    Args:
+        name: the file's name on the operator's computer.
+
+    Raises:
+        FormatError: it is neither JSON nor a `.zip`, or the `.zip` is damaged, too large or without a dataset.
+    """
+    uploads = project.path / FOLDER
+    place = uploads / uuid.uuid4().hex
+    file = Path(_NAME.sub("_", PurePosixPath(name).name)[-100:].lstrip(".") or "boxes")
+    if file.suffix.lower() not in (".json", ".zip"):
+        raise FormatError(file, "is neither a COCO file (.json) nor a packed YOLO or COCO folder (.zip)")
+    place.mkdir(parents=True)
+    try:
+        if file.suffix.lower() == ".zip":
+            _unpack(file, content, place / file.stem)
+        else:
+            (place / file).write_bytes(content)
+        upload = find_upload(project, place.name)
+    except BaseException:
+        remove_upload(project, place.name)
+        raise
+    by_age = sorted(uploads.iterdir(), key=lambda folder: folder.stat().st_mtime_ns)
+    for old in by_age[:-MOST_KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+    return upload
+
+
+def find_upload(project: Project, upload_id: str) -> Upload:
+    """Returns a stored upload.
+
+    Raises:
+        NotFoundError: no such upload, or it was removed.
+        FormatError: a packed dataset without boxes.
+    """
+    place = project.path / FOLDER / upload_id
+    path = next(iter(place.iterdir()), None) if place.is_dir() else None
+    if path is None:
+        raise NotFoundError("this file was removed from the server; choose it again")
+    return Upload(upload_id, *((path, FlatFormat.COCO) if path.is_file() else _dataset(path)))
+
+
+def as_sent(text: str, root: str) -> str:
+    """A message in which files have their names on the operator's computer, without the folder of their upload.
+
+    Args:
+        text: with paths that begin with the name of the projects folder.
+        root: this name.
+    """
+    return re.sub(rf"{re.escape(root)}/[^/\s]+/{re.escape(FOLDER)}/[0-9a-f]{{32}}/", "", text)
+
+
+def remove_upload(project: Project, upload_id: str) -> None:
+    """Removes an upload, if it is there."""
+    shutil.rmtree(project.path / FOLDER / upload_id, ignore_errors=True)
+
+
+def _unpack(file: Path, content: bytes, folder: Path) -> None:
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            texts = [entry for entry in packed.infolist() if PurePosixPath(entry.filename).suffix.lower() in TEXTS]
+            if len(texts) > MOST_FILES or sum(entry.file_size for entry in texts) > MOST_BYTES:
+                raise FormatError(
+                    file, f"has more than {MOST_FILES} files or {MOST_BYTES >> 20} MiB of text; divide it"
+                )
+            folder.mkdir()
+            for entry in texts:
+                if not is_within(folder, entry.filename):
+                    raise FormatError(file, f"contains {entry.filename[:60]!r}, which leads out of its folder")
+                packed.extract(entry, folder)
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, OSError, EOFError) as error:
+        raise FormatError(file, f"cannot be unpacked: {error}; pack the folder again, without a password") from error
+
+
+def _dataset(folder: Path) -> tuple[Path, FlatFormat]:
+    """Finds the dataset in an unpacked folder: on the highest level that has one."""
+    levels = sorted([folder, *(path for path in folder.rglob("*") if path.is_dir())], key=lambda path: len(path.parts))
+    for level in levels:
+        if (level / DATA_YAML).is_file() or (level / CLASSES).is_file():
+            return level, FlatFormat.YOLO
+        if any((level / ANNOTATIONS).glob("instances_*.json")):
+            return level, FlatFormat.COCO
+    files = [path for path in folder.rglob("*.json") if path.is_file()]
+    if len(files) == 1:
+        return files[0], FlatFormat.COCO
+    raise FormatError(
+        folder,
+        f"contains no dataset of 2D boxes: no {DATA_YAML}, no {CLASSES}, no {ANNOTATIONS}/instances_*.json, and not "
+        "exactly one JSON file",
+    )

@@ -1,0 +1,109 @@
+"""2D boxes of a file, imported on the page, with 3D boxes proposed from them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from coco_sample import coco
+
+from annotator.detection import base_detector
+from annotator.detection.base_detector import TITLE
+from annotator.types import ReviewState
+from annotator.web.jobs.records import WORK
+
+expect = pytest.importorskip("playwright.sync_api").expect
+
+if TYPE_CHECKING:
+    from live_server import Live
+    from playwright.sync_api import Page
+
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
+
+
+@pytest.fixture
+def start(open_page: Callable[..., Page]) -> Page:
+    """The start page; Grace is signed in."""
+    page = open_page()
+    page.add_init_script(NO_WEBGL)
+    page.goto("/")
+    page.get_by_test_id("operator-name").fill("Grace")
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("operator")).to_have_text("Grace")
+    return page
+
+
+@pytest.mark.usefixtures("jobs_on_path")
+def test_a_coco_file_becomes_proposals(
+    start: Page, live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(WORK, "boxes", "knowing_jobs:boxes")
+    (tmp_path / "base").mkdir()
+    (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
+    with monkeypatch.context() as patch:
+        patch.setattr(base_detector, "FOLDER", tmp_path / "base")
+        project, content = live.context.project("room"), coco(generated)
+        people = len(content["annotations"]) - 1
+        (tmp_path / "boxes.json").write_text(json.dumps(content))
+        start.get_by_test_id("import-boxes-room").click()
+        dialog = start.get_by_test_id("boxes-dialog")
+        expect(dialog).to_contain_text(f"measured by: {TITLE}")
+        start.get_by_test_id("dialog-import").click()
+        expect(dialog).to_contain_text("Choose a file with 2D boxes first")
+        start.get_by_test_id("boxes-file").set_input_files(tmp_path / "boxes.json")
+        expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{people + 1} boxes on 2 images")
+        expect(dialog).to_contain_text("Left out: 1 image without a frame of the same name, such as elsewhere.jpg")
+        # a class of the same name in other letters is offered; another one is left out, or added
+        expect(start.get_by_test_id("boxes-class-Person")).to_have_value("person")
+        expect(start.get_by_test_id("boxes-class-dog")).to_have_value("")
+        start.get_by_test_id("boxes-class-dog").select_option(label="add the class dog")
+        start.get_by_test_id("boxes-class-dog").select_option(label="leave out")
+        start.get_by_test_id("dialog-import").click()
+        card = start.get_by_test_id("project-room")
+        expect(card.get_by_test_id("job-import-text")).to_contain_text(f"{people} proposals in 2 frames")
+        expect(card.get_by_test_id("job-import-text")).to_contain_text("1 boxes of other classes left out (dog)")
+        expect(card).to_contain_text(f"{people} proposed")
+    assert project.config.classes == ("person",)
+    assert len(project.labels.select(states=[ReviewState.PROPOSED])) == people
+    drawn = project.boxes.on_images()
+    assert {boxes.author for boxes in drawn} == {"Grace"} and len(drawn) == 2
+    # undone on the page, as one action
+    start.goto(f"/#/room/label/{drawn[0].frame_id}")
+    objects = start.get_by_test_id("object")
+    expect(objects).to_have_count(len(drawn[0].boxes))
+    start.keyboard.press("Control+z")
+    expect(objects).to_have_count(0)
+    assert project.boxes.on_images() == ()
+
+
+def test_bad_files_say_why_and_a_class_can_be_added(start: Page, live: Live, generated: Path, tmp_path: Path) -> None:
+    project, content = live.context.project("room"), coco(generated)
+    start.goto("/#/room/train")
+    start.get_by_test_id("import-boxes").click()
+    about, file = start.get_by_test_id("boxes-about"), start.get_by_test_id("boxes-file")
+    expect(start.get_by_test_id("boxes-lift")).to_be_disabled()
+    for name, text, says in (
+        ("notes.txt", "0 0.5", "notes.txt: is neither a COCO file"),
+        ("torn.json", json.dumps(content)[:-40], "torn.json:1: is not valid JSON"),
+        ("other.json", json.dumps({**content, "images": content["images"][:1], "annotations": []}), "000012.jpg"),
+    ):
+        (tmp_path / name).write_text(text)
+        file.set_input_files(tmp_path / name)
+        expect(about.get_by_role("alert")).to_contain_text(says)
+        start.get_by_test_id("dialog-import").click()
+        expect(start.get_by_test_id("boxes-dialog")).to_contain_text("Choose a file with 2D boxes first")
+    assert project.boxes.on_images() == ()
+    (tmp_path / "boxes.json").write_text(json.dumps(content))
+    file.set_input_files(tmp_path / "boxes.json")
+    start.get_by_test_id("boxes-class-Person").select_option(label="leave out")
+    start.get_by_test_id("dialog-import").click()
+    expect(start.get_by_test_id("boxes-dialog")).to_contain_text("All classes are left out")
+    start.get_by_test_id("boxes-class-dog").select_option(label="add the class dog")
+    start.get_by_test_id("dialog-import").click()
+    expect(start.get_by_test_id("job-boxes-text")).to_contain_text("1 2D boxes on 2 images imported")
+    assert project.config.classes == ("person", "dog")
+    assert sum(len(boxes.boxes) for boxes in project.boxes.on_images()) == 1
+    expect(start.get_by_test_id("lift")).to_contain_text("1 frame has 2D boxes on the image, but no 3D boxes")

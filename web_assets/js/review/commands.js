@@ -1,0 +1,212 @@
+/** What the keys and buttons of Review do. */
+
+import { headingTurned, sameBox } from "../box3d.js";
+import { confirm } from "../dialogs.js";
+import { count } from "../dom.js";
+import { currentFrame } from "../frame_state.js";
+import { makeHash } from "../router.js";
+import { isOpen } from "./desk.js";
+
+/**
+ * @param {ModeApp} app
+ * @param {object} parts
+ * @param {Desk} parts.desk
+ * @param {Queue} parts.queue
+ * @param {Opening} parts.opening
+ * @param {ReturnType<typeof import("./follow.js").createFollow>} parts.follow
+ * @param {ReturnType<typeof import("./image_panel.js").createImagePanel>} parts.image
+ * @param {ReturnType<typeof import("./ortho_views.js").createOrthoViews>} parts.ortho
+ * @param {HTMLElement} parts.root
+ */
+export function createCommands(app, { desk, queue, opening, follow, image, ortho, root }) {
+  const { project } = app.state.route;
+
+  /** @param {number} by */
+  function stepBox(by) {
+    const uids = desk.labels().map(({ uid }) => uid);
+    if (uids.length === 0) return;
+    const at = uids.indexOf(desk.uid ?? "");
+    desk.select(uids[at < 0 ? (by > 0 ? 0 : uids.length - 1) : (at + by + uids.length) % uids.length]);
+  }
+
+  /**
+   * Accepts, rejects or deletes the selected box, and goes to the next one. Saving a draft counts as accepting.
+   *
+   * @param {"accept" | "reject" | "delete"} kind
+   */
+  async function decide(kind) {
+    const label = desk.shown;
+    if (!label || opening.loading) return;
+    const { id: frame } = currentFrame(app).frame;
+    const before = opening.openings;
+    const saved = save(kind, label);
+    const next = queue.after(label.uid);
+    // a box of the same frame is selected at once; another frame is opened after saving
+    if (next?.frame === frame) desk.select(next.uid);
+    else if (next) opening.setLoading(true);
+    const isSaved = await saved;
+    // the operator has opened another frame in the meantime
+    if (before !== opening.openings) return;
+    if (!isSaved) {
+      opening.setLoading(false);
+      if (app.state.frame?.frame.id === frame) desk.select(label.uid);
+      return;
+    }
+    if (next && next.frame !== frame) await opening.go(next);
+    else if (!next && kind === "delete") opening.pick(null);
+  }
+
+  /** @param {PageLabel} label */
+  const isReviewed = ({ state }) => state === "accepted" || state === "edited";
+
+  /**
+   * @param {"accept" | "reject" | "delete"} kind
+   * @param {PageLabel} label
+   */
+  async function save(kind, label) {
+    // a new box is stored together with its draft
+    if (kind === "accept" && desk.hasDraft && !label.isNew) {
+      const isSaved = await desk.commit();
+      const stored = desk.stored(label.uid);
+      return isSaved && stored && !isReviewed(stored) ? desk.decide("accept", label.uid) : isSaved;
+    }
+    if (kind === "accept" && isReviewed(label)) return true;
+    if (kind === "reject" && label.state === "rejected") return true;
+    return desk.decide(kind, label.uid);
+  }
+
+  async function refit() {
+    const label = desk.shown;
+    if (!label) return;
+    const { id } = currentFrame(app).frame;
+    try {
+      /** @type {Api.RefitOut} */
+      const { box, note, measured_by } = await app.api.post(app.path("frames", id, "refit"), {
+        box: label.box,
+        label: label.label,
+      });
+      if (desk.uid !== label.uid) return;
+      if (desk.shown && !sameBox(desk.shown.box, label.box)) {
+        app.toast("The box was changed during the fit. Press G to fit it again.", "warn");
+        return;
+      }
+      await desk.edit({ box });
+      if (note) app.toast(note, "info");
+      else app.toast(`Fitted again. Measured by: ${measured_by}`, "info");
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  /**
+   * Runs an action unless a frame is being opened.
+   *
+   * @param {() => unknown} fn
+   */
+  const whenCalm = (fn) => (opening.loading ? undefined : void fn());
+
+  /** @param {"forward" | "backward"} direction */
+  const followOne = (direction) =>
+    whenCalm(() => {
+      const label = desk.shown;
+      if (label && !label.isNew && isReviewed(label)) void follow.start(direction, label.uid);
+      else app.toast("Select a reviewed box to follow, or accept this one first.", "warn");
+    });
+
+  /** @param {"forward" | "backward"} direction */
+  const followAll = (direction) => whenCalm(() => follow.start(direction, null));
+
+  const canDraw = () => app.state.frame !== null && !opening.loading && !app.state.frame.frame.finalised;
+
+  /**
+   * A box was drawn on the image. If no object is found in it, it becomes the first of the five drags in Label.
+   *
+   * @param {Box2D} box
+   */
+  async function fitDrawn(box) {
+    const { id } = currentFrame(app).frame;
+    try {
+      /** @type {Api.FitOut} */
+      const { note, box: fitted, ...facts } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
+      if (app.state.frame?.frame.id !== id || !root.isConnected) return;
+      if (fitted) {
+        desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
+      } else {
+        const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
+        const who = facts.measured_by ? ` (${facts.measured_by})` : "";
+        app.toast(`${why}${who}. To finish it by hand, draw boxes on the four views of the image box.`, "warn");
+        app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
+      }
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  async function copy() {
+    if (app.state.frame?.frame.previous == null) return;
+    try {
+      const added = await desk.copyPrevious();
+      app.toast(
+        added > 0
+          ? `${count(added, "box", "boxes")} copied from the previous frame`
+          : "This frame already has all boxes of the previous one.",
+      );
+    } catch (error) {
+      app.toast(error);
+    }
+  }
+
+  async function finalise() {
+    if (!app.state.frame) return;
+    const { frame } = app.state.frame;
+    const left = desk.labels().filter(isOpen).length;
+    if (
+      !frame.finalised &&
+      left > 0 &&
+      !(await confirm(
+        "Finalise the frame",
+        `${count(left, "proposal")} of this frame ${left === 1 ? "is" : "are"} not reviewed yet.`,
+        "Finalise anyway",
+      ))
+    )
+      return;
+    if (await desk.finalise(!frame.finalised))
+      app.toast(frame.finalised ? "The frame is reopened." : "The frame is finalised.", "good");
+  }
+
+  /** @param {string} key */
+  function setClass(key) {
+    const name = app.state.project.classes[Number(key) - 1];
+    if (name && image.drawing !== null) image.draw(name);
+    else if (name && desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
+  }
+
+  /** Cancels a drag, or else an edit that is not saved, or else deselects. */
+  function cancel() {
+    if (ortho.cancel() || image.cancel()) return;
+    if (desk.hasDraft) desk.revert();
+    else desk.select(null);
+  }
+
+  /** Draws a new box on the image, or stops that. */
+  const draw = () =>
+    image.draw(image.drawing === null && canDraw() ? (desk.shown?.label ?? app.state.project.classes[0]) : null);
+
+  const flip = () => desk.shown && desk.edit({ box: headingTurned(desk.shown.box) });
+
+  return {
+    decide,
+    refit,
+    flip,
+    draw,
+    fitDrawn,
+    copy,
+    finalise,
+    setClass,
+    stepBox,
+    cancel,
+    whenCalm,
+    followOne,
+    followAll,
+  };
+}

@@ -1,0 +1,171 @@
+/** Opens frames in Review, and selects a box in each. */
+
+import { isAborted } from "../errors.js";
+import { frameBeside } from "../frame_problem.js";
+import { makeHash } from "../router.js";
+import { isOpen } from "./desk.js";
+
+/**
+ * @param {ModeApp} app
+ * @param {object} parts
+ * @param {Desk} parts.desk
+ * @param {Queue} parts.queue
+ * @param {() => void} parts.onLoading called when opening a frame begins or ends.
+ * @param {() => void} parts.onOpened called when a frame was opened, or cannot be read.
+ * @param {(error: unknown, frame: number | null) => void} parts.onProblem called with the reason why a frame cannot be
+ *     read, or with null.
+ */
+export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem }) {
+  const { project } = app.state.route;
+  let loading = false;
+  let openings = 0;
+  /**
+   * The frame that is shown.
+   *
+   * @type {number | null}
+   */
+  let opened = null;
+  /**
+   * The frame that cannot be read.
+   *
+   * @type {number | null}
+   */
+  let broken = null;
+  let seenQueue = false;
+
+  /**
+   * Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet.
+   *
+   * @param {boolean} value
+   */
+  function setLoading(value) {
+    loading = value;
+    onLoading();
+  }
+
+  /**
+   * Opens a frame. Resolves to false if the operator stays with the open one, to null if yet another one is opened.
+   *
+   * @param {number} id
+   * @param {string | null} uid
+   */
+  async function open(id, uid) {
+    openings += 1;
+    const own = openings;
+    setLoading(true);
+    try {
+      if (opened !== id && opened !== null && !(await app.mayLeave())) return false;
+      await desk.flush();
+      if (own !== openings) return null;
+      // app.state may still have an old state from another mode
+      if (opened !== id || !desk.stored(uid)) {
+        desk.select(null);
+        await app.loadFrame(id);
+        opened = id;
+        showProblem(null);
+      }
+      pick(uid);
+    } catch (error) {
+      if (own !== openings || isAborted(error)) return null;
+      showProblem(error, id);
+    } finally {
+      if (own === openings) {
+        setLoading(false);
+        onOpened();
+      }
+    }
+    return true;
+  }
+
+  /**
+   * Shows the reason why a frame cannot be read, in place of its pictures; null: it can be read.
+   *
+   * @param {unknown} error
+   * @param {number | null} [frame]
+   */
+  function showProblem(error, frame = null) {
+    broken = frame;
+    if (error !== null) opened = null;
+    onProblem(error, frame);
+  }
+
+  /**
+   * Selects a label of the open frame: this one, or else the most doubtful proposal.
+   *
+   * @param {string | null} uid
+   */
+  function pick(uid) {
+    const labels = desk.labels();
+    const chosen =
+      labels.find((label) => label.uid === uid) ??
+      mostDoubtful(labels.filter(isOpen)) ??
+      labels.find(({ state }) => state !== "rejected");
+    desk.select(chosen?.uid ?? null);
+  }
+
+  /**
+   * Opens a box, and puts its frame into the address.
+   *
+   * @param {Target} options
+   */
+  async function go({ frame, uid }) {
+    if (frame === opened && desk.stored(uid)) desk.select(uid);
+    else if (!(await open(frame, uid))) return;
+    app.go(makeHash(project, "review", frame));
+  }
+
+  /** @param {Direction} which */
+  async function step(which) {
+    const next = broken === null ? (app.state.frame?.frame[which] ?? null) : await frameBeside(app, broken, which);
+    if (next === null)
+      app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
+    else app.go(makeHash(project, "review", next));
+  }
+
+  /** Opens the frame of the page's URL, or else the first one of the queue. */
+  async function begin() {
+    const { frame, query } = app.state.route;
+    // the frame can be reviewed without the queue
+    try {
+      await queue.load();
+      seenQueue = true;
+    } catch (error) {
+      app.toast(error);
+    }
+    if (frame !== null)
+      return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
+    if (queue.items[0]) return go(queue.items[0]);
+    /** @type {Api.FrameListJson} */
+    const { frames } = await app.api.get(`${app.path("frames")}?limit=1`);
+    return go({ frame: frames[0].id, uid: null });
+  }
+
+  return {
+    get loading() {
+      return loading;
+    },
+    /** True once the queue was read. */
+    get seenQueue() {
+      return seenQueue;
+    },
+    /** Changes with each frame that the operator opens. */
+    get openings() {
+      return openings;
+    },
+    get opened() {
+      return opened;
+    },
+    get broken() {
+      return broken;
+    },
+    setLoading,
+    open,
+    go,
+    pick,
+    step,
+    begin,
+  };
+}
+
+/** @param {PageLabel[]} labels */
+const mostDoubtful = (labels) => labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];

@@ -1,0 +1,220 @@
+/** The dialog that imports 2D boxes from a file, and then proposes 3D boxes from them. */
+
+import { projectPath } from "../api.js";
+import { openDialog } from "../dialogs.js";
+import { count, h } from "../dom.js";
+import { messageOf } from "../errors.js";
+import { takeJob } from "../jobs.js";
+
+/** The server's limit. */
+const MOST_BYTES = 64 * 2 ** 20;
+/** Values of a choice beside the project's classes; these have at least one character. */
+const LEAVE_OUT = "";
+const ADD = "\n";
+/** @type {[Api.BoxKind, string][]} */
+const KINDS = [
+  ["silhouette", "the visible part of each object"],
+  ["box", "each whole object, hidden parts included"],
+];
+
+/**
+ * Returns the job that imports the boxes, or null if the dialog was cancelled.
+ *
+ * @param {App} app
+ * @param {string} name the project's name.
+ * @returns {Promise<Api.Job | null>}
+ */
+export async function importBoxes(app, name) {
+  /** @type {Api.ProjectInfo} */
+  const project = await app.api.get(projectPath(name));
+  /** @type {Api.BoxesFile | null} */
+  let sent = null;
+  let asked = 0;
+  /** @type {Map<string, HTMLSelectElement>} */
+  const choices = new Map();
+
+  const file = h("input", {
+    type: "file",
+    accept: ".json,.zip",
+    autofocus: true,
+    "data-testid": "boxes-file",
+    onchange: () => void show(send),
+  });
+  const recording = h(
+    "select",
+    { "data-testid": "boxes-recording", onchange: () => void show(look) },
+    h("option", { value: "" }, "any recording"),
+    project.recordings.map((one) => h("option", { value: String(one.id) }, one.name)),
+  );
+  const kind = h(
+    "select",
+    { "data-testid": "boxes-kind" },
+    KINDS.map(([value, text]) => h("option", { value }, text)),
+  );
+  const measuredBy = project.detectors.view ? "this project's view detector" : project.detectors.stand_in;
+  const lift = h("input", {
+    type: "checkbox",
+    checked: measuredBy !== null,
+    disabled: measuredBy === null,
+    "data-testid": "boxes-lift",
+  });
+  const about = h("div", { class: "stack", role: "status", "data-testid": "boxes-about" });
+  const classes = h("fieldset", { class: "choices", hidden: true, "data-testid": "boxes-classes" });
+
+  async function send() {
+    const [chosen] = file.files ?? [];
+    sent = null;
+    if (!chosen) return null;
+    if (chosen.size > MOST_BYTES) throw new Error("The file has more than 64 MiB. Use `annotator import` instead.");
+    return app.api.upload(`${projectPath(name, "boxes-files")}?name=${encodeURIComponent(chosen.name)}`, chosen);
+  }
+
+  async function look() {
+    if (!sent) return null;
+    const which = recording.value ? `?recording=${recording.value}` : "";
+    return app.api.get(projectPath(name, "boxes-files", sent.id) + which);
+  }
+
+  /** @param {() => Promise<Api.BoxesFile | null>} read */
+  async function show(read) {
+    asked += 1;
+    const own = asked;
+    about.replaceChildren("Reading …");
+    try {
+      const answer = await read();
+      if (own !== asked) return;
+      sent = answer;
+      about.replaceChildren(...(sent ? described(sent) : []));
+    } catch (error) {
+      if (own !== asked) return;
+      about.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+    }
+    showClasses();
+  }
+
+  function showClasses() {
+    const unknown = Object.keys(sent?.boxes ?? {}).filter((label) => !project.classes.includes(label));
+    classes.hidden = unknown.length === 0;
+    for (const label of unknown) if (!choices.has(label)) choices.set(label, classChoice(label));
+    classes.replaceChildren(
+      h("legend", { class: "field-label" }, "Classes that the project does not have"),
+      ...unknown.map((label) =>
+        h(
+          "label",
+          { class: "row" },
+          h("span", { class: "grow ellipsis" }, `${label} (${count(sent?.boxes[label] ?? 0, "box", "boxes")})`),
+          choices.get(label),
+        ),
+      ),
+    );
+  }
+
+  /** @param {string} label */
+  function classChoice(label) {
+    const like = project.classes.find((known) => known.toLowerCase() === label.toLowerCase());
+    return h(
+      "select",
+      { "aria-label": `Class for ${label}`, "data-testid": `boxes-class-${label}` },
+      h("option", { value: LEAVE_OUT, selected: !like }, "leave out"),
+      project.classes.map((known) => h("option", { value: known, selected: known === like }, `are ${known}`)),
+      h("option", { value: ADD }, `add the class ${label}`),
+    );
+  }
+
+  async function start() {
+    if (!sent) throw new Error("Choose a file with 2D boxes first.");
+    if (sent.ambiguous) throw new Error("Choose the recording of the images: several have frames of these names.");
+    const labels = Object.keys(sent.boxes);
+    const chosen = labels.flatMap((label) => {
+      const value = choices.get(label)?.value ?? label;
+      return value === LEAVE_OUT ? [] : [{ label, to: value === ADD ? label : value, isNew: value === ADD }];
+    });
+    if (labels.length && !chosen.length) throw new Error("All classes are left out. Choose one of the project's.");
+    const added = chosen.filter(({ isNew }) => isNew).map(({ label }) => label);
+    if (added.length) await app.api.patch(projectPath(name), { classes: [...project.classes, ...added] });
+    project.classes.push(...added);
+    /** @type {Api.Job} */
+    const job = await app.api.post(projectPath(name, "jobs"), {
+      kind: "boxes",
+      upload: sent.id,
+      names: Object.fromEntries(chosen.filter(({ label, to }) => label !== to).map(({ label, to }) => [label, to])),
+      recording: recording.value ? Number(recording.value) : null,
+      box_kind: kind.value,
+      lift: lift.checked,
+    });
+    takeJob(app, job);
+    return job;
+  }
+
+  return openDialog({
+    title: `Import 2D boxes into ${name}`,
+    testid: "boxes-dialog",
+    wide: true,
+    content: [
+      h(
+        "label",
+        { class: "field" },
+        h("span", {}, "File"),
+        file,
+        h(
+          "span",
+          { class: "help" },
+          "A COCO file (.json), or a YOLO or COCO folder packed as .zip, with boxes on camera images. The images must " +
+            "have the names of the frames, such as 000012.jpg for the frame 000012.",
+        ),
+      ),
+      about,
+      classes,
+      ...(project.recordings.length > 1
+        ? [h("label", { class: "field" }, h("span", {}, "The images are of"), recording)]
+        : []),
+      h("label", { class: "field" }, h("span", {}, "The boxes enclose"), kind),
+      h(
+        "label",
+        { class: "row" },
+        lift,
+        measuredBy === null
+          ? "Propose 3D boxes from them: this needs a view detector, train one first"
+          : `Propose 3D boxes from them, measured by: ${measuredBy}`,
+      ),
+    ],
+    actions: [
+      { label: "Cancel", value: "cancel" },
+      { label: "Import", value: "import" },
+    ],
+    submit: async (value) => (value === "import" ? start() : null),
+  });
+}
+
+/**
+ * What a file has.
+ *
+ * @param {Api.BoxesFile} file
+ */
+function described({ name, images, unmatched, unmatched_names, ambiguous, boxes }) {
+  const total = Object.values(boxes).reduce((sum, number) => sum + number, 0);
+  const lines = [
+    h(
+      "p",
+      { "data-testid": "boxes-found" },
+      `${name}: ${count(total, "box", "boxes")} on ${count(images - unmatched, "image")} of this project's frames.`,
+    ),
+  ];
+  if (unmatched)
+    lines.push(
+      h(
+        "p",
+        { class: "muted" },
+        `Left out: ${count(unmatched, "image")} without a frame of the same name, such as ${unmatched_names.join(", ")}.`,
+      ),
+    );
+  if (ambiguous)
+    lines.push(
+      h(
+        "p",
+        { class: "error-box", role: "alert" },
+        `${count(ambiguous, "image")} could be of several recordings. Choose the recording below.`,
+      ),
+    );
+  return lines;
+}
