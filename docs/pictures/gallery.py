@@ -57,8 +57,8 @@ class Measuring:
         drawn = image_boxes(frame.camera, truths)
         measured = lifted(frame, drawn, self.detector, self.config, rotation)
         found = [box for box in measured if box is not None]
-        best = [max((iou_3d(box, truth.box) for box in found), default=0.0) for truth in truths]
-        text = f"2D boxes drawn (red): {len(drawn)}    3D boxes (green): {len(found)}    mean IoU: {np.mean(best):.2f}"
+        ious = [iou_3d(box, truth.box) if box else 0.0 for box, truth in zip(measured, truths, strict=True)]
+        text = f"2D boxes drawn (red): {len(drawn)}    3D boxes (green): {len(found)}    mean IoU: {np.mean(ious):.2f}"
         left = draw_boxes(frame, [*drawn, *found], thickness_px=1 if frame.camera.width_px < 700 else 2)
         right = from_beside(frame, found or [truth.box for truth in truths])
         both = np.hstack([left, np.full((len(left), GAP, 3), 255, np.uint8), right])
