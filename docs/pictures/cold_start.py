@@ -167,6 +167,7 @@ def curves(results: Results, path: Path) -> None:
             axes[row, column].grid(alpha=0.3)
         axes[0, column].legend(fontsize=8, loc="lower right")
         axes[1, column].set_xticks(range(len(TAUGHT)), [f"{number}\n{drags(number)}" for number in TAUGHT])
+        axes[1, column].set_xlim(-0.2, len(TAUGHT) - 0.8)
         axes[1, column].set_xlabel("objects taught, and drags for them")
     for row, (_, text) in enumerate(FIGURES):
         axes[row, 0].set_ylabel(text)
