@@ -1,5 +1,5 @@
-"""The README's commands and Python lines work: each command in a `console` or `sh` block is run, in order.
-Long-running commands have a smaller replacement in `INSTEAD`, or None; there is no other way to skip one.
+"""The commands and Python lines of the README and the guide work: each command in a `console` or `sh` block is run, in
+order. Long-running commands have a smaller replacement in `INSTEAD`, or None; there is no other way to skip one.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from annotator.cli.main import main
 from annotator.cli.table import COMMANDS
 
 ROOT = Path(__file__).resolve().parent.parent
-README = ROOT / "README.md"
+README, GUIDE = ROOT / "README.md", ROOT / "docs" / "guide.md"
+PAGES = pytest.mark.parametrize("page", (README, GUIDE), ids=lambda page: page.name)
 # Blocks of these languages contain commands; in a `console` block, only lines with a prompt.
 SHELL, CONSOLE = ("sh", "bash", "shell"), ("console",)
 BLOCK = re.compile(r"^( *)```(\w+)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
-# The programs that the README may call. `scripts/...` and `git` are allowed only with an entry in INSTEAD.
+# The programs that the pages may call. `scripts/...` and `git` are allowed only with an entry in INSTEAD.
 PROGRAMS = ("annotator", "python")
 
 
 @dataclass(frozen=True)
 class Instead:
-    """The replacement for a command of the README, or None if another test covers it."""
+    """The replacement for a command, or None if another test covers it."""
 
     command: str | None
     because: str
@@ -49,6 +50,12 @@ INSTEAD: dict[str, Instead] = {
     ),
     "annotator train hands": Instead(
         "annotator train hands --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
+    ),
+    "annotator generate recordings/room --preset people --frames 24": Instead(
+        "annotator generate recordings/room --preset people --frames 8", "seconds a frame"
+    ),
+    "annotator train room": Instead(
+        "annotator train room --epochs 1 --image-epochs 1 --size 64 --image-size 64 --views 24", "minutes of training"
     ),
     # After such a short training there may be no proposals.
     "annotator export hands --format rcv out/3D_HAND": Instead(
@@ -72,7 +79,7 @@ def commands(text: str) -> list[str]:
 
 
 def as_run(command: str, shared: Path) -> list[str] | None:
-    """The words to run for a command of the README, or None to skip it.
+    """The words to run for a command of a page, or None to skip it.
 
     Raises:
         AssertionError: if the program is not in PROGRAMS.
@@ -83,14 +90,14 @@ def as_run(command: str, shared: Path) -> list[str] | None:
             return None
         command = instead
     words = [re.sub(r"^\.\./shared\b", lambda _: str(shared), word) for word in shlex.split(command)]
-    assert words[0] in PROGRAMS, f"{command!r}: teach tests/test_readme.py how to run it, or leave it out of the README"
+    assert words[0] in PROGRAMS, f"{command!r}: teach tests/test_readme.py how to run it, or leave it out of the page"
     return words
 
 
-def readme_commands() -> list[str]:
-    text = README.read_text(encoding="utf-8")
+def page_commands(page: Path) -> list[str]:
+    text = page.read_text(encoding="utf-8")
     if not text.strip():
-        pytest.skip("README.md is empty")
+        pytest.skip(f"{page.name} is empty")
     return commands(text)
 
 
@@ -129,20 +136,24 @@ def test_shared_paths_and_replacements_are_applied() -> None:
         as_run("curl example.org", Path("/s"))
 
 
-def test_the_readmes_commands_exist_and_all_replacements_are_used() -> None:
-    found = readme_commands()
-    assert found, "README.md shows no command"
+@PAGES
+def test_commands_exist(page: Path) -> None:
+    found = page_commands(page)
+    assert found, f"{page.name} shows no command"
     for command in found:
         words = as_run(command, Path("shared"))
         if words is not None and words[0] == "annotator":
             known = words[1] in COMMANDS or " ".join(words[1:3]) in COMMANDS
             assert words[1].startswith("-") or known, f"{command!r}: no such command"
-    unused = set(INSTEAD) - set(found)
-    assert not unused, f"the README has no such commands any more: {unused}"
+
+
+def test_all_replacements_are_used() -> None:
+    unused = set(INSTEAD) - {*page_commands(README), *page_commands(GUIDE)}
+    assert not unused, f"no page has such commands any more: {unused}"
 
 
 def test_the_readme_mentions_every_command() -> None:
-    readme_commands()
+    page_commands(README)
     text = README.read_text(encoding="utf-8")
     missing = [name for name in COMMANDS if not re.search(rf"(`|^)annotator {name}\b", text, re.MULTILINE)]
     assert not missing, f"README.md does not mention: {', '.join(missing)}"
@@ -165,7 +176,7 @@ def test_the_readmes_python_gives_boxes(tmp_path: Path) -> None:
     readme, guide = (python_blocks(path.read_text(encoding="utf-8")) for path in (README, ROOT / "docs/python.md"))
     assert len(readme) == 1 and readme[0] == guide[0]
     assert len(readme[0].splitlines()) <= 10
-    assert "annotator generate recordings/hands --preset hands --frames 24" in readme_commands()
+    assert "annotator generate recordings/hands --preset hands --frames 24" in page_commands(README)
     write_generated(tmp_path / "recordings/hands", "hands", 1, 0)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", readme[0]]
@@ -177,17 +188,21 @@ def test_the_readmes_python_gives_boxes(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.timeout(1800)
-def test_every_command_of_the_readme_runs(
-    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@PAGES
+def test_every_command_runs(
+    page: Path, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Commands of `annotator` run in this process, where torch is loaded once; test_wheel.py runs the installed one."""
+    """Commands of `annotator` run in this process, where torch is loaded once; test_wheel.py runs the installed one.
+
+    The guide's Python block reads what its commands have exported. That of the README is run by the test above.
+    """
     for name in os.environ:
         if name.startswith("ANNOTATOR_"):
             monkeypatch.delenv(name)
     # `python -m benchmarks.NAME` needs the repository's root; files are written to the working folder
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.chdir(tmp_path)
-    for command in readme_commands():
+    for command in page_commands(page):
         words = as_run(command, shared.resolve())
         if words is None:
             continue
@@ -196,3 +211,8 @@ def test_every_command_of_the_readme_runs(
         else:
             ran = subprocess.run([sys.executable, *words[1:]], capture_output=True, text=True, check=False)
             assert ran.returncode == 0, f"{command}\n{ran.stdout}\n{ran.stderr}"
+    if page == GUIDE:
+        (block,) = python_blocks(page.read_text(encoding="utf-8"))
+        ran = subprocess.run([sys.executable, "-c", block], capture_output=True, text=True, check=False)
+        assert ran.returncode == 0, ran.stderr
+        assert re.search(r"^\d{6} person \[", ran.stdout, re.MULTILINE), ran.stdout

@@ -39,7 +39,11 @@ class Learner:
         learned = self._learned[name]
         if name in self._rounds and self._jobs.stepped_aside(self._rounds[name][0]):
             self._learned[name] = learned = self._rounds.pop(name)[1]
-        if reviewed - learned >= every and self._jobs.is_idle():
+        if reviewed - learned < every or not self._jobs.is_idle():
+            return
+        # a training that somebody started has learned, too
+        learned = self._learned[name] = max(learned, _learned(project, learned))
+        if reviewed - learned >= every:
             job = self._jobs.add(name, project.path, ROUND, OPERATOR)
             self._rounds[name] = (job.id, learned)
             self._learned[name] = reviewed
@@ -49,7 +53,7 @@ def _learned(project: Project, reviewed: int) -> int:
     """The number of reviewed boxes when the training of the newest detector began; 0 without a detector.
 
     Args:
-        reviewed: the present number, which counts for a detector without a record of it.
+        reviewed: the number that counts for a detector without a record of it.
     """
     models = project.models.all(DetectorKind.VIEW)
     if not models:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +13,11 @@ from browser_page import label_truth
 from annotator.detection import base_detector
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
+from annotator.web.jobs.records import JobState, LiftRequest
 from annotator.workflows.training.held_out import Decision, Rival
 
 if TYPE_CHECKING:
+    from conftest import Shop
     from playwright.sync_api import Page
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
@@ -75,6 +79,27 @@ def test_learning_while_labelling_is_switched_on_for_the_project(
     with signed_in.expect_response("**/models/learning"):
         signed_in.get_by_test_id("learn-switch").uncheck()
     assert room.config.settings.learn_every is None
+
+
+def test_the_switch_stays_on_when_a_running_job_reports_its_progress(
+    signed_in: Page, shop: Shop, room: Project, generated: Path, wait_for: Callable[[Callable[[], object]], None]
+) -> None:
+    label_truth(room, generated / "people", 1)
+    jobs = shop.live.context.jobs
+    job = jobs.add(room.path.name, room.path, LiftRequest(kind="lift"), "Ada")
+    wait_for(lambda: jobs.get(job.id).state not in (JobState.QUEUED, JobState.RUNNING))
+    signed_in.goto(f"/#/{room.path.name}/train")
+    expect(signed_in.get_by_test_id("material-view")).to_be_visible()
+    jobs._update(job.id, state=JobState.RUNNING)
+    indicator = signed_in.get_by_test_id("job-indicator")
+    expect(indicator).to_be_visible()
+    signed_in.wait_for_load_state("networkidle")
+    with signed_in.expect_response("**/models/learning"):
+        signed_in.get_by_test_id("learn-switch").check()
+    jobs._update(job.id, stage="half of it", done=1, total=2)
+    expect(indicator).to_have_attribute("title", re.compile("half of it"))
+    expect(signed_in.get_by_test_id("learn-switch")).to_be_checked()
+    jobs._update(job.id, state=JobState.DONE)
 
 
 def test_what_held_out_frames_decided_is_shown_and_the_base_detector_can_be_chosen(

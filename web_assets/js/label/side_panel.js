@@ -235,8 +235,9 @@ export function createFrameBar(order, { onPrevious, onNext, onFinalise, onOrder 
     /** @param {FrameState} state */
     show(state) {
       select.value = order.by;
-      note.textContent =
-        order.by === "teach" && order.remaining !== null ? `${count(order.remaining, "frame")} to label` : "";
+      const left = order.by === "teach" ? order.remaining : null;
+      note.textContent = left === null ? "" : `${left} left`;
+      note.title = left === null ? "" : `${count(left, "frame")} to label`;
       finalise.hidden = false;
       finalise.replaceChildren(glyph("lock"), state.frame.finalised ? "Reopen frame" : "Finalise");
       finalise.title = state.frame.finalised

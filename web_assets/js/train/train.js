@@ -54,10 +54,13 @@ export function mount(root, app) {
 
   async function load() {
     try {
+      const { changes } = learning;
       /** @type {Api.ModelList} */
       const answer = await app.api.get(app.path("models"));
       if (ended) return;
       known = answer;
+      // an answer from before a change is out of date
+      if (changes === learning.changes) learning.show(answer.learn_every);
       show();
     } catch (error) {
       app.toast(error);
@@ -75,7 +78,6 @@ export function mount(root, app) {
     const list = known;
     material.replaceChildren(...ROLES.map((role) => materialCard(role, list)));
     models.show(known);
-    learning.show(known.learn_every);
     propose.setToLift(known.material.to_lift);
     const nothing = Object.values(known.material).every((number) => number === 0);
     form.hidden = nothing;
@@ -126,8 +128,10 @@ function createLearning(app) {
   });
   /** @type {number | null | undefined} */
   let stored;
+  let changes = 0;
 
   async function store() {
+    changes += 1;
     const wanted = box.checked ? every.valueAsNumber || LEARN_EVERY : null;
     try {
       await app.api.put(app.path("models", "learning"), { every: wanted });
@@ -163,6 +167,10 @@ function createLearning(app) {
   );
   return {
     root,
+    /** How often the operator has changed the switch. */
+    get changes() {
+      return changes;
+    },
     /** @param {number | null} now */
     show(now) {
       if (now === stored) return;

@@ -1,12 +1,14 @@
-"""Draws docs/loop.jpg, the figure of the README, from a generated recording: `python docs/make_picture.py`."""
+"""The figure docs/loop.jpg: how 2D boxes on views give an oriented 3D box, on a generated recording."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
+from page import DOCS
 
 from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.frustum import in_frustum
@@ -20,7 +22,7 @@ from annotator.synthetic import write_generated
 from annotator.types import Frame, PointCloud, Proposal, StepTrace
 from annotator.workflows.recorded.reading import load_truth
 
-OUT = Path(__file__).parent / "loop.jpg"
+OUT = DOCS / "loop.jpg"
 RED, GREEN, YELLOW = (230, 60, 50), (60, 220, 90), (250, 220, 60)
 TILE, GAP, BAR, COLUMNS = 232, 8, 26, 6
 
@@ -61,7 +63,7 @@ def gap(height: int) -> np.ndarray:
     return np.full((height, GAP, 3), 255, np.uint8)
 
 
-def camera_image(frame: Frame, proposals: list[Proposal], boxes_3d: bool = True) -> np.ndarray:
+def camera_image(frame: Frame, proposals: Sequence[Proposal], boxes_3d: bool = True) -> np.ndarray:
     image = np.ascontiguousarray(frame.rgb).copy()
     for proposal in proposals:
         if boxes_3d:
@@ -104,7 +106,3 @@ def cloud_of(frame: Frame, proposal: Proposal, step: StepTrace) -> PointCloud:
     if step is not proposal.trace[0]:
         mask &= contains(proposal.box, frame.cloud.xyz_m, 0.08)
     return frame.cloud.select(mask)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,177 @@
+"""The pictures of docs/guide.md: one session at the page, from an empty projects folder to a downloaded dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from page import DOCS, chromium, corners_on_page, drag, save_jpeg, shot, signed_in, wait_for_3d, workbench
+from playwright.sync_api import Page
+from scenes import unlabelled_boxes
+
+from annotator.synthetic import write_generated
+from annotator.types import Box2D, Camera
+
+# As in the guide's first command.
+FRAMES, SEED = 24, 0
+# The first frame, and one in which somebody is visible again who was lost; frame ids of the only recording.
+LABELLED = (1, 20)
+WIDTH, MOST_BYTES = 1000, 85_000
+# Shorter than a user would train: the page is to be shown, not the best detector.
+IMAGE_PICTURES, MINUTES = 480, 1
+SETTLED_MS = 1_500
+
+
+def main() -> None:
+    with TemporaryDirectory() as folder:
+        recordings, projects = Path(folder) / "recordings", Path(folder) / "projects"
+        projects.mkdir()
+        write_generated(recordings / "room", "people", FRAMES, SEED)
+        with workbench(projects, recordings) as address, chromium() as browser:
+            page = signed_in(browser, address)
+            create(page)
+            for frame in LABELLED:
+                camera, boxes = unlabelled_boxes(projects / "room", recordings / "room", frame)
+                if not boxes:
+                    continue
+                page.goto(f"{address}#/room/label/{frame}")
+                draw(page, camera, boxes)
+                follow(page, frame)
+                accept_all(page)
+            train(page)
+            propose(page)
+            page.get_by_test_id("review-proposals").click()
+            select_first(page)
+            keep(page, "guide_review")
+            accept_all(page)
+            check(page)
+            export(page)
+
+
+def keep(page: Page, name: str) -> None:
+    """Saves what the page shows."""
+    page.wait_for_timeout(SETTLED_MS)
+    save_jpeg(shot(page), DOCS / f"{name}.jpg", WIDTH, MOST_BYTES)
+
+
+def click(page: Page, test_id: str) -> None:
+    page.get_by_test_id(test_id).first.click()
+
+
+def create(page: Page) -> None:
+    """A project with a class, and its recording."""
+    click(page, "new-project")
+    page.get_by_test_id("project-name").fill("room")
+    page.get_by_test_id("project-classes").fill("person")
+    page.get_by_test_id("rotation-upright").check()
+    keep(page, "guide_project")
+    click(page, "dialog-create")
+    click(page, "folder-recordings")
+    page.get_by_test_id("own-labels").uncheck()
+    click(page, "add-room")
+    page.get_by_test_id("added-recording").wait_for()
+    keep(page, "guide_recording")
+    page.keyboard.press("Escape")
+    click(page, "open-room")
+
+
+def draw(page: Page, camera: Camera, boxes: list[Box2D]) -> None:
+    """Draws boxes on the image, and accepts the suggested ones; the first time, one of them is moved."""
+    picture = page.get_by_test_id("image-editor").locator("img.picture[src]")
+    picture.wait_for()
+    is_first = page.get_by_test_id("kind-box").get_attribute("aria-checked") == "false"
+    click(page, "kind-box")
+    for box in reversed(boxes):
+        drag(page, *corners_on_page(page, "image-editor", box, camera))
+        page.get_by_test_id("view-side-2").locator(".box.suggested").wait_for()
+        if is_first:
+            is_first = False
+            wait_for_3d(page)
+            keep(page, "guide_draw")
+            correct(page)
+            keep(page, "guide_correct")
+        page.keyboard.press("Enter")
+        page.locator('[data-testid="object"].current[data-boxes="5"]').wait_for()
+        page.wait_for_timeout(SETTLED_MS)
+
+
+def correct(page: Page) -> None:
+    """Moves the lower edge of the suggested box on the first view."""
+    shown = page.get_by_test_id("view-front").locator(".box.suggested").first.bounding_box()
+    assert shown is not None
+    middle, low = shown["x"] + shown["width"] / 2, shown["y"] + shown["height"]
+    drag(page, (middle, low), (middle, low + 0.02 * shown["height"]))
+    page.wait_for_timeout(SETTLED_MS)
+
+
+def follow(page: Page, frame: int) -> None:
+    """All reviewed boxes of the frame, through the recording."""
+    click(page, "mode-review")
+    page.get_by_test_id("frame-box").first.wait_for()
+    page.wait_for_timeout(SETTLED_MS)
+    page.keyboard.press("l")
+    page.get_by_test_id("follow").locator("xpath=self::*[not(@data-state='running')]").wait_for()
+    if frame == LABELLED[0]:
+        page.get_by_test_id("ortho-side").locator("rect.line").wait_for()
+        wait_for_3d(page)
+        keep(page, "guide_follow")
+    click(page, "follow-close")
+
+
+def accept_all(page: Page) -> None:
+    """Reviews all proposals with the space bar."""
+    project = page.url.split("#")[0] + "api/projects/room"
+    while page.request.get(project).json()["labels_by_state"].get("proposed"):
+        if page.get_by_test_id("queue-item").count():
+            page.keyboard.press("Space")
+        page.wait_for_timeout(150)
+
+
+def select_first(page: Page) -> None:
+    """The most doubtful proposal."""
+    click(page, "queue-item")
+    page.get_by_test_id("ortho-side").locator("rect.line").wait_for()
+    wait_for_3d(page)
+
+
+def train(page: Page) -> None:
+    """Both detectors; "Learn while I label" is switched on while they are trained."""
+    click(page, "mode-train")
+    page.get_by_text("Settings", exact=True).click()
+    page.get_by_test_id("train-pictures-image").fill(str(IMAGE_PICTURES))
+    page.get_by_test_id("train-minutes").fill(str(MINUTES))
+    page.get_by_text("Settings", exact=True).click()
+    click(page, "train-start")
+    page.get_by_test_id("curves-quality").locator(".main-svg").first.wait_for()
+    with page.expect_response("**/models/learning"):
+        page.get_by_test_id("learn-switch").check()
+    page.locator('[data-testid="job-train-text"]', has_text="train the view detector").wait_for()
+    keep(page, "guide_train")
+    page.get_by_test_id("learn-switch").uncheck()
+    page.locator('[data-testid="train-start"]:not([disabled])').wait_for()
+
+
+def propose(page: Page) -> None:
+    """Boxes for the whole recording."""
+    page.locator('[data-testid="propose-start"]:not([disabled])').click()
+    page.get_by_test_id("review-proposals").wait_for()
+    page.locator('[data-testid="propose-start"]:not([disabled])').wait_for()
+    page.get_by_test_id("propose-form").scroll_into_view_if_needed()
+    keep(page, "guide_propose")
+
+
+def check(page: Page) -> None:
+    """Suspicious labels."""
+    click(page, "mode-checks")
+    page.get_by_text("checked.").wait_for()
+    keep(page, "guide_check")
+
+
+def export(page: Page) -> None:
+    """A dataset in KITTI's format."""
+    click(page, "mode-export")
+    page.get_by_test_id("export-format").select_option("kitti")
+    page.get_by_test_id("export-divide").check()
+    click(page, "export-start")
+    page.get_by_test_id("download").wait_for()
+    keep(page, "guide_export")
