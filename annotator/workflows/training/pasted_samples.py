@@ -76,7 +76,7 @@ def pasted_view_samples(
     agnostic: bool,
     skip: Skip,
 ) -> Iterator[TrainingSample]:
-    """Yields views of pasted objects, about `config.pasted` of all views that `config` asks for.
+    """Yields views of pasted objects: `config.pasted` of all views that `config` asks for, or fewer if places are rare.
 
     Args:
         most_draws: as for `known_objects`.
@@ -95,7 +95,7 @@ def pasted_view_samples(
 def pasted_image_samples(
     project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, held_out: Container[str], skip: Skip
 ) -> Iterator[TrainingSample]:
-    """Yields camera images with pasted objects, about `config.pasted_images` of all camera images that train.
+    """Yields camera images with pasted objects: up to `config.pasted_images` of all camera images that train.
 
     Only images on which all objects are known are used.
 
