@@ -43,6 +43,7 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import load_detector, view_model
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
+from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
 from benchmarks.clusters import cluster_box
 from benchmarks.report import Table, finish, guarded
@@ -72,6 +73,8 @@ class Arguments:
     """Length of each training in epochs, in place of minutes, for comparisons on a busy machine."""
     generated: float = GENERATED_SHARE
     """Share of generated views in each training."""
+    pasted: float = SampleConfig().pasted
+    """Share of views of pasted objects among those of the project."""
     min_points: int = 20
     """Objects with fewer points are skipped."""
     every: int = 1
@@ -275,7 +278,7 @@ def after(
         plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
         plan = replace(
             plan,
-            samples=plan.samples.model_copy(update={"seed": args.seed}),
+            samples=SampleConfig(seed=args.seed, pasted=args.pasted),
             view=plan.view.model_copy(update={"epochs": args.epochs}),
         )
         begin = time.perf_counter()

@@ -79,6 +79,10 @@ class Arguments:
     """Length of the view detector's training, minutes; None = the default."""
     views: int = SampleConfig().views
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
+    pasted: float = SampleConfig().pasted
+    """Share of views of pasted objects among these."""
+    pasted_images: float = SampleConfig().pasted_images
+    """Share of camera images with a pasted object."""
     project: Path | None = None
     """Folder in which to keep the project. If it exists, its detectors are used, for example to compare strategies."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -256,7 +260,8 @@ def _label(
 
 def plan(args: Arguments) -> TrainPlan:
     """The settings of both training runs."""
-    samples, changes = SampleConfig(views=args.views), dict[str, object](epochs=args.epochs)
+    samples = SampleConfig(views=args.views, pasted=args.pasted, pasted_images=args.pasted_images)
+    changes = dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model
     view_changes = changes if args.size is None else changes | {"image_size_px": args.size}

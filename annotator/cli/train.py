@@ -42,6 +42,8 @@ def run(
     model: Annotated[str | None, arg(help_behavior_hint=f"(default: {VIEW_DEFAULTS.model})")] = None,
     weights: str = "auto",
     views: int = SampleConfig().views,
+    pasted: float = SampleConfig().pasted,
+    pasted_images: float = SampleConfig().pasted_images,
     seed: Seed = 0,
     projects: Projects = None,
 ) -> None:
@@ -63,11 +65,13 @@ def run(
         weights: initial weights: auto = the best view detector so far, else pretrained ones if found or downloadable,
             else random; never = random; or a path.
         views: approximate number of pseudo-views to generate from objects with 3D boxes.
+        pasted: share of these views that show objects cut out of other frames, 0 to below 1.
+        pasted_images: share of the camera images that show an object cut out of another frame, 0 to below 1.
     """
     start = weights if weights in ("auto", "never") else Path(weights)
     shared = {"model": model, "pretrained": start, "seed": seed}
     with _errors_by_flag():
-        samples = SampleConfig(views=views, seed=seed)
+        samples = SampleConfig(views=views, seed=seed, pasted=pasted, pasted_images=pasted_images)
     plan = TrainPlan(
         image=_with(IMAGE_DEFAULTS, epochs=image_epochs, image_size_px=image_size, **shared),
         view=_with(VIEW_DEFAULTS, epochs=epochs, image_size_px=size, **shared),
@@ -129,7 +133,7 @@ def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
 def _flag(setting: str, of_image: bool) -> str:
     """The option of a setting."""
     name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
-    return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name}"
+    return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
 
 
 def _decision_lines(decision: Decision) -> list[str]:

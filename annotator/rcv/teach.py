@@ -116,6 +116,7 @@ def teach_views(
     up: Float64[np.ndarray, "3"] | None,
     rng: np.random.Generator,
     doubtful: Sequence[OrientedBox] = (),
+    targets: Sequence[int] | None = None,
 ) -> list[TaughtView]:
     """Front and side views of each object along `draws` random axes and crops, with all objects labelled.
 
@@ -125,13 +126,15 @@ def teach_views(
         up: unit vector against gravity for upright objects, whose views are level; None for free ones.
         doubtful: boxes of possible further objects. Views that show enough of such an object for a label are left out,
             because they would train the detector to treat it as background.
+        targets: indices of the objects to take crops of; None = all.
     """
     masks = [o.points if o.points is not None else contains(o.box, frame.cloud.xyz_m) for o in objects]
     known = np.logical_or.reduce(masks) if masks else np.zeros(len(frame.cloud), bool)
     doubts = [contains(box, frame.cloud.xyz_m) & ~known for box in doubtful]
     taught: list[TaughtView] = []
-    for target, mask in zip(objects, masks, strict=True):
-        if mask.sum() < MIN_POINTS:
+    for index in range(len(objects)) if targets is None else targets:
+        target = objects[index]
+        if masks[index].sum() < MIN_POINTS:
             continue
         scene = _Scene(frame, objects, masks, doubts)
         # all crops except the frustum are close to the object, so most points of a large cloud can be skipped

@@ -43,6 +43,12 @@ class SampleConfig(BaseModel):
     views: int = Field(480, ge=1, description="approximate number of generated pseudo-views in all")
     most_draws: int = Field(20, ge=1, description="maximum number of generated view pairs per object")
     seed: int = Field(0, ge=0, description="seed of the random axes and crops")
+    pasted: float = Field(0.0, ge=0, lt=1, description="share of the generated views that show pasted objects")
+    pasted_images: float = Field(0.0, ge=0, lt=1, description="share of the camera images that show a pasted object")
+
+    def without(self, views: int) -> SampleConfig:
+        """The settings for the remaining views, if so many have been generated."""
+        return self.model_copy(update={"views": max(self.views - views, 1)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,15 +131,19 @@ def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[
     """
     known = material.labels.keys() - material.open.keys()
     for stored, frame in labelled_frames(project, sorted({*material.images, *known}), skip):
-        drawn = material.images.get(stored.id)
-        labels = material.labels.get(stored.id, ())
-        if drawn is not None:
-            more = undrawn(frame.camera, labels, drawn.boxes)
-            boxes, uids = (*drawn.boxes, *more.values()), (*_drawn_uids(drawn), *more)
-            yield TrainingSample(frame.rgb, boxes, frame_group(stored), DRAWN, uids)
-        else:
-            shown = outlines(frame.camera, labels)
-            yield TrainingSample(frame.rgb, tuple(shown.values()), frame_group(stored), PROJECTED, tuple(shown))
+        yield image_sample(material, stored, frame)
+
+
+def image_sample(material: Material, stored: StoredFrame, frame: Frame) -> TrainingSample:
+    """A frame's camera image with its drawn boxes, and the outlines of its 3D labels without a drawn box."""
+    drawn = material.images.get(stored.id)
+    labels = material.labels.get(stored.id, ())
+    if drawn is None:
+        shown = outlines(frame.camera, labels)
+        return TrainingSample(frame.rgb, tuple(shown.values()), frame_group(stored), PROJECTED, tuple(shown))
+    more = undrawn(frame.camera, labels, drawn.boxes)
+    boxes, uids = (*drawn.boxes, *more.values()), (*_drawn_uids(drawn), *more)
+    return TrainingSample(frame.rgb, boxes, frame_group(stored), DRAWN, uids)
 
 
 def view_samples(

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate
+from itertools import accumulate, chain
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample
@@ -21,8 +21,9 @@ from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.training.agnostic_samples import agnostic_samples, with_generated
-from annotator.workflows.training.held_out import Decision, HeldOut
+from annotator.workflows.training.agnostic_samples import MOST_DRAWS, agnostic_samples, with_generated
+from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
+from annotator.workflows.training.pasted_samples import pasted_image_samples, pasted_view_samples
 from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
     FIRST_PART_S,
@@ -164,8 +165,11 @@ def _train_image(
     if material.unreviewed_images:
         left_out.lines.append(f"{material.unreviewed_images} camera images with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
-    samples = unless_stopped(image_samples(project, material, left_out.skip), partial(_check_stop, stop))
-    ran = run.train(run.write(samples), plan.image, report, stop)
+    real = image_samples(project, material, left_out.skip)
+    held_out, rcv = _held_out(project, plan), plan.rcv or rcv_config(project)
+    pasted = pasted_image_samples(project, material, rcv, plan.samples, held_out, left_out.skip)
+    written = run.write(unless_stopped(chain(real, pasted), partial(_check_stop, stop)))
+    ran = run.train(written, plan.image, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
     return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out.lines))
@@ -223,7 +227,7 @@ class _ViewTraining:
         plan, origin = self.plan, choice.origin
         drawing = plan.samples.model_copy(update={"seed": plan.samples.seed + number})
         agnostic = origin is not None and origin.class_agnostic
-        samples = self._agnostic_samples(origin, drawing) if agnostic and origin else self._samples(drawing)
+        samples = self._samples(origin, drawing)
         classes = AGNOSTIC if agnostic else self.project.config.classes
         run = Run(self.project, DetectorKind.VIEW, classes, self.material.kind, plan.decides)
         written = run.write(tiled(unless_stopped(samples, self._check_stop), self.view_px))
@@ -244,12 +248,18 @@ class _ViewTraining:
         _check_stop(self.stop)
         self.paused_s += time.perf_counter() - begin
 
-    def _samples(self, drawing: SampleConfig) -> Iterator[TrainingSample]:
-        return view_samples(self.project, self.material, self.rcv, drawing, self.left_out.skip)
-
-    def _agnostic_samples(self, origin: UsedModel, drawing: SampleConfig) -> Iterator[TrainingSample]:
-        start = load_detector(origin.path)
-        own = agnostic_samples(self.project, self.material, self.rcv, drawing, start, self.left_out.skip)
+    def _samples(self, origin: UsedModel | None, drawing: SampleConfig) -> Iterator[TrainingSample]:
+        """The project's views, and generated ones if the detector at the start is class-agnostic."""
+        project, material, rcv, skip = self.project, self.material, self.rcv, self.left_out.skip
+        agnostic = origin is not None and origin.class_agnostic
+        most_draws = MOST_DRAWS if agnostic else drawing.most_draws
+        held_out = _held_out(project, self.plan)
+        views = pasted_view_samples(project, material, rcv, drawing, most_draws, held_out, agnostic, skip)
+        pasted = list(unless_stopped(views, self._check_stop))
+        rest = drawing.without(len(pasted))
+        if origin is None or not agnostic:
+            return chain(pasted, view_samples(project, material, rcv, rest, skip))
+        own = chain(pasted, agnostic_samples(project, material, rcv, rest, load_detector(origin.path), skip))
         return with_generated(own, self.plan.generated_share, self.view_px, drawing.seed)
 
 
@@ -260,6 +270,11 @@ def _check_stop(stop: Stop | None) -> None:
     """
     if stop is not None and stop():
         raise TrainingStoppedError("training was stopped; train again to begin anew or to resume")
+
+
+def _held_out(project: Project, plan: TrainPlan) -> frozenset[str]:
+    """The groups of the frames that do not train."""
+    return held_out_groups(project) if plan.decides else frozenset()
 
 
 def _in_part(report: Report, part: int, parts: int, step: TrainingProgress) -> None:
