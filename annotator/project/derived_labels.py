@@ -86,6 +86,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
     if isinstance(payload, LabelCreated):
         row |= {"score": payload.score, "state": payload.state.value}
         row |= {"origin": payload.origin, "image_box": box_2d_json(payload.image_box)}
+        row |= {"box_kind": payload.box_kind.value}
     else:
         row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
         row |= {"track_linked": payload.track_id is not None}
@@ -158,6 +159,8 @@ def _new_values(payload: LabelAccepted | LabelEdited | LabelRejected) -> dict[st
         case LabelEdited():
             drawn: dict[str, Any] = {} if payload.image_box is None else {"image_box": box_2d_json(payload.image_box)}
             edited = {"label": payload.label, "box": payload.box.model_dump_json()}
+            if payload.box_kind is not None:
+                edited["box_kind"] = payload.box_kind.value
             return drawn | edited | {"state": ReviewState.EDITED.value} | track_values(payload.track_id)
 
 

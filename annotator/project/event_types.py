@@ -38,6 +38,7 @@ class LabelState(BaseModel):
     Attributes:
         place: id of its row, which orders the labels of a frame.
         track_linked: True if linking assigned the track id, not a person or a file.
+        box_kind: what the 3D box encloses.
     """
 
     model_config = EXACT
@@ -61,6 +62,7 @@ class LabelState(BaseModel):
     image_agreement: float | None = None
     track_linked: bool = False
     expected_iou_loss: float | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
 
 class ImageBoxesState(BaseModel):
@@ -169,6 +171,7 @@ class LabelCreated(_Payload):
     Attributes:
         origin: how an operator made it, if one did.
         image_box: box on the camera image that the label was made from, if any.
+        box_kind: what the 3D box encloses.
     """
 
     kind: Literal["label_created"] = "label_created"
@@ -180,6 +183,7 @@ class LabelCreated(_Payload):
     state: ReviewState = ReviewState.ACCEPTED
     origin: Origin | None = None
     image_box: Box2D | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
     @model_validator(mode="after")
     def _reviewed(self) -> LabelCreated:
@@ -254,6 +258,7 @@ class LabelEdited(_Payload):
 
     Attributes:
         image_box: the new box on the camera image that the label is made from; None = unchanged.
+        box_kind: what the new 3D box encloses; None = as before.
     """
 
     kind: Literal["label_edited"] = "label_edited"
@@ -262,6 +267,7 @@ class LabelEdited(_Payload):
     box: BoxRecord
     track_id: int | None = None
     image_box: Box2D | None = None
+    box_kind: BoxKind | None = None
 
     def classes(self) -> set[str]:
         return {self.label}

@@ -13,7 +13,7 @@ from annotator.project.event_types import LabelAccepted, LabelCreated, LabelDele
 from annotator.project.records import BoxRecord, box_2d_of, parsed, storable
 from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.writing import Receipt, WriteContext, Writer
-from annotator.types import Box2D, Label, OrientedBox, Quality, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK
 
@@ -32,6 +32,8 @@ class NewLabel:
         track_id: the object's id over the recording, if known.
         state: any but PROPOSED, which the next automatic pass would remove.
         origin: how an operator made it, if one did.
+        image_box: box on the camera image that it was drawn from, if any.
+        box_kind: what the box encloses.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
@@ -42,6 +44,8 @@ class NewLabel:
     track_id: int | None = None
     state: ReviewState = ReviewState.ACCEPTED
     origin: Origin | None = None
+    image_box: Box2D | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
     def __post_init__(self) -> None:
         # the limit of the database and of exported files
@@ -213,6 +217,8 @@ def _created(entry: NewLabel) -> LabelCreated:
         track_id=entry.track_id,
         state=entry.state,
         origin=entry.origin,
+        image_box=entry.image_box,
+        box_kind=entry.box_kind,
     )
 
 
@@ -234,6 +240,7 @@ def _label(row: AnyRow) -> Label:
         row.time_ns,
         row.track_id,
         None if row.state == ReviewState.EDITED else row.expected_iou_loss,
+        BoxKind(row.box_kind),
     )
 
 

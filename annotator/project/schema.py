@@ -121,6 +121,7 @@ labels = Table(
     Column("image_agreement", Float),
     Column("track_linked", Boolean, nullable=False),
     Column("expected_iou_loss", Float),
+    Column("box_kind", Text, nullable=False, server_default="box"),
 )
 
 image_labels = Table(

@@ -120,6 +120,7 @@ def _label_state(row: AnyRow) -> LabelState:
         image_agreement=row.image_agreement,
         track_linked=row.track_linked,
         expected_iou_loss=row.expected_iou_loss,
+        box_kind=row.box_kind,
     )
 
 

@@ -192,6 +192,7 @@ def _label(shown: ShownLabel, measured_by: str | None) -> LabelJson:
         quality=quality_json(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,
+        box_kind=label.box_kind,
         outline=shown.outline.round(2).tolist(),
         points=shown.points,
     )

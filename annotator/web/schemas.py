@@ -158,7 +158,7 @@ class QualityJson(Schema):
 class LabelJson(Schema):
     """A 3D label with its outline on the image, its number of points and its doubt.
 
-    `measured_by` names the base detector if it measured the proposal.
+    `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses.
     """
 
     uid: str
@@ -173,6 +173,7 @@ class LabelJson(Schema):
     quality: QualityJson | None
     doubt: float | None
     measured_by: str | None
+    box_kind: BoxKind
     outline: Outline
     points: int
 

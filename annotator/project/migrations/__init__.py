@@ -22,6 +22,7 @@ from annotator.project.migrations import (
     m0007_moves,
     m0008_tracks,
     m0009_iou_loss,
+    m0010_box_kind,
 )
 from annotator.types.errors import ProjectError
 
@@ -51,6 +52,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(7, m0007_moves.STATEMENTS),
     Migration(8, m0008_tracks.STATEMENTS),
     Migration(9, m0009_iou_loss.STATEMENTS),
+    Migration(10, m0010_box_kind.STATEMENTS),
 )
 
 

@@ -91,7 +91,7 @@ def save_object(
     view_boxes: list[ViewBoxesSet] = []
     if drawn is not None:
         view_boxes = _view_boxes(project, page, opened, drawn, kind)
-        label = _label_change(page, drawn, view_boxes)
+        label = _label_change(page, drawn, view_boxes, kind)
         uid = _label_uid(page, drawn) if label is None else label.uid
         payloads += _new_views(page, view_boxes) + ([] if label is None else [label])
     redrawn = None if drawn is None else drawn.image_box
@@ -148,7 +148,7 @@ def _is_stored(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
 
 
 def _label_change(
-    page: FramePage, drawn: ObjectDrawn, view_boxes: Sequence[ViewBoxesSet]
+    page: FramePage, drawn: ObjectDrawn, view_boxes: Sequence[ViewBoxesSet], kind: BoxKind
 ) -> LabelCreated | LabelEdited | None:
     """Returns the creation or the edit of the object's 3D label, or None if there is nothing to change.
 
@@ -161,15 +161,30 @@ def _label_change(
     name, uid = drawn.image_box.label, _label_uid(page, drawn)
     if uid is not None:
         present = _label(page, uid)
-        box = present.label.box if measured is None or _are_drawn(page, view_boxes) else measured
+        is_kept = measured is None or _are_drawn(page, view_boxes)
+        box = present.label.box if is_kept or measured is None else measured
         if present.image_box == drawn.image_box and present.label.label == name and same_box(present.label.box, box):
             return None
         track = present.label.track_id
-        return LabelEdited(uid=uid, label=name, box=BoxRecord.of(box), track_id=track, image_box=drawn.image_box)
+        return LabelEdited(
+            uid=uid,
+            label=name,
+            box=BoxRecord.of(box),
+            track_id=track,
+            image_box=drawn.image_box,
+            box_kind=None if is_kept else kind,
+        )
     if measured is None:
         return None
     new = uuid.uuid4().hex
-    return LabelCreated(uid=new, label=name, box=BoxRecord.of(measured), origin=Origin.DRAWN, image_box=drawn.image_box)
+    return LabelCreated(
+        uid=new,
+        label=name,
+        box=BoxRecord.of(measured),
+        origin=Origin.DRAWN,
+        image_box=drawn.image_box,
+        box_kind=kind,
+    )
 
 
 def _are_drawn(page: FramePage, view_boxes: Sequence[ViewBoxesSet]) -> bool:

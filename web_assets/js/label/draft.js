@@ -24,6 +24,7 @@ export function makeDraft(item, frame) {
     measuredBy: null,
     problem: null,
     note: null,
+    whole: null,
   };
 }
 
