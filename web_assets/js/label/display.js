@@ -125,7 +125,7 @@ export function createDisplay(app, work, parts) {
       lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });
     const offered = whole.offered();
     if (offered)
-      lines.push({ segments: offered.outline, color: PREVIEW_COLOR, dash: true, strong: true, tag: "whole" });
+      lines.push({ segments: offered.outline, color: PREVIEW_COLOR, dash: true, strong: true, id: "whole" });
     return lines.filter(({ segments }) => segments?.length);
   }
 
