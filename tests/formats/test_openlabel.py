@@ -18,7 +18,7 @@ from annotator.formats.openlabel.model import Document
 from annotator.formats.openlabel.read import parse
 from annotator.formats.openlabel.scene import Scene
 from annotator.formats.openlabel.write import dump
-from annotator.types import Camera, OrientedBox, ReviewState
+from annotator.types import BoxKind, Camera, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 
 # 4 x 2 x 1.5 m, 1 m ahead, rotated by 90 degrees about the camera's y axis (right-hand rule: x becomes -z).
@@ -26,7 +26,8 @@ TURNED = make_box((0.0, 0.5, 1.0), (0.0, np.pi / 2, 0.0), (4.0, 2.0, 1.5))
 
 
 def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
-    label = make_label(TURNED, score=0.75, track_id=7, expected_iou_loss=0.25)
+    kind = BoxKind.SILHOUETTE
+    label = make_label(TURNED, score=0.75, track_id=7, expected_iou_loss=0.25, box_kind=kind)
     assert write_openlabel(tmp_path / "out", [make_item([label])], "annotator 1") == {"hand": 1}
     content = json.loads((tmp_path / "out" / "rec.json").read_text())["openlabel"]
     assert content["metadata"] == {"schema_version": "1.0.0", "name": "rec", "annotator": "annotator 1"}
@@ -54,7 +55,7 @@ def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
         "expected_iou_loss": 0.25,
     }
     texts = {text["name"]: text["val"] for text in cuboid["attributes"]["text"]}
-    assert texts == {"state": "accepted", "source": "manual", "author": "ann"}
+    assert texts == {"state": "accepted", "source": "manual", "author": "ann", "box_kind": "silhouette"}
     (pointer,) = content["objects"][uid]["object_data_pointers"].values()
     assert pointer["frame_intervals"] == [{"frame_start": 3, "frame_end": 3}] == content["frame_intervals"]
     assert content["objects"][uid]["type"] == "hand"

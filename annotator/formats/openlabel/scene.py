@@ -36,7 +36,7 @@ from annotator.formats.openlabel.model import (
     Text,
 )
 from annotator.formats.openlabel.shapes import cuboid_values, pinhole_of, transform_values
-from annotator.types import Label
+from annotator.types import BoxKind, Label
 
 BASE, CAMERA, CLOUD = "base", "camera", "cloud"
 # Axes of the root system (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
@@ -156,6 +156,8 @@ def _seconds(time_ns: int) -> str:
 def _cuboid(label: Label, uid: str) -> Cuboid:
     numbers = {"score": label.score, "track_id": label.track_id, "expected_iou_loss": label.expected_iou_loss}
     texts = {"state": label.state.value, "source": label.source.value, "author": label.author}
+    if label.box_kind is not BoxKind.BOX:
+        texts["box_kind"] = label.box_kind.value
     return Cuboid(
         name=f"{CAMERA}__cuboid__{label.label}",
         val=cuboid_values(label.box),

@@ -65,6 +65,7 @@ def object_record(label: Label) -> RcvObject:
         time_ns=label.time_ns,
         track_id=label.track_id,
         expected_iou_loss=label.expected_iou_loss,
+        box_kind=label.box_kind,
         center=_vector(box.center_m),
         size=_vector(box.size_m),
         rotation=_matrix(box.rotation),
@@ -100,6 +101,7 @@ def label_from(record: RcvObject) -> Label:
         time_ns=record.time_ns,
         track_id=record.track_id,
         expected_iou_loss=record.expected_iou_loss,
+        box_kind=record.box_kind,
     )
 
 
