@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -44,6 +45,8 @@ REACH, TOLERANCE = 0.2, 0.03
 # Two frames show the same object if at least this share of the points of one is found in the other one, and if its
 # middle has moved by less than this share of its mean side.
 SAME_SHARE, MOST_MOVED = 0.6, 1.0
+# An object is looked for in at most this many frames before, and after; each takes some 0.1 s once.
+MOST_FRAMES = 60
 # The surface is closed if its mean normal is shorter than this (a plane: 1, a closed surface: 0). A person who turns
 # around once has 0.03, objects seen from one side have 0.5 to 0.8.
 CLOSED = 0.4
@@ -178,7 +181,7 @@ def _from_all_frames(
 def _followed(seen: SeenObject, frames: Iterable[Sequence[SeenObject]]) -> Iterator[tuple[SeenObject, Pose]]:
     """The same object in frame after frame, each with the pose that brings its points here, until it is not found."""
     here, last = (np.eye(3), np.zeros(3)), seen
-    for candidates in frames:
+    for candidates in islice(frames, MOST_FRAMES):
         links = [(link(last, other), other) for other in candidates if _is_near(last, other)]
         found = max(
             ((one, other) for one, other in links if one is not None), key=lambda pair: pair[0].share, default=None

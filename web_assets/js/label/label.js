@@ -215,10 +215,7 @@ export function mount(root, app) {
     if (app.state.frame) saver.save(finality(!work.isReadonly));
   }
 
-  /**
-   * Accepts the current object's suggestions, its whole box, or else the next suggestion on the image; false if there is
-   * none.
-   */
+  /** Accepts the object's suggestions, its whole box, or else the next suggestion on the image; false if none. */
   function acceptNext() {
     return objects.acceptAll() || whole.confirm() || image.acceptSuggestion();
   }
