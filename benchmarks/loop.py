@@ -4,8 +4,9 @@
         [--model yolov5nu] [--json]
 
 With one folder, every second frame is for training and the others for testing. The ground truth is used only by the
-simulated operator on the training frames and to score the proposals on the test frames. The operator `silhouette` works
-with masks only; the scores that need true boxes are then null.
+simulated operator on the training frames and to score the proposals on the test frames. The operator `silhouette` draws
+what is seen, and then confirms those of the offered whole boxes that fit (`workflows.simulate_whole`). It works with
+masks only; there are then no whole boxes, and the scores that need true boxes are null.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from rich.console import Console
 
 from annotator.detection.config import Backend
 from annotator.detection.progress import TrainingProgress
-from annotator.project import BoxRotation, Project, ProjectSettings, create_project, open_project
+from annotator.project import REVIEWED, BoxRotation, Origin, Project, ProjectSettings, create_project, open_project
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.recordings import Recording, open_recording
 from annotator.types import BoxKind, DetectorKind, Frame
@@ -35,6 +36,7 @@ from annotator.workflows.proposing.propose_frames import propose_frames
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import require_boxes_for, simulate_recording
+from annotator.workflows.simulate_whole import confirm_whole_boxes
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
 from benchmarks.loop_scores import Scores
@@ -128,10 +130,14 @@ def run(args: Arguments) -> dict[str, object]:
         scores = Scores(test, project.config.classes)
         _propose_all(frames, detectors, config, project.config.settings.rotation, scores)
         seconds["propose"] = time.perf_counter() - begin
+        operator = _box_kind(project)
+        whole_boxes = sum(one.origin is Origin.DRAWN for one in project.labels.select(states=REVIEWED))
     return {
         **scores.summary(),
         "boxes_2d": boxes_2d,
-        "operator": detectors.box_kind.value,
+        "operator": operator,
+        "whole_boxes": whole_boxes,
+        "box_kind": detectors.box_kind.value,
         "axes": args.axes.value,
         "backend": args.backend,
         "seconds": seconds,
@@ -213,10 +219,7 @@ def _require_same(args: Arguments, rotation: BoxRotation | None, project: Projec
 
 
 def _box_kind(project: Project) -> BoxKind | None:
-    """The kind of 2D boxes that the view detector is or will be trained on; None without labels."""
-    model = project.models.active(DetectorKind.VIEW)
-    if model is not None:
-        return model.box_kind
+    """The kind of 2D boxes that the operator has drawn; None without labels."""
     return next((boxes.box_kind for boxes in project.boxes.on_images()), None)
 
 
@@ -255,6 +258,9 @@ def _label(
     if to_label <= {boxes.frame_id for boxes in project.boxes.on_images([stored.id])}:
         return
     simulate_recording(project, stored.id, operator, rcv_config(project, view_px=size_px), step)
+    if operator is BoxKind.SILHOUETTE and has_truth(recording):
+        confirmed = confirm_whole_boxes(project, stored.id)
+        QUIET.print(f"whole boxes: {confirmed}", highlight=False)
     seconds["label"] = time.perf_counter() - begin
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from annotator.cli.options import AsJson, ProjectName, Projects
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
-from annotator.types import DetectorKind
+from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.training.held_out import measured_ious
 from annotator.workflows.training.model_report import decision_of
@@ -44,6 +44,8 @@ def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
     yield "  by source", _listed(counts.labels.by_source)
     for detector, suggested in counts.suggested.items():
         yield f"  suggested by {detector}", f"{suggested.as_suggested} as suggested, {suggested.corrected} corrected"
+    if counts.labels.by_kind[BoxKind.SILHOUETTE]:
+        yield "  around what is seen only", counts.labels.by_kind[BoxKind.SILHOUETTE]
     yield "2D boxes on camera images", f"{counts.image_boxes.boxes} on {counts.image_boxes.pictures} images"
     yield "2D boxes on pseudo-views", f"{counts.view_boxes.boxes} on {counts.view_boxes.pictures} views"
     yield "boxes with measured effort", counts.effort.boxes

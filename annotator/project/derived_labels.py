@@ -87,6 +87,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
         row |= {"score": payload.score, "state": payload.state.value}
         row |= {"origin": payload.origin, "image_box": box_2d_json(payload.image_box)}
         row |= {"suggestion": suggestion_json(payload.suggestion)}
+        row |= {"box_kind": payload.box_kind.value}
     else:
         row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
         row |= {"track_linked": payload.track_id is not None}
@@ -160,6 +161,8 @@ def _new_values(payload: LabelAccepted | LabelEdited | LabelRejected) -> dict[st
             drawn: dict[str, Any] = {} if payload.image_box is None else {"image_box": box_2d_json(payload.image_box)}
             edited = {"label": payload.label, "box": payload.box.model_dump_json()}
             edited |= {"suggestion": _new_suggestion(payload)}
+            if payload.box_kind is not None:
+                edited["box_kind"] = payload.box_kind.value
             return drawn | edited | {"state": ReviewState.EDITED.value} | track_values(payload.track_id)
 
 

@@ -38,6 +38,7 @@ class LabelState(BaseModel):
     Attributes:
         place: id of its row, which orders the labels of a frame.
         track_linked: True if linking assigned the track id, not a person or a file.
+        box_kind: what the 3D box encloses.
     """
 
     model_config = EXACT
@@ -62,6 +63,7 @@ class LabelState(BaseModel):
     track_linked: bool = False
     expected_iou_loss: float | None = None
     suggestion: Suggestion | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
 
 class ImageBoxesState(BaseModel):
@@ -171,6 +173,7 @@ class LabelCreated(_Payload):
         origin: how an operator made it, if one did.
         image_box: box on the camera image that the label was made from, if any.
         suggestion: the detector that suggested its boxes, if the operator accepted any.
+        box_kind: what the 3D box encloses.
     """
 
     kind: Literal["label_created"] = "label_created"
@@ -183,6 +186,7 @@ class LabelCreated(_Payload):
     origin: Origin | None = None
     image_box: Box2D | None = None
     suggestion: Suggestion | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
     @model_validator(mode="after")
     def _reviewed(self) -> LabelCreated:
@@ -259,6 +263,7 @@ class LabelEdited(_Payload):
         image_box: the new box on the camera image that the label is made from; None = unchanged.
         suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. None = the
             operator made the new 3D box, and an earlier suggestion counts as corrected.
+        box_kind: what the new 3D box encloses; None = as before.
     """
 
     kind: Literal["label_edited"] = "label_edited"
@@ -268,6 +273,7 @@ class LabelEdited(_Payload):
     track_id: int | None = None
     image_box: Box2D | None = None
     suggestion: Suggestion | None = None
+    box_kind: BoxKind | None = None
 
     def classes(self) -> set[str]:
         return {self.label}

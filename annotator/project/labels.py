@@ -13,7 +13,7 @@ from annotator.project.event_types import LabelAccepted, LabelCreated, LabelDele
 from annotator.project.records import BoxRecord, box_2d_of, parsed, storable, suggestion_of
 from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.writing import Receipt, WriteContext, Writer
-from annotator.types import Box2D, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK
 
@@ -33,6 +33,8 @@ class NewLabel:
         state: any but PROPOSED, which the next automatic pass would remove.
         origin: how an operator made it, if one did.
         suggestion: as in `Label`.
+        image_box: box on the camera image that it was drawn from, if any.
+        box_kind: what the box encloses.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
@@ -44,6 +46,8 @@ class NewLabel:
     state: ReviewState = ReviewState.ACCEPTED
     origin: Origin | None = None
     suggestion: Suggestion | None = None
+    image_box: Box2D | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
     def __post_init__(self) -> None:
         # the limit of the database and of exported files
@@ -222,6 +226,8 @@ def _created(entry: NewLabel) -> LabelCreated:
         state=entry.state,
         origin=entry.origin,
         suggestion=entry.suggestion,
+        image_box=entry.image_box,
+        box_kind=entry.box_kind,
     )
 
 
@@ -244,6 +250,7 @@ def _label(row: AnyRow) -> Label:
         row.track_id,
         None if row.state == ReviewState.EDITED else row.expected_iou_loss,
         suggestion_of(row.suggestion),
+        BoxKind(row.box_kind),
     )
 
 

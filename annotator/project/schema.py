@@ -122,6 +122,7 @@ labels = Table(
     Column("track_linked", Boolean, nullable=False),
     Column("expected_iou_loss", Float),
     Column("suggestion", Text),
+    Column("box_kind", Text, nullable=False, server_default="box"),
 )
 
 image_labels = Table(

@@ -22,11 +22,11 @@ from annotator.project.schema import (
     view_labels,
 )
 from annotator.project.store import Store
-from annotator.types import ReviewState, Source
+from annotator.types import BoxKind, ReviewState, Source
 
 
 class LabelCounts(BaseModel):
-    """Counts of 3D labels; every state and source is a key, even with count 0."""
+    """Counts of 3D labels; every state, source and kind of box is a key, even with count 0."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -35,6 +35,7 @@ class LabelCounts(BaseModel):
     by_class: dict[str, int]
     by_class_and_state: dict[str, dict[ReviewState, int]]
     by_source: dict[Source, int]
+    by_kind: dict[BoxKind, int]
 
 
 class SuggestedCounts(BaseModel):
@@ -142,12 +143,14 @@ def _by_source(counts: dict[str, int]) -> dict[Source, int]:
 
 def _label_counts(connection: Connection) -> LabelCounts:
     states = _grouped(connection, labels, "state", func.count())
+    kinds = _grouped(connection, labels, "box_kind", func.count())
     return LabelCounts(
         total=_rows(connection, labels),
         by_state={state: states.get(state.value, 0) for state in ReviewState},
         by_class=_grouped(connection, labels, "label", func.count()),
         by_class_and_state=_class_and_state(connection),
         by_source=_by_source(_grouped(connection, labels, "source", func.count())),
+        by_kind={kind: kinds.get(kind.value, 0) for kind in BoxKind},
     )
 
 

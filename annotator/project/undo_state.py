@@ -121,6 +121,7 @@ def _label_state(row: AnyRow) -> LabelState:
         track_linked=row.track_linked,
         expected_iou_loss=row.expected_iou_loss,
         suggestion=suggestion_of(row.suggestion),
+        box_kind=row.box_kind,
     )
 
 

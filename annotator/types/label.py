@@ -29,9 +29,9 @@ class ReviewState(StrEnum):
 
 
 class BoxKind(StrEnum):
-    """What a 2D box on a view measures.
+    """What a 2D box on a view, or a 3D box, encloses.
 
-    BOX: the projection of the object's 3D box, hidden parts included (imported or accepted 3D labels).
+    BOX: the whole object, hidden parts included; in 2D, the projection of its 3D box.
     SILHOUETTE: the visible points of the object (drawn boxes).
     """
 
@@ -70,6 +70,7 @@ class Label:
         track_id: the object's id within the recording; None if unknown.
         expected_iou_loss: as in `Quality`, of a proposal that nobody edited; None for other boxes.
         suggestion: the detector that suggested its boxes while the operator drew it, if one did.
+        box_kind: what the box encloses: the whole object, or what is seen of it.
     """
 
     uid: str
@@ -83,6 +84,7 @@ class Label:
     track_id: int | None = None
     expected_iou_loss: float | None = None
     suggestion: Suggestion | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
 
 @dataclass(frozen=True, eq=False)

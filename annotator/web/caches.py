@@ -5,9 +5,12 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections import OrderedDict
+from pathlib import Path
 
+from annotator.project import Project
 from annotator.workflows.workbench.frame_cache import FrameCache
 from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
+from annotator.workflows.workbench.whole_boxes import WholeBoxes
 
 # The image of a pseudo-view takes some 30 kB.
 MOST_IMAGES = 1000
@@ -50,6 +53,16 @@ class Caches:
         self.frames = FrameCache()
         self.view_images = ViewImageCache()
         self.detectors = ReadyDetectors()
+        self._lock = threading.Lock()
+        self._whole: dict[Path, WholeBoxes] = {}
+
+    def whole_boxes(self, project: Project) -> WholeBoxes:
+        """What offers whole boxes for the drawn objects of a project."""
+        with self._lock:
+            known = self._whole.get(project.path)
+            if known is None or known.project is not project:  # opened again
+                known = self._whole[project.path] = WholeBoxes(project)
+            return known
 
     def close(self) -> None:
         """Stops the background threads of the caches."""

@@ -69,16 +69,18 @@ class Delete(Schema):
 
 
 class Edit(Schema):
-    """Changes a label's class, box and track."""
+    """Changes a label's class, box and track; with `box_kind`, also what its box encloses."""
 
     kind: Literal["edit"]
     uid: Uid
     label: ClassName
     box: Box3DJson
     track_id: TrackId | None = None
+    box_kind: BoxKind | None = None
 
     def payload(self) -> Payload:
-        return LabelEdited(uid=self.uid, label=self.label, box=BoxRecord.of(self.box.box()), track_id=self.track_id)
+        box = BoxRecord.of(self.box.box())
+        return LabelEdited(uid=self.uid, label=self.label, box=box, track_id=self.track_id, box_kind=self.box_kind)
 
 
 class Track(Schema):

@@ -194,6 +194,7 @@ def _label(shown: ShownLabel, measured_by: str | None) -> LabelJson:
         doubt=shown.doubt,
         measured_by=measured_by,
         suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
+        box_kind=label.box_kind,
         outline=shown.outline.round(2).tolist(),
         points=shown.points,
     )

@@ -174,7 +174,7 @@ class SuggestionJson(Schema):
 class LabelJson(Schema):
     """A 3D label with its outline on the image, its number of points and its doubt.
 
-    `measured_by` names the base detector if it measured the proposal.
+    `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses.
     """
 
     uid: str
@@ -190,6 +190,7 @@ class LabelJson(Schema):
     doubt: float | None
     measured_by: str | None
     suggestion: SuggestionJson | None
+    box_kind: BoxKind
     outline: Outline
     points: int
 

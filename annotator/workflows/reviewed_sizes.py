@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from annotator.project import REVIEWED, Project
 from annotator.project.config import BoxRotation
 from annotator.rcv.typical_sizes import TypicalSize, typical_size
-from annotator.types import OrientedBox
+from annotator.types import BoxKind, OrientedBox
 
 # Number of the latest reviewed boxes of a class that count.
 MOST_BOXES = 60
@@ -24,7 +24,7 @@ PARALLEL = 0.98
 
 
 def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tuple[TypicalSize, ...]:
-    """The typical size of each class with reviewed boxes.
+    """The typical size of each class with reviewed boxes of whole objects.
 
     Args:
         without_frames: ids of frames whose boxes do not count.
@@ -32,7 +32,11 @@ def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tu
     sizes = []
     for label in project.config.classes:
         stored = project.labels.recent(label, REVIEWED, MOST_BOXES)
-        boxes = [item.label.box for item in stored if item.frame_id not in without_frames]
+        boxes = [
+            item.label.box
+            for item in stored
+            if item.frame_id not in without_frames and item.label.box_kind is BoxKind.BOX
+        ]
         if boxes:
             sizes.append(_typical(label, boxes, project.config.settings.rotation))
     return tuple(sizes)

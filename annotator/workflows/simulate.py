@@ -122,7 +122,7 @@ def draw_frame(
     frame: Frame, objects: Sequence[TaughtObject], kind: BoxKind, config: RcvConfig
 ) -> tuple[list[Box2D], list[DrawnObject]]:
     """Returns the boxes on the image, and the objects with boxes on all four views."""
-    visible = [(item, box) for item in objects if (box := _image_box(frame, item, kind)) is not None]
+    visible = [(item, box) for item in objects if (box := image_box_of(frame, item, kind)) is not None]
     on_image = [box for _, box in visible]
     frame = frame_with_normals(frame, on_image, config)
     finished: list[DrawnObject] = []
@@ -133,7 +133,8 @@ def draw_frame(
     return on_image, finished
 
 
-def _image_box(frame: Frame, item: TaughtObject, kind: BoxKind) -> Box2D | None:
+def image_box_of(frame: Frame, item: TaughtObject, kind: BoxKind) -> Box2D | None:
+    """The box that the simulated operator draws around an object on the camera image; None if it is not visible."""
     if kind is BoxKind.BOX:
         return box_on_image(frame.camera, item.box, item.label)
     return points_on_image(frame.camera, frame.cloud.xyz_m[item.points], item.label)

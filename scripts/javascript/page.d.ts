@@ -295,6 +295,8 @@ type Draft = {
   problem: string | null;
   /** The reason why it suggests nothing. */
   note: string | null;
+  /** Whole boxes that are offered for the object as it was after so many changes, and which one is shown. */
+  whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number } | null;
 };
 
 /** A dashed box on the image. */
@@ -347,6 +349,7 @@ type OrderName = "teach" | "time";
 type Saver = ReturnType<typeof import("../../web_assets/js/label/saver.js").createSaver>;
 type StepLoader = ReturnType<typeof import("../../web_assets/js/label/draft.js").createStepLoader>;
 type Suggester = ReturnType<typeof import("../../web_assets/js/label/suggestions.js").createSuggester>;
+type WholeBoxes = ReturnType<typeof import("../../web_assets/js/label/whole_boxes.js").createWholeBoxes>;
 type Prefetch = ReturnType<typeof import("../../web_assets/js/label/prefetch.js").createPrefetch>;
 type ViewsPane = ReturnType<typeof import("../../web_assets/js/label/views_pane.js").createViewsPane>;
 type Objects = ReturnType<typeof import("../../web_assets/js/label/objects.js").createObjects>;
@@ -374,6 +377,7 @@ type Change = {
   label?: string;
   box?: Box3D;
   track_id?: number | null;
+  box_kind?: Api.BoxKind | null;
   image_box?: (Rect & { label: string }) | null;
   suggestion?: Api.SuggestionJson | null;
 };

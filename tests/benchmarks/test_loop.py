@@ -81,7 +81,7 @@ def untrained(generated: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
 def test_the_report_contains_all_scores(generated: Path, untrained: Callable[..., TrainingStandIn]) -> None:
     untrained()
     result = run(Arguments(generated / "people"))
-    assert set(result) == KEYS | {"operator", "axes", "backend", "seconds"}
+    assert set(result) == KEYS | {"operator", "whole_boxes", "box_kind", "axes", "backend", "seconds"}
     assert (result["frames"], result["share_with_proposal"], result["operator"]) == (2, 1.0, "box")
     assert result["boxes_2d"] == 3 * 3 * 5
     assert float(str(result["mean_iou"])) > 0.8
@@ -146,7 +146,9 @@ def test_a_kept_project_is_reused_or_refused(
         result = run(Arguments(folder, project=kept))
         assert result["operator"] == "silhouette"
         assert result["boxes_2d"] == before.image_boxes.boxes + before.view_boxes.boxes
-    assert set(asked) == {(BoxRotation.FREE, BoxKind.SILHOUETTE)}
+    # enough of the offered whole boxes were confirmed, so these are what the detector measures
+    assert set(asked) == {(BoxRotation.FREE, BoxKind.BOX)}
+    assert (result["whole_boxes"], result["box_kind"]) == (9, "box")
     assert stand_in.trainings == 2
     for wrong, message in (
         ({"operator": BoxKind.BOX}, "labelled by the operator silhouette, not box"),

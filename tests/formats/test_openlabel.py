@@ -18,7 +18,7 @@ from annotator.formats.openlabel.model import Document
 from annotator.formats.openlabel.read import parse
 from annotator.formats.openlabel.scene import Scene
 from annotator.formats.openlabel.write import dump
-from annotator.types import Camera, OrientedBox, ReviewState, Suggestion
+from annotator.types import BoxKind, Camera, OrientedBox, ReviewState, Suggestion
 from annotator.types.errors import FormatError
 
 # 4 x 2 x 1.5 m, 1 m ahead, rotated by 90 degrees about the camera's y axis (right-hand rule: x becomes -z).
@@ -26,8 +26,8 @@ TURNED = make_box((0.0, 0.5, 1.0), (0.0, np.pi / 2, 0.0), (4.0, 2.0, 1.5))
 
 
 def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
-    suggestion = Suggestion("base detector", "f00d")
-    label = make_label(TURNED, score=0.75, track_id=7, expected_iou_loss=0.25, suggestion=suggestion)
+    known = {"suggestion": Suggestion("base detector", "f00d"), "box_kind": BoxKind.SILHOUETTE}
+    label = make_label(TURNED, score=0.75, track_id=7, expected_iou_loss=0.25, **known)
     assert write_openlabel(tmp_path / "out", [make_item([label])], "annotator 1") == {"hand": 1}
     content = json.loads((tmp_path / "out" / "rec.json").read_text())["openlabel"]
     assert content["metadata"] == {"schema_version": "1.0.0", "name": "rec", "annotator": "annotator 1"}
@@ -61,6 +61,7 @@ def test_a_document_equals_the_one_by_hand(tmp_path: Path) -> None:
         "author": "ann",
         "suggested_by": "base detector",
         "suggestion": "accepted",
+        "box_kind": "silhouette",
     }
     (pointer,) = content["objects"][uid]["object_data_pointers"].values()
     assert pointer["frame_intervals"] == [{"frame_start": 3, "frame_end": 3}] == content["frame_intervals"]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.registration import register, share_found
+from annotator.geometry.registration import register, register_surface, share_found
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -88,3 +88,27 @@ def test_points_without_a_cloud_nearby_have_no_pose() -> None:
     points = corner(np.random.default_rng(6))
     assert register(points, KDTree(points + 5.0), (np.eye(3), np.zeros(3)), 0.35) is None
     assert share_found(points, KDTree(points + 5.0), (np.eye(3), np.zeros(3)), 0.05) == 0.0
+
+
+def test_a_surface_that_turns_is_turned_all_the_way_by_planes() -> None:
+    """Points that come into view pull the nearest points back; planes let the surface slide along itself."""
+    rng = np.random.default_rng(0)
+    angles, heights = rng.uniform(-np.pi, np.pi, 6000), rng.uniform(-0.5, 0.5, 6000)
+    xyz = np.stack([0.3 * np.cos(angles), 0.2 * np.sin(angles), heights], axis=1)
+    normals = np.stack([np.cos(angles) / 0.3, np.sin(angles) / 0.2, np.zeros(6000)], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    turn = Rotation.from_rotvec(0.2 * UP).as_matrix()
+    before, after = normals[:, 1] < 0, (normals @ turn.T)[:, 1] < 0
+    cloud, around = xyz[after] @ turn.T, normals[after] @ turn.T
+    start = (np.eye(3), cloud.mean(axis=0) - xyz[before].mean(axis=0))
+    by_points = register(xyz[before], KDTree(cloud), start, 0.1, UP)
+    by_planes = register_surface(xyz[before], KDTree(cloud), around, start, 0.1, UP)
+    assert by_points is not None and by_planes is not None
+    error = pose_error(by_planes, turn, np.zeros(3))
+    assert error[0] < 0.02 and error[1] < 0.01
+    assert error[0] < 0.2 * pose_error(by_points, turn, np.zeros(3))[0]
+
+
+def test_a_surface_far_away_is_not_registered() -> None:
+    points = corner(np.random.default_rng(0))
+    assert register_surface(points, KDTree(points + 5.0), points, (np.eye(3), np.zeros(3)), 0.1) is None

@@ -23,6 +23,7 @@ def test_an_empty_project_has_zero_counts(project: Project) -> None:
         "by_class": {},
         "by_class_and_state": {},
         "by_source": {"manual": 0, "auto": 0, "imported": 0},
+        "by_kind": {"box": 0, "silhouette": 0},
     }
     assert numbers["image_boxes"] == {
         "pictures": 0,
@@ -64,6 +65,7 @@ def test_labels_boxes_and_events_are_counted(project: Project, recording: Stored
                 "person": {"proposed": 0, "accepted": 1, "edited": 0, "rejected": 0},
             },
             "by_source": {"manual": 0, "auto": 2, "imported": 1},
+            "by_kind": {"box": 3, "silhouette": 0},
         },
         "suggested": {},
         "image_boxes": {"pictures": 2, "boxes": 2, "boxes_by_source": {"manual": 2, "auto": 0, "imported": 0}},

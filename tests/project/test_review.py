@@ -180,3 +180,22 @@ def test_signals_are_the_selected_labels_without_their_boxes(project: Project, r
     assert project.boxes.frames_with_images() == frozenset()
     project.boxes.set_on_image(two, [], BoxKind.BOX, by_hand(1))
     assert project.boxes.frames_with_images() == {two}
+
+
+def test_a_label_says_what_its_box_encloses_until_it_is_changed_and_again_after_undo(
+    project: Project, frame: int
+) -> None:
+    seen = NewLabel("hand", box_at(1.0), origin=Origin.DRAWN, box_kind=BoxKind.SILHOUETTE)
+    (uid,) = project.labels.create(frame, [seen], by_hand(project.frames.get(frame).revision)).uids
+    kinds = [project.labels.get(uid).label.box_kind]
+    box = BoxRecord.of(box_at(2.0))
+    for kind in (None, BoxKind.BOX):
+        payload = LabelEdited(uid=uid, label="hand", box=box, box_kind=kind)
+        project.log.append(frame, [payload], by_hand(project.frames.get(frame).revision))
+        kinds.append(project.labels.get(uid).label.box_kind)
+    project.history.undo("ann")
+    kinds.append(project.labels.get(uid).label.box_kind)
+    project.log.rebuild()
+    kinds.append(project.labels.get(uid).label.box_kind)
+    seen_kind = BoxKind.SILHOUETTE
+    assert kinds == [seen_kind, seen_kind, BoxKind.BOX, seen_kind, seen_kind]

@@ -260,3 +260,24 @@ def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
     ]
     assert state(live.client)["frame"]["revision"] == 2 * each
     assert refusals, "the writers did not conflict"
+
+
+def test_the_whole_box_of_a_drawn_object_is_offered_and_confirmed(live: Live, generated: Path) -> None:
+    scene = Scene.of(generated / "people", 0, ["person"])
+    uid = draw_object(live.client, "room", 1, scene, 0)["uid"]
+    body = {"image_box": scene.image_box(0)}
+    before = state(live.client)
+    offered = live.client.post(f"{ROOM}/frames/1/label/whole", json=body).json()["boxes"]
+    assert 1 <= len(offered) <= 2 and all(len(one["outline"]) > 0 for one in offered)
+    assert state(live.client) == before, "nothing is stored by asking"
+    assert before["labels"][0]["box_kind"] == "silhouette"
+    edit = {"kind": "edit", "uid": uid, "label": "person", "box": offered[0]["box"], "box_kind": "box"}
+    assert change(live.client, before["frame"]["revision"], edit).status_code == 200
+    confirmed = state(live.client)
+    assert confirmed["labels"][0]["box_kind"] == "box"
+    assert confirmed["objects"] == before["objects"], "the silhouettes stay beside it"
+    undone = live.client.post(f"{ROOM}/undo", json={})
+    assert undone.status_code == 200, undone.text
+    assert state(live.client)["labels"][0]["box_kind"] == "silhouette"
+    unknown = {"image_box": {**body["image_box"], "x_min": body["image_box"]["x_min"] + 1}}
+    assert live.client.post(f"{ROOM}/frames/1/label/whole", json=unknown).json() == {"boxes": []}

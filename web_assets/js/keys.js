@@ -65,7 +65,7 @@ export const KEYS = [
   {
     id: "accept-suggestion",
     keys: ["Enter"],
-    label: "Accept the suggested (dashed) boxes of the object",
+    label: "Accept the suggested (dashed) boxes, or the whole box, of the object",
     modes: ["label"],
     group: "Label",
   },
@@ -73,6 +73,13 @@ export const KEYS = [
     id: "box-kind",
     keys: ["B"],
     label: "Boxes enclose the visible part / the whole object",
+    modes: ["label"],
+    group: "Label",
+  },
+  {
+    id: "next-whole-box",
+    keys: ["W"],
+    label: "Another whole box (dashed) of a finished object",
     modes: ["label"],
     group: "Label",
   },

@@ -36,7 +36,7 @@ from annotator.formats.openlabel.model import (
     Text,
 )
 from annotator.formats.openlabel.shapes import cuboid_values, pinhole_of, transform_values
-from annotator.types import Label
+from annotator.types import BoxKind, Label
 
 BASE, CAMERA, CLOUD = "base", "camera", "cloud"
 # Axes of the root system (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
@@ -161,6 +161,8 @@ def _cuboid(label: Label, uid: str) -> Cuboid:
             "suggested_by": label.suggestion.detector,
             "suggestion": "corrected" if label.suggestion.corrected else "accepted",
         }
+    if label.box_kind is not BoxKind.BOX:
+        texts["box_kind"] = label.box_kind.value
     return Cuboid(
         name=f"{CAMERA}__cuboid__{label.label}",
         val=cuboid_values(label.box),

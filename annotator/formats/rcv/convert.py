@@ -66,6 +66,7 @@ def object_record(label: Label) -> RcvObject:
         track_id=label.track_id,
         expected_iou_loss=label.expected_iou_loss,
         suggestion=label.suggestion,
+        box_kind=label.box_kind,
         center=_vector(box.center_m),
         size=_vector(box.size_m),
         rotation=_matrix(box.rotation),
@@ -102,6 +103,7 @@ def label_from(record: RcvObject) -> Label:
         track_id=record.track_id,
         expected_iou_loss=record.expected_iou_loss,
         suggestion=record.suggestion,
+        box_kind=record.box_kind,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.formats.json_file import BoundedTrack
-from annotator.types import ReviewState, Source, Suggestion
+from annotator.types import BoxKind, ReviewState, Source, Suggestion
 
 FORMAT_NAME = "annotator-rcv"
 FORMAT_VERSION = 1
@@ -59,6 +59,7 @@ class RcvObject(_Record):
     track_id: BoundedTrack | None
     expected_iou_loss: float | None = Field(None, ge=0, le=1)
     suggestion: Suggestion | None = None
+    box_kind: BoxKind = BoxKind.BOX
     center: Vector3
     size: tuple[Positive, Positive, Positive]
     rotation: Matrix3

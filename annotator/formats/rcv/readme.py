@@ -51,6 +51,7 @@ if unknown. `timestamp_ns` is the capture time in nanoseconds, or null.
 | `uid` | unique in the project; unchanged by edits |
 | `expected_iou_loss` | 1 - IoU with the true box, as the fit expects it; null if unknown or edited |
 | `suggestion` | the view detector that suggested boxes to the operator, and whether they were corrected; or null |
+| `box_kind` | what the box encloses: `box` (the whole object) or `silhouette` (only what is seen of it) |
 | `track_id` | the same number for the same object over a recording, or null |
 
 The corners' order, as signs along the box's own x, y, z:

@@ -23,6 +23,7 @@ from annotator.project.migrations import (
     m0008_tracks,
     m0009_iou_loss,
     m0010_suggestions,
+    m0011_box_kind,
 )
 from annotator.types.errors import ProjectError
 
@@ -53,6 +54,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(8, m0008_tracks.STATEMENTS),
     Migration(9, m0009_iou_loss.STATEMENTS),
     Migration(10, m0010_suggestions.STATEMENTS),
+    Migration(11, m0011_box_kind.STATEMENTS),
 )
 
 

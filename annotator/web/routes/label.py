@@ -9,6 +9,7 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
+from annotator.geometry.edges import visible_edges
 from annotator.project import Project, WriteContext
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
@@ -115,6 +116,25 @@ class SaveOut(Schema):
     drawn: StepsOut | None
 
 
+class WholeIn(Schema):
+    """A drawn object, by its box on the image."""
+
+    image_box: Box2DJson
+
+
+class WholeBoxJson(Schema):
+    """A whole box with its outline on the image."""
+
+    box: Box3DOut
+    outline: Outline
+
+
+class WholeOut(Schema):
+    """The whole boxes that are offered, best first."""
+
+    boxes: list[WholeBoxJson]
+
+
 class SuggestionsOut(Schema):
     """Boxes of the image detector, best first; empty without a detector, or if it failed (`problem`)."""
 
@@ -160,6 +180,23 @@ def _steps_json(ctx: Context, name: str, opened: OpenFrame, labelling: Labelling
         suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
         problem=None if ready.problem is None else ctx.public_message(ready.problem),
         note=None if labelling.note is None else ctx.public_message(labelling.note),
+    )
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/label/whole")
+def whole(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: WholeIn) -> WholeOut:
+    """The whole boxes that are offered for an object whose silhouettes are drawn. Nothing is stored."""
+    project = ctx.project(name)
+    opened = ctx.caches.frames.open(project, frame_id, operator)
+    detector = ctx.caches.detectors.readiness(project, DetectorKind.VIEW, LOADING_WAIT_S).detector
+    stored = project.frames.get(frame_id)
+    offers = ctx.caches.whole_boxes(project).of(opened.frame, stored, body.image_box.box(), detector)
+    outlines = visible_edges(opened.frame.camera, [offer.box for offer in offers])
+    return WholeOut(
+        boxes=[
+            WholeBoxJson(box=Box3DOut.of(offer.box), outline=outline.round(2).tolist())
+            for offer, outline in zip(offers, outlines, strict=True)
+        ]
     )
 
 

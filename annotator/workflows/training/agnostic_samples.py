@@ -15,8 +15,8 @@ import numpy as np
 from annotator.detection.dataset import TrainingSample
 from annotator.project import Project, ViewBoxes
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.teach import teach_agnostic_views
-from annotator.types import Box2D, BoxKind, Detector, Image
+from annotator.rcv.teach import project_box, teach_agnostic_views
+from annotator.types import Box2D, BoxKind, Detector, Image, PseudoView
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.training.samples import (
     DRAWN,
@@ -52,7 +52,7 @@ def agnostic_samples(
         start: the class-agnostic detector that the training starts from.
     """
     yield from _drawn(project, material, start)
-    for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip):
+    for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip, both_kinds=True):
         labels, objects = known.labels, known.objects
         for taught in teach_agnostic_views(
             known.frame, objects, range(len(objects)), known.draws, known.rcv, known.up, known.rng
@@ -94,11 +94,23 @@ def _drawn(project: Project, material: Material, start: Detector) -> Iterator[Tr
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
         rgb = project.views.load(view.view_id)
-        yield TrainingSample(rgb, _boxes_of(view, start, rgb), group, DRAWN, (), look_px)
+        yield TrainingSample(rgb, _boxes_of(view, material, start, rgb), group, DRAWN, (), look_px)
 
 
-def _boxes_of(view: ViewBoxes, start: Detector, rgb: np.ndarray) -> tuple[Box2D, ...]:
+def _boxes_of(view: ViewBoxes, material: Material, start: Detector, rgb: np.ndarray) -> tuple[Box2D, ...]:
     known = [replace(box, label=AGNOSTIC_LABELS[view.box_kind]) for box in view.boxes[:1]]
+    geometry = view.geometry
+    if known and view.box_kind is BoxKind.SILHOUETTE and geometry is not None and geometry.image_box is not None:
+        whole = material.whole.get((view.frame_id or 0, geometry.image_box))
+        drawn_on = PseudoView(
+            rgb,
+            np.array(geometry.axes),
+            geometry.metres_per_px,
+            np.array(geometry.origin_m),
+            np.zeros((0, 3), np.float32),
+        )
+        shown = None if whole is None else project_box(drawn_on, whole, AGNOSTIC_LABELS[BoxKind.BOX])
+        known += [] if shown is None else [shown]
     return _completed(start, _Picture(rgb), known)
 
 

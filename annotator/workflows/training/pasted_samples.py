@@ -139,7 +139,7 @@ def pasted_frames(
         with_images: keep the pixels of the objects, too.
     """
     rng = np.random.default_rng([config.seed, 1])
-    train = [s.id for s in project.frames.of() if s.id in material.labels and frame_group(s) not in held_out]
+    train = [s.id for s in project.frames.of() if s.id in material.labels_of_kind and frame_group(s) not in held_out]
     if count == 0 or len(train) < 2:
         return
     chosen = rng.permutation(train)[:MOST_FRAMES].tolist()
@@ -165,9 +165,10 @@ def pasted_frames(
 
 def _only(material: Material, frame_ids: list[int]) -> Material:
     """What is known of some frames with reviewed 3D labels."""
-    labels = {frame_id: material.labels[frame_id] for frame_id in frame_ids}
+    of_kind = material.labels_of_kind
+    labels = {frame_id: of_kind[frame_id] for frame_id in frame_ids}
     views = tuple(view for view in material.views if view.frame_id in labels)
-    return Material({}, views, labels, material.kind, 0, material.open)
+    return Material({}, views, labels, material.kind, material.open)
 
 
 def _cut(known: KnownObjects) -> Iterator[tuple[Label, Cutout]]:

@@ -9,7 +9,7 @@ drew around it.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +22,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
-from annotator.types import BoxKind, DetectorKind, Frame, Label, ReviewState
+from annotator.types import Box2D, BoxKind, DetectorKind, Frame, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.views.outlines import outlines, undrawn
@@ -57,19 +57,33 @@ class Material:
 
     Attributes:
         images: labelled camera images, by frame.
-        views: labelled pseudo-views.
+        views: labelled pseudo-views, of both kinds.
         labels: reviewed 3D labels, by frame.
         kind: what the view detector's boxes will measure.
-        left_out: number of labelled views of the other kind, which are not used.
         open: unreviewed proposals, by frame, which may or may not be objects.
+        whole: the whole boxes of drawn objects, by frame and box on its image.
     """
 
     images: dict[int, ImageBoxes]
     views: tuple[ViewBoxes, ...]
     labels: dict[int, tuple[Label, ...]]
     kind: BoxKind
-    left_out: int
     open: dict[int, tuple[Label, ...]] = field(default_factory=dict)
+    whole: dict[tuple[int, Box2D], OrientedBox] = field(default_factory=dict)
+
+    @property
+    def views_of_kind(self) -> tuple[ViewBoxes, ...]:
+        """The labelled views that a detector with the project's classes learns from."""
+        return tuple(view for view in self.views if view.box_kind is self.kind or not view.boxes)
+
+    @property
+    def labels_of_kind(self) -> dict[int, tuple[Label, ...]]:
+        """The reviewed labels whose boxes enclose what the view detector's boxes will measure, by frame."""
+        of_kind = {
+            frame: tuple(label for label in labels if label.box_kind is self.kind)
+            for frame, labels in self.labels.items()
+        }
+        return {frame: labels for frame, labels in of_kind.items() if labels}
 
     @property
     def unreviewed_images(self) -> int:
@@ -94,7 +108,8 @@ def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)
     """
     images = {boxes.frame_id: boxes for boxes in project.boxes.on_images()}
     views = project.boxes.on_views()
-    reviewed = _by_frame(project.labels.select(states=REVIEWED))
+    stored = project.labels.select(states=REVIEWED)
+    reviewed = _by_frame(stored)
     drawn = {DetectorKind.IMAGE: (images, "camera images"), DetectorKind.VIEW: (views, "pseudo-views")}
     missing = [name for role, (boxes, name) in drawn.items() if role in roles and not boxes]
     if missing and not reviewed:
@@ -103,18 +118,31 @@ def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)
             "them with `annotator import`, let `annotator simulate` draw them from a recording's truth, or add a "
             "recording with 3D labels"
         )
-    kinds = Counter(view.box_kind for view in views for _ in view.boxes)
-    kinds[BoxKind.BOX] += 4 * sum(map(len, reviewed.values()))
-    kind = BoxKind.BOX if kinds[BoxKind.BOX] >= kinds[BoxKind.SILHOUETTE] else BoxKind.SILHOUETTE
-    same = tuple(view for view in views if view.box_kind is kind or not view.boxes)
     unreviewed = _by_frame(project.labels.select(states=[ReviewState.PROPOSED]))
-    material = Material(images, same, reviewed, kind, len(views) - len(same), unreviewed)
+    whole = {
+        (one.frame_id, one.image_box): one.label.box
+        for one in stored
+        if one.image_box is not None and one.label.box_kind is BoxKind.BOX
+    }
+    material = Material(images, views, reviewed, _kind(views, stored, whole), unreviewed, whole)
     if DetectorKind.IMAGE in roles and not images and material.unreviewed_images == len(reviewed):
         raise DetectionError(
             f"project {project.config.name} has no camera image to learn from: every frame with reviewed boxes also "
             "has unreviewed proposals, which the detector would learn as background; review all proposals of a frame"
         )
     return material
+
+
+def _kind(
+    views: Sequence[ViewBoxes], labels: Sequence[StoredLabel], whole: Container[tuple[int | None, Box2D]]
+) -> BoxKind:
+    """What most boxes enclose; the silhouettes of an object whose whole box is known do not count."""
+    kinds = Counter(stored.label.box_kind for stored in labels for _ in range(4))
+    for view in views:
+        image_box = None if view.geometry is None else view.geometry.image_box
+        if image_box is None or (view.frame_id, image_box) not in whole:
+            kinds[view.box_kind] += len(view.boxes)
+    return BoxKind.BOX if kinds[BoxKind.BOX] >= kinds[BoxKind.SILHOUETTE] else BoxKind.SILHOUETTE
 
 
 def _by_frame(stored_labels: Iterable[StoredLabel]) -> dict[int, tuple[Label, ...]]:
@@ -151,13 +179,13 @@ def view_samples(
 ) -> Iterator[TrainingSample]:
     """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
     groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view in material.views:
+    for view in material.views_of_kind:
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
         rgb = project.views.load(view.view_id)
         yield TrainingSample(rgb, view.boxes, group, DRAWN, _drawn_uids(view), look_px)
     for known in known_objects(project, material, rcv, config, config.most_draws, skip):
-        doubtful = [label.box for label in material.open.get(known.stored.id, ())]
+        doubtful = [label.box for label in (*material.open.get(known.stored.id, ()), *known.untaught)]
         for taught in teach_views(
             known.frame, known.objects, material.kind, known.draws, known.rcv, known.up, known.rng, doubtful
         ):
@@ -172,6 +200,7 @@ class KnownObjects:
 
     Attributes:
         labels: reviewed labels, which are the first objects.
+        untaught: reviewed labels whose boxes are not of the kind that is taught.
         draws: number of view pairs per object.
         rcv: the settings for this frame.
         up: the direction that views keep, if any.
@@ -181,6 +210,7 @@ class KnownObjects:
     stored: StoredFrame
     frame: Frame
     labels: tuple[Label, ...]
+    untaught: tuple[Label, ...]
     objects: list[TaughtObject]
     draws: int
     rcv: RcvConfig
@@ -189,44 +219,54 @@ class KnownObjects:
 
 
 def known_objects(
-    project: Project, material: Material, rcv: RcvConfig, config: SampleConfig, most_draws: int, skip: Skip
+    project: Project,
+    material: Material,
+    rcv: RcvConfig,
+    config: SampleConfig,
+    most_draws: int,
+    skip: Skip,
+    both_kinds: bool = False,
 ) -> Iterator[KnownObjects]:
     """Yields the objects whose 3D extent is known, frame by frame.
 
     Args:
         most_draws: maximum number of view pairs per object.
+        both_kinds: for class-agnostic detectors, which learn the whole and what is seen: `labels` are the objects whose
+            whole box is known.
     """
-    drags = drawn_objects(material)
+    taught_kinds = set(BoxKind) if material.kind is BoxKind.SILHOUETTE and not both_kinds else {BoxKind.BOX}
+    drags = drawn_objects(material.views) if both_kinds or material.kind is BoxKind.SILHOUETTE else {}
     total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
     if total == 0:
         return
     draws = int(np.clip(round(config.views / (2 * total)), 1, most_draws))
     for stored, frame in labelled_frames(project, sorted({*material.labels, *drags}), skip):
-        labels = material.labels.get(stored.id, ())
-        cuts = [taught_by_drags(frame, views) for views in drags.get(stored.id, ())]
-        objects = [TaughtObject(label.label, label.box) for label in labels]
-        objects += [cut for cut in cuts if cut is not None and not is_labelled(frame, cut, labels)]
+        reviewed = material.labels.get(stored.id, ())
+        labels = tuple(label for label in reviewed if label.box_kind in taught_kinds)
+        untaught = tuple(label for label in reviewed if label.box_kind not in taught_kinds)
+        cuts = [cut for views in drags.get(stored.id, ()) if (cut := taught_by_drags(frame, views)) is not None]
+        objects = [_with_drawn_points(frame, label, cuts) for label in labels]
+        objects += [cut for cut in cuts if not is_labelled(frame, cut, labels)]
         rng = np.random.default_rng([config.seed, stored.id])
         orientation = orientation_for(project.config.settings.rotation, frame)
         settings = rcv.model_copy(update={"orientation": orientation})
         up = held_direction(frame.up, settings)
-        yield KnownObjects(stored, frame, labels, objects, draws, settings, up, rng)
+        yield KnownObjects(stored, frame, labels, untaught, objects, draws, settings, up, rng)
 
 
-def drawn_objects(material: Material) -> dict[int, list[tuple[ViewBoxes, ...]]]:
-    """Returns the views of each fully drawn object by frame, if the box kind is silhouette; else nothing.
+def drawn_objects(views: Iterable[ViewBoxes]) -> dict[int, list[tuple[ViewBoxes, ...]]]:
+    """Returns the views of each object whose silhouettes are fully drawn, by frame.
 
     The drawn boxes cut the object's points out of the cloud, which give its silhouette from any direction. Boxes
     around the whole object include unseen parts, so other directions require its 3D box.
     """
     finished: dict[int, list[tuple[ViewBoxes, ...]]] = defaultdict(list)
-    if material.kind is not BoxKind.SILHOUETTE:
-        return finished
-    for (frame_id, _), steps in views_by_object(material.views).items():
+    silhouettes = [view for view in views if view.box_kind is BoxKind.SILHOUETTE]
+    for (frame_id, _), steps in views_by_object(silhouettes).items():
         pairs = [front_and_side(steps[step]) for step in range(LABELLED_STEPS)]
-        views = tuple(view for pair in pairs if pair is not None for view in pair)
-        if None not in pairs and all(len(view.boxes) == 1 for view in views):
-            finished[frame_id].append(views)
+        both = tuple(view for pair in pairs if pair is not None for view in pair)
+        if None not in pairs and all(len(view.boxes) == 1 for view in both):
+            finished[frame_id].append(both)
     return finished
 
 
@@ -245,6 +285,12 @@ def taught_by_drags(frame: Frame, views: Sequence[ViewBoxes]) -> TaughtObject | 
         return None
     last = max(placed, key=lambda pair: pair[0].step or 0)[1]
     return TaughtObject(views[0].boxes[0].label, aligned_box(frame.cloud.xyz_m[mask], np.array(last.axes).T), mask)
+
+
+def _with_drawn_points(frame: Frame, label: Label, cuts: Sequence[TaughtObject]) -> TaughtObject:
+    """The object of a label, with the points that its drawn silhouettes enclose, if there are any."""
+    points = next((cut.points for cut in cuts if is_labelled(frame, cut, [label])), None)
+    return TaughtObject(label.label, label.box, points)
 
 
 def is_labelled(frame: Frame, cut: TaughtObject, labels: Sequence[Label]) -> bool:

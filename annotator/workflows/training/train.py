@@ -193,12 +193,12 @@ class _ViewTraining:
         """Trains all parts; the result is the detector that the project uses now, or else the last one."""
         begin = time.perf_counter()
         project, plan = self.project, self.plan
-        if self.material.left_out:
-            self.left_out.lines.append(
-                f"{self.material.left_out} pseudo-views whose boxes are not of the majority kind, {self.material.kind}"
-            )
-        held_out = HeldOut(project, self.material.labels if plan.decides else {}, self._check_stop)
+        held_out = HeldOut(project, self.material.labels_of_kind if plan.decides else {}, self._check_stop)
         start = choose_start(project, held_out, plan.view, plan.decides)
+        other_kind = len(self.material.views) - len(self.material.views_of_kind)
+        if other_kind and (start.model is None or not start.model.class_agnostic):
+            kind = self.material.kind
+            self.left_out.lines.append(f"{other_kind} pseudo-views whose boxes are not of the majority kind, {kind}")
         self.left_out.lines += start.left_out
         self.view_px = start.view_px(plan.view)
         self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)

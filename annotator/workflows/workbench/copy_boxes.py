@@ -40,7 +40,10 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     if not new:
         why = "has no reviewed boxes" if not boxes else "has only boxes that this frame has already"
         raise ConfigError(f"frame {source.key} {why}; nothing was copied")
-    copies = [NewLabel(label.label, label.box, track_id=label.track_id, origin=Origin.COPIED) for label in new]
+    copies = [
+        NewLabel(label.label, label.box, track_id=label.track_id, origin=Origin.COPIED, box_kind=label.box_kind)
+        for label in new
+    ]
     return project.labels.create(frame_id, copies, context).receipt
 
 

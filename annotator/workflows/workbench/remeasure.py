@@ -36,7 +36,9 @@ def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: 
             continue
         label = labels[item.uid]
         before, now = (_measured(opened, item, config, kind) for kind in (page.image_boxes.box_kind, on_image.box_kind))
-        if before is None or now is None or not same_box(before, label.box) or same_box(now, label.box):
+        if before is None or now is None or not same_box(before, label.box):
+            continue
+        if same_box(now, label.box) and label.box_kind is on_image.box_kind:
             continue
         edits.append(
             LabelEdited(
@@ -45,6 +47,7 @@ def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: 
                 box=BoxRecord.of(now),
                 track_id=label.track_id,
                 image_box=item.image_box,
+                box_kind=on_image.box_kind,
             )
         )
     return edits

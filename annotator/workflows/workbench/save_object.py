@@ -93,7 +93,7 @@ def save_object(
     view_boxes: list[ViewBoxesSet] = []
     if drawn is not None:
         view_boxes = _view_boxes(project, page, opened, drawn, kind)
-        label = _label_change(page, drawn, view_boxes)
+        label = _label_change(page, drawn, view_boxes, kind)
         uid = _label_uid(page, drawn) if label is None else label.uid
         payloads += _new_views(page, view_boxes) + ([] if label is None else [label])
     redrawn = None if drawn is None else drawn.image_box
@@ -150,7 +150,7 @@ def _is_stored(view: ViewBoxes | None, entry: ViewBoxesSet) -> bool:
 
 
 def _label_change(
-    page: FramePage, drawn: ObjectDrawn, view_boxes: Sequence[ViewBoxesSet]
+    page: FramePage, drawn: ObjectDrawn, view_boxes: Sequence[ViewBoxesSet], kind: BoxKind
 ) -> LabelCreated | LabelEdited | None:
     """Returns the creation or the edit of the object's 3D label, or None if there is nothing to change.
 
@@ -163,10 +163,9 @@ def _label_change(
     name, uid = drawn.image_box.label, _label_uid(page, drawn)
     if uid is not None:
         present = _label(page, uid)
-        if measured is None or _are_drawn(page, view_boxes):
-            box, suggestion = present.label.box, None
-        else:
-            box, suggestion = measured, drawn.suggestion
+        is_kept = measured is None or _are_drawn(page, view_boxes)
+        box = present.label.box if is_kept or measured is None else measured
+        suggestion = None if is_kept else drawn.suggestion
         if present.image_box == drawn.image_box and present.label.label == name and same_box(present.label.box, box):
             return None
         track = present.label.track_id
@@ -177,6 +176,7 @@ def _label_change(
             track_id=track,
             image_box=drawn.image_box,
             suggestion=suggestion,
+            box_kind=None if is_kept else kind,
         )
     if measured is None:
         return None
@@ -188,6 +188,7 @@ def _label_change(
         origin=Origin.DRAWN,
         image_box=drawn.image_box,
         suggestion=drawn.suggestion,
+        box_kind=kind,
     )
 
 

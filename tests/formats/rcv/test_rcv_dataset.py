@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv, read_rcv
-from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source, Suggestion
+from annotator.types import BoxKind, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source, Suggestion
 from annotator.types.errors import FormatError, FrameError
 
 CAMERA = Camera(6, 4, 5.0, 5.5, 2.5, 1.5, (0.1, -0.2, 0.001, 0.002, 0.05))
@@ -33,6 +33,7 @@ def auto_label(box: OrientedBox | None = None, **changes: Any) -> Label:
     """A label with all optional fields."""
     known = {"score": 0.75, "source": Source.AUTO, "time_ns": 1_700_000_000_123_456_789, "track_id": 4}
     known |= {"expected_iou_loss": 0.125, "suggestion": Suggestion("base detector", "f00d", corrected=True)}
+    known |= {"box_kind": BoxKind.SILHOUETTE}
     return make_label(box, **{**known, **changes})
 
 
@@ -50,7 +51,7 @@ def make_frame(key: str = "000001", *, rgb: bool = True, reflectance: bool = Fal
 def facts(label: Label) -> tuple[object, ...]:
     return (
         label.uid, label.label, label.score, label.source, label.state, label.author, label.time_ns, label.track_id,
-        label.expected_iou_loss, label.suggestion,
+        label.expected_iou_loss, label.suggestion, label.box_kind,
     )  # fmt: skip
 
 

@@ -34,12 +34,41 @@ def test_a_new_object_takes_five_drags(bench: Bench) -> None:
     expect(row).to_have_attribute("data-boxes", "5")
     expect(row).to_have_attribute("data-uid", label.uid)
     expect(bench.page.get_by_test_id("hint")).to_contain_text("finished")
-    overlay = bench.page.get_by_test_id("image-editor").get_by_test_id("editor-overlay")
+    overlay = bench.page.get_by_test_id("image-editor").get_by_test_id("editor-overlay").first
     expect(overlay).to_have_attribute("data-id", label.uid)
     effort = bench.live.client.get(f"{bench.api}/statistics").json()["effort"]
     assert effort["boxes"] == 1
     assert effort["actions_a_box"] == 5
     assert effort["seconds_a_box"] > 0
+
+
+def test_a_whole_box_is_offered_and_enter_confirms_it(bench: Bench) -> None:
+    bench.draw_object(0)
+    page, (seen,) = bench.page, bench.labels
+    assert seen.box_kind is BoxKind.SILHOUETTE
+    whole_box = page.locator("[data-testid=image-editor] [data-testid=editor-overlay][data-id=whole]")
+    hint = page.get_by_test_id("hint")
+    expect(whole_box).to_have_count(1)
+    expect(hint).to_contain_text("Enter confirms the dashed box as the whole person")
+    # nothing is stored until the operator confirms one
+    assert bench.labels[0].box_kind is BoxKind.SILHOUETTE
+    dashed = whole_box.locator("path.halo")
+    first = dashed.get_attribute("d")
+    page.keyboard.press("w")
+    is_only_one = "W shows" not in hint.inner_text()
+    until(page, lambda: (dashed.get_attribute("d") == first) == is_only_one)
+    page.keyboard.press("Enter")
+    expect(whole_box).to_have_count(0)
+    bench.saved()
+    (whole,) = bench.labels
+    assert (whole.uid, whole.box_kind) == (seen.uid, BoxKind.BOX)
+    assert not np.allclose(whole.box.size_m, seen.box.size_m)
+    # the silhouettes stay, and the object is not offered another box
+    assert bench.page.get_by_test_id("object").get_attribute("data-boxes") == "5"
+    assert bench.state["image_boxes"]["box_kind"] == "silhouette"
+    expect(hint).to_contain_text("finished")
+    page.keyboard.press("Control+z")
+    until(page, lambda: bench.labels[0].box_kind is BoxKind.SILHOUETTE)
 
 
 def test_each_drag_is_saved_at_once_and_survives_a_reload(bench: Bench) -> None:

@@ -44,7 +44,7 @@ def test_only_2d_boxes_are_stored_and_they_are_training_data(people: Project) ->
     assert done.objects["person"] + done.without_views["person"] + done.hidden["person"] == 6
 
     material = gather(people, tuple(DetectorKind))
-    assert (material.kind, material.left_out) == (BoxKind.BOX, 0)
+    assert (material.kind, material.views_of_kind) == (BoxKind.BOX, material.views)
     images = list(image_samples(people, material, no_skip))
     taught = list(view_samples(people, material, rcv_config(people), SampleConfig(), no_skip))
     assert (len(images), len(taught)) == (2, len(views))

@@ -13,7 +13,7 @@ import pytest
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
-from annotator.project import NewLabel, Project, StoredFrame, WriteContext
+from annotator.project import NewLabel, Origin, Project, StoredFrame, WriteContext
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, Proposal, Quality, Source
@@ -21,7 +21,7 @@ from annotator.types.errors import DetectionError, FrameError, RecordingError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.simulate import simulate_recording, visible_objects
+from annotator.workflows.simulate import image_box_of, simulate_recording, visible_objects
 from annotator.workflows.training.samples import (
     DRAWN,
     PROJECTED,
@@ -31,6 +31,7 @@ from annotator.workflows.training.samples import (
     drawn_objects,
     gather,
     image_samples,
+    known_objects,
     taught_by_drags,
     view_samples,
 )
@@ -91,7 +92,7 @@ def test_views_are_enough_for_the_view_detector(people: Project) -> None:
     with pytest.raises(DetectionError, match="no boxes on camera images to learn from"):
         gather(people)
     material = gather(people, [DetectorKind.VIEW])
-    assert (len(material.views), material.kind, material.left_out) == (1, BoxKind.SILHOUETTE, 0)
+    assert (len(material.views_of_kind), material.kind) == (1, BoxKind.SILHOUETTE)
 
 
 def test_3d_labels_are_enough_for_both_detectors(people: Project) -> None:
@@ -120,8 +121,7 @@ def test_the_majority_kind_of_boxes_is_used_and_others_are_left_out(people: Proj
         people.boxes.set_on_view(view, drawn, of, WriteContext(0, f"author {number}"))
     material = gather(people, [DetectorKind.VIEW])
     assert material.kind is kind
-    assert material.left_out == 1, "pictures without boxes fit either kind"
-    assert len(material.views) == 3
+    assert (len(material.views), len(material.views_of_kind)) == (4, 3), "pictures without boxes fit either kind"
 
 
 def test_a_few_accepted_boxes_do_not_change_the_majority_kind(people: Project) -> None:
@@ -288,7 +288,7 @@ def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Projec
     frame = FrameSource(people).read(people.frames.of()[0])
     recording = open_recording(people.recordings.all()[0].path)
     truths = visible_objects(recording, 0, frame, ["person"])
-    ((_, objects),) = drawn_objects(material).items()
+    ((_, objects),) = drawn_objects(material.views).items()
     assert len(objects) == 3
     for truth, drags in zip(truths, objects, strict=True):
         taught = taught_by_drags(frame, drags)
@@ -303,7 +303,7 @@ def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Projec
 
 
 def test_boxes_of_the_kind_box_give_no_drawn_objects(people: Project) -> None:
-    assert drawn_objects(simulate(people, BoxKind.BOX, every=5)) == {}
+    assert drawn_objects(simulate(people, BoxKind.BOX, every=5).views) == {}
 
 
 def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project) -> None:
@@ -320,10 +320,49 @@ def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project)
         assert apart.min() > 3, "two boxes around one object"
 
 
+def whole_boxes_known(project: Project, kind: BoxKind = BoxKind.BOX, count: int = 3) -> None:
+    """Gives drawn objects of the first frame a label with their true box, as if an operator had confirmed it."""
+    stored = project.frames.of()[0]
+    frame = FrameSource(project).read(stored)
+    recording = open_recording(project.recordings.all()[0].path)
+    objects = visible_objects(recording, 0, frame, ["person"])[:count]
+    new = []
+    for one in objects:
+        image_box = image_box_of(frame, one, BoxKind.SILHOUETTE)
+        new.append(NewLabel(one.label, one.box, origin=Origin.DRAWN, image_box=image_box, box_kind=kind))
+    project.labels.create(stored.id, new, WriteContext(stored.revision, "me"))
+
+
+def test_an_object_whose_whole_box_is_known_counts_as_whole_although_its_silhouettes_are_drawn(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, count=2)
+    material = gather(people)
+    assert (material.kind, len(material.whole)) == (BoxKind.BOX, 2)
+    assert len(material.views) == 12 and not material.views_of_kind
+
+
+def test_a_3d_box_around_what_is_seen_is_no_whole_box(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, BoxKind.SILHOUETTE)
+    material = gather(people)
+    assert material.kind is BoxKind.SILHOUETTE
+    assert not material.whole
+    assert {len(labels) for labels in material.labels_of_kind.values()} == {3}
+
+
+def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_whole_boxes(people: Project) -> None:
+    simulate(people, BoxKind.SILHOUETTE, every=5)
+    whole_boxes_known(people, BoxKind.SILHOUETTE, count=1)
+    accept(people, 1)
+    material = replace(gather(people), kind=BoxKind.BOX)
+    known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
+    assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
+
+
 def test_an_object_without_points_in_its_drawn_boxes_is_left_out(people: Project) -> None:
     material = simulate(people, BoxKind.SILHOUETTE, every=5)
     frame = FrameSource(people).read(people.frames.of()[0])
-    ((_, objects),) = drawn_objects(material).items()
+    ((_, objects),) = drawn_objects(material.views).items()
     far = [view.geometry.model_copy(update={"origin_m": (50.0, 50.0)}) for view in objects[0] if view.geometry]
     assert taught_by_drags(frame, [replace(v, geometry=g) for v, g in zip(objects[0], far, strict=True)]) is None
 

@@ -101,7 +101,7 @@ def test_two_rounds_of_labelled_views_give_silhouettes(hands: Project, tmp_path:
     assert hands.statistics().view_boxes.boxes == 16
     assert {view.source for view in hands.boxes.on_views()} == {Source.IMPORTED}
 
-    finished = drawn_objects(gather(hands))
+    finished = drawn_objects(gather(hands).views)
     assert sorted(map(len, finished.values())) == [2, 2]
     recording = first_recording(hands)
     for index in (0, 3):

@@ -20,7 +20,7 @@ from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
-from annotator.workflows.simulate import _draw, _image_box, visible_objects
+from annotator.workflows.simulate import _draw, image_box_of, visible_objects
 from annotator.workflows.training.samples import gather
 from annotator.workflows.workbench.drawing_steps import (
     LABEL_VIEW_PX,
@@ -52,7 +52,7 @@ class Desk:
         self.config = label_config(project, self.frame)
 
     def image_box(self, number: int = 0) -> Box2D:
-        box = _image_box(self.frame, self.objects[number], self.kind)
+        box = image_box_of(self.frame, self.objects[number], self.kind)
         assert box is not None
         return box
 
@@ -369,7 +369,8 @@ def test_changing_the_kind_of_boxes_applies_to_the_views_of_all_objects(desk: De
     desk.kind = BoxKind.BOX
     desk.save(image_boxes, objects[0])
     assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.BOX] * 8
-    assert gather(desk.project).left_out == 0
+    material = gather(desk.project)
+    assert material.views_of_kind == material.views
     desk.project.history.undo("ann")
     assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.SILHOUETTE] * 8
 

@@ -23,10 +23,11 @@ export const isFinished = (item) => Boolean(item.uid) && item.boxes.every(Boolea
  * @param {ReturnType<Panel["createObjectList"]>} parts.list
  * @param {ReturnType<Panel["createFrameBar"]>} parts.bar
  * @param {HTMLElement} parts.hint
+ * @param {WholeBoxes} parts.whole
  * @returns {() => void} shows the current state.
  */
 export function createDisplay(app, work, parts) {
-  const { image, views, picker, kinds, list, bar, hint } = parts;
+  const { image, views, picker, kinds, list, bar, hint, whole } = parts;
   let sceneShown = "";
 
   function show() {
@@ -60,6 +61,7 @@ export function createDisplay(app, work, parts) {
       hasItems: items.length > 0,
       guesses: guesses.length,
       notSaved: work.notSaved.length,
+      isWholeOffered: Boolean(whole.offered()),
     });
     views.show(draft);
     showScene(state);
@@ -121,6 +123,9 @@ export function createDisplay(app, work, parts) {
     }));
     if (draft?.outline && !isFinished(draft.item))
       lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });
+    const offered = whole.offered();
+    if (offered)
+      lines.push({ segments: offered.outline, color: PREVIEW_COLOR, dash: true, strong: true, id: "whole" });
     return lines.filter(({ segments }) => segments?.length);
   }
 

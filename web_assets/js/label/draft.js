@@ -25,6 +25,7 @@ export function makeDraft(item, frame) {
     suggestion: null,
     problem: null,
     note: null,
+    whole: null,
   };
 }
 

@@ -7,9 +7,9 @@ const SIDES = ["front", "side"];
 
 /**
  * @param {{draft: Draft | null, isReadonly: boolean, label: string, hasItems: boolean, guesses: number,
- *     notSaved: number}} situation
+ *     notSaved: number, isWholeOffered: boolean}} situation
  */
-export function hintFor({ draft, isReadonly, label, hasItems, guesses, notSaved }) {
+export function hintFor({ draft, isReadonly, label, hasItems, guesses, notSaved, isWholeOffered }) {
   if (isReadonly) return "This frame is finalised. Reopen it to change something.";
   if (notSaved) return "Click the dashed box marked 'yours, not saved' to save it.";
   if (!draft && guesses) return "Press Enter to accept a dashed box, drag to correct it, or draw your own box.";
@@ -18,6 +18,10 @@ export function hintFor({ draft, isReadonly, label, hasItems, guesses, notSaved 
       ? `Draw a box around the next ${label}, or press N for the next frame.`
       : `Draw a box around a ${label}.`;
   const name = draft.item.image_box.label;
+  if (isWholeOffered) {
+    const others = (draft.whole?.boxes.length ?? 0) > 1 ? ", W shows another one" : "";
+    return `The ${name} is finished. Enter confirms the dashed box as the whole ${name}${others}.`;
+  }
   if (draft.item.uid && draft.item.boxes.every(Boolean))
     return `The ${name} is finished. Draw a box around the next one, or press N for the next frame.`;
   if (draft.stop) return "Change its box on the image, or delete it.";

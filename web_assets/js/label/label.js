@@ -7,7 +7,7 @@
  *
  * This file assembles the page and registers its keys. work.js holds the state, objects.js handles drags, frames.js
  * opens frames, display.js shows the state, the editor (../editor2d) draws boxes, draft.js loads views, suggestions.js
- * loads suggestions, and saver.js saves.
+ * loads suggestions, whole_boxes.js offers whole boxes, and saver.js saves.
  */
 
 import { createEditor } from "../editor2d/editor.js";
@@ -30,6 +30,7 @@ import {
 } from "./side_panel.js";
 import { createSuggester } from "./suggestions.js";
 import { createViewsPane } from "./views_pane.js";
+import { createWholeBoxes } from "./whole_boxes.js";
 import { createWork, keepKind } from "./work.js";
 
 const POINT_LIMITS = [0.1, 10];
@@ -58,6 +59,8 @@ export function mount(root, app) {
     onDropped: (change) => objects.onDropped(change),
     onBusy,
   });
+
+  const whole = createWholeBoxes(app, work, { saver, onOffered: () => show() });
 
   // -- the page
 
@@ -118,8 +121,8 @@ export function mount(root, app) {
   const editors = [image, ...views.editors];
   const focused = () => editors.find((editor) => editor.root.contains(document.activeElement)) ?? image;
 
-  const show = createDisplay(app, work, { image, views, picker, kinds, list, bar, hint });
-  const objects = createObjects(app, work, { saver, loader, suggester, prefetch, image, views, show });
+  const show = createDisplay(app, work, { image, views, picker, kinds, list, bar, hint, whole });
+  const objects = createObjects(app, work, { saver, loader, suggester, whole, prefetch, image, views, show });
   const frames = createFrames(app, work, {
     order,
     saver,
@@ -150,6 +153,7 @@ export function mount(root, app) {
       finalise,
       "accept-suggestion": acceptNext,
       "box-kind": () => setKind(work.kind === "box" ? "silhouette" : "box"),
+      "next-whole-box": () => whole.next(),
       "points-larger": () => zoomPoints(1.25),
       "points-smaller": () => zoomPoints(0.8),
       fit() {
@@ -211,9 +215,9 @@ export function mount(root, app) {
     if (app.state.frame) saver.save(finality(!work.isReadonly));
   }
 
-  /** Accepts the current object's suggestions, or else the next one on the image; false if there is none. */
+  /** Accepts the object's suggestions, its whole box, or else the next suggestion on the image; false if none. */
   function acceptNext() {
-    return objects.acceptAll() || image.acceptSuggestion();
+    return objects.acceptAll() || whole.confirm() || image.acceptSuggestion();
   }
 
   function cancel() {

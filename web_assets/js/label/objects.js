@@ -20,11 +20,11 @@ function painted() {
 /**
  * @param {ModeApp} app
  * @param {Work} work
- * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, prefetch: Prefetch, image: Editor,
- *     views: ViewsPane, show: () => void }} parts
+ * @param {{ saver: Saver, loader: StepLoader, suggester: Suggester, whole: WholeBoxes, prefetch: Prefetch,
+ *     image: Editor, views: ViewsPane, show: () => void }} parts
  */
 export function createObjects(app, work, parts) {
-  const { saver, loader, suggester, prefetch, image, views, show } = parts;
+  const { saver, loader, suggester, whole, prefetch, image, views, show } = parts;
   const kind = () => work.kind;
   const moves = createMoves(loader);
 
@@ -61,6 +61,7 @@ export function createObjects(app, work, parts) {
   function close() {
     moves.leave(work.draft);
     suggester.stop();
+    whole.stop();
     work.draft = null;
   }
 
@@ -115,6 +116,7 @@ export function createObjects(app, work, parts) {
     work.coming = null;
     show();
     void suggester.follow(draft);
+    void whole.follow(draft);
     prefetch.start();
   }
 
@@ -308,6 +310,7 @@ export function createObjects(app, work, parts) {
    */
   function save(draft) {
     draft.changes += 1;
+    draft.whole = null;
     suggester.stop();
     prefetch.stop();
     if (moves.isWaiting(draft.item)) return;

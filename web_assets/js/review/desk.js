@@ -239,12 +239,12 @@ export function createDesk(app) {
     draft.sending = wanted;
     const { label, box, track_id } = wanted;
     const before = stored(id);
-    // another track id does not change the box, so its review stays valid
+    // another track id does not change the box, so its review stays valid; a corrected box is that of the whole object
     const isTrackOnly = before && before.label === label && sameBox(before.box, box);
     /** @type {Change} */
     const change = isTrackOnly
       ? { kind: "track", uid: id, track_id }
-      : { kind: "edit", uid: id, label, box, track_id };
+      : { kind: "edit", uid: id, label, box, track_id, box_kind: before && sameBox(before.box, box) ? null : "box" };
     const error = await send([change], id);
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error;
@@ -319,6 +319,7 @@ export function createDesk(app) {
         ...fit,
         uid,
         isNew: true,
+        box_kind: "box",
         state: "proposed",
         source: "drawn",
         author: app.state.operator,

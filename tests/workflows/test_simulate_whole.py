@@ -1,0 +1,62 @@
+"""The simulated operator confirms whole boxes of what it has drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import Origin, Project
+from annotator.rcv.config import RcvConfig
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind
+from annotator.workflows import simulate_whole
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.simulate import simulate_recording
+from annotator.workflows.simulate_whole import FITS_IOU, confirm_whole_boxes
+from annotator.workflows.training.samples import gather
+from annotator.workflows.workbench.whole_boxes import WholeBoxes
+
+
+@pytest.fixture
+def drawn(people: Project, monkeypatch: pytest.MonkeyPatch) -> Project:
+    """People drawn as they are seen, in a project without a detector."""
+    monkeypatch.setattr(simulate_whole, "ready_view", lambda project: None)
+    simulate_recording(people, people.recordings.all()[0].id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
+    return people
+
+
+def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, generated: Path) -> None:
+    recording, silhouettes = drawn.recordings.all()[0].id, drawn.boxes.on_views()
+    confirmed = confirm_whole_boxes(drawn, recording)
+    labels = drawn.labels.select()
+    assert confirmed.objects == 9 and 0 < confirmed.confirmed == len(labels) <= 9
+    assert confirmed.actions >= confirmed.confirmed
+    assert drawn.boxes.on_views() == silhouettes
+    truths = open_recording(generated / "people")
+    for stored in labels:
+        assert (stored.origin, stored.label.box_kind) == (Origin.DRAWN, BoxKind.BOX)
+        assert stored.image_box is not None and stored.image_box in drawn.boxes.on_image(stored.frame_id).boxes
+        index = [frame.id for frame in drawn.frames.of()].index(stored.frame_id)
+        true_boxes = [truth.box for truth in load_truth(truths, index, truths.frame(index))]
+        assert max(iou_3d(stored.label.box, box) for box in true_boxes) >= FITS_IOU
+    assert gather(drawn).whole.keys() == {(stored.frame_id, stored.image_box) for stored in labels}
+
+
+def test_confirming_again_asks_only_about_the_others(drawn: Project) -> None:
+    recording = drawn.recordings.all()[0].id
+    first = confirm_whole_boxes(drawn, recording)
+    again = confirm_whole_boxes(drawn, recording)
+    assert (again.objects, again.confirmed) == (first.objects - first.confirmed, 0)
+
+
+def test_only_objects_with_all_silhouettes_have_whole_boxes(drawn: Project) -> None:
+    stored = drawn.frames.of()[0]
+    image_box = drawn.boxes.on_image(stored.id).boxes[0]
+    offers = WholeBoxes(drawn)
+    frame = FrameSource(drawn).read(stored)
+    assert offers.of(frame, stored, image_box, None)
+    never_drawn = Box2D(image_box.label, 1.0, 1.0, 9.0, 9.0)
+    assert offers.of(frame, stored, never_drawn, None) == []

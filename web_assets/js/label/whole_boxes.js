@@ -1,0 +1,109 @@
+/**
+ * Whole boxes: once an object's visible part is drawn, the server offers boxes that the whole object may have. One of
+ * them is shown dashed; Enter confirms it, another key shows the next one.
+ */
+
+import { isAborted } from "../errors.js";
+import { plainBox } from "./items.js";
+
+/**
+ * @param {ModeApp} app
+ * @param {Work} work
+ * @param {object} parts
+ * @param {Saver} parts.saver
+ * @param {() => void} parts.onOffered called when boxes are offered, or another one is shown.
+ */
+export function createWholeBoxes(app, work, { saver, onOffered }) {
+  /** @type {AbortController | null} */
+  let request = null;
+
+  /**
+   * The label of a draft's object, if its box encloses only what is seen.
+   *
+   * @param {Draft} draft
+   */
+  function seenLabel({ item }) {
+    if (work.isReadonly || !item.boxes.every(Boolean)) return null;
+    const label = app.state.frame?.labels.find(({ uid }) => uid === item.uid);
+    return label?.box_kind === "silhouette" && label.state !== "rejected" ? label : null;
+  }
+
+  /**
+   * Asks for the whole boxes of an object, unless they are known already; `stop` or another call ends that.
+   *
+   * @param {Draft} draft
+   */
+  async function follow(draft) {
+    stop();
+    const own = new AbortController();
+    request = own;
+    try {
+      await saver.idle();
+      if (own.signal.aborted || draft.whole || !seenLabel(draft)) return;
+      const { changes } = draft;
+      const path = app.path("frames", draft.frame, "label", "whole");
+      /** @type {Api.WholeOut} */
+      const { boxes } = await app.api.post(
+        path,
+        { image_box: plainBox(draft.item.image_box) },
+        { signal: own.signal },
+      );
+      if (own.signal.aborted || draft.changes !== changes) return;
+      draft.whole = { boxes, shown: 0, changes };
+      onOffered();
+    } catch (error) {
+      // the object is labelled without it
+      if (!isAborted(error)) app.toast(error);
+    } finally {
+      if (request === own) request = null;
+    }
+  }
+
+  function stop() {
+    request?.abort();
+    request = null;
+  }
+
+  /** The box that is offered for the current object; null if there is none. */
+  function offered() {
+    const { draft } = work;
+    const whole = draft?.whole;
+    if (!draft || !whole || whole.changes !== draft.changes || !seenLabel(draft)) return null;
+    return whole.boxes[whole.shown] ?? null;
+  }
+
+  /** Shows the next of the offered boxes; false if there is no other one. */
+  function next() {
+    const whole = work.draft?.whole;
+    if (!offered() || !whole || whole.boxes.length < 2) return false;
+    app.effort.action();
+    whole.shown = (whole.shown + 1) % whole.boxes.length;
+    onOffered();
+    return true;
+  }
+
+  /** Confirms the offered box; false if there is none. */
+  function confirm() {
+    const { draft } = work;
+    const whole = offered();
+    const label = draft && seenLabel(draft);
+    if (!draft || !whole || !label) return false;
+    app.effort.action();
+    draft.whole = null;
+    const { uid, label: name, track_id } = label;
+    const { box, outline } = whole;
+    saver.save({
+      path: ["changes"],
+      item: draft.item,
+      body: () => ({
+        subject: uid,
+        changes: [{ kind: "edit", uid, label: name, box, track_id, box_kind: "box" }],
+      }),
+      mine: () => ({ text: [`${name}: its whole box`], boxes: [], outlines: [outline] }),
+    });
+    onOffered();
+    return true;
+  }
+
+  return { follow, stop, offered, next, confirm };
+}
