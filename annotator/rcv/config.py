@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.rcv.typical_sizes import TypicalSize
+from annotator.rcv.typical_size.sizes import TypicalSize
 from annotator.types import BoxKind
 
 # Part of the fingerprint of annotated frames. Increase it when the same settings give different boxes.

@@ -14,11 +14,11 @@ from annotator.geometry.nms import nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
-from annotator.rcv.box_evidence import Candidates, best_expected
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
-from annotator.rcv.placement import changed
 from annotator.rcv.recursion import FrustumFacts, ObjectState
+from annotator.rcv.typical_size.evidence import Candidates, best_expected
+from annotator.rcv.typical_size.placement import changed
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
 
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.

@@ -17,7 +17,6 @@ from annotator.geometry.oriented_box import box_corners, canonical_box, contains
 from annotator.geometry.outline import NEAR_M
 from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
-from annotator.rcv.box_evidence import Candidates, Evidence
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import depth_crops, image_planes, in_middle
@@ -25,8 +24,9 @@ from annotator.rcv.frustum_views import frustum_views, is_deep
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
-from annotator.rcv.placement import distinct, place
-from annotator.rcv.typical_sizes import typical_size
+from annotator.rcv.typical_size.evidence import Candidates, Evidence
+from annotator.rcv.typical_size.placement import distinct, place
+from annotator.rcv.typical_size.sizes import typical_size
 from annotator.types import (
     Box2D,
     BoxKind,

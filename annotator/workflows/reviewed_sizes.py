@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from annotator.project import REVIEWED, Project
 from annotator.project.config import BoxRotation
-from annotator.rcv.typical_sizes import TypicalSize, typical_size
+from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
 from annotator.types import BoxKind, OrientedBox
 
 # Number of the latest reviewed boxes of a class that count.

@@ -12,8 +12,8 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import inside_image, project
 from annotator.rcv import pasting
-from annotator.rcv.pasted_image import draw_patch, image_patch
-from annotator.rcv.pasting import Cutout, PastedFrame, Target, can_paste, cut_objects, paste
+from annotator.rcv.pasting.image import draw_patch, image_patch
+from annotator.rcv.pasting.objects import Cutout, PastedFrame, Target, can_paste, cut_objects, paste
 from annotator.rcv.teach import TaughtObject
 from annotator.synthetic.snapshots import snapshot
 from annotator.types import Frame, PointCloud

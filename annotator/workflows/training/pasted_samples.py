@@ -16,8 +16,8 @@ from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.geometry.sight_grid import SightGrid
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.pasted_image import ImagePatch, draw_patch, image_patch
-from annotator.rcv.pasting import Cutout, PastedFrame, Target, can_paste, cut_objects, paste
+from annotator.rcv.pasting.image import ImagePatch, draw_patch, image_patch
+from annotator.rcv.pasting.objects import Cutout, PastedFrame, Target, can_paste, cut_objects, paste
 from annotator.rcv.teach import TaughtView, teach_agnostic_views, teach_views
 from annotator.types import Box2D, BoxKind, Label
 from annotator.workflows.training.samples import (

@@ -2,7 +2,7 @@
  * Review: a queue of proposals. One key accepts a correct one; a wrong one can be rejected, deleted or corrected.
  *
  * This file assembles the parts. The desk (desk.js) holds the selection and saves, the queue (queue.js) provides the
- * next item, opening.js opens frames, commands.js holds what keys (bindings.js) and buttons do, and the other parts draw
+ * next item, opening.js opens frames, commands.js holds what keys (bindings.js) and buttons do. The other parts draw,
  * and pass on the operator's actions.
  */
 

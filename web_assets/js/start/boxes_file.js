@@ -159,8 +159,8 @@ export async function importBoxes(app, name) {
         h(
           "span",
           { class: "help" },
-          "A COCO file (.json), or a YOLO or COCO folder packed as .zip, with boxes on camera images. The images must " +
-            "have the names of the frames, such as 000012.jpg for the frame 000012.",
+          "A COCO file (.json), or a YOLO or COCO folder packed as .zip, with boxes on camera images. The images " +
+            "must have the names of the frames, such as 000012.jpg for the frame 000012.",
         ),
       ),
       about,
@@ -201,13 +201,9 @@ function described({ name, images, unmatched, unmatched_names, ambiguous, boxes 
     ),
   ];
   if (unmatched)
-    lines.push(
-      h(
-        "p",
-        { class: "muted" },
-        `Left out: ${count(unmatched, "image")} without a frame of the same name, such as ${unmatched_names.join(", ")}.`,
-      ),
-    );
+    const names = unmatched_names.join(", ");
+    const left = `Left out: ${count(unmatched, "image")} without a frame of the same name, such as ${names}.`;
+    lines.push(h("p", { class: "muted" }, left));
   if (ambiguous)
     lines.push(
       h(

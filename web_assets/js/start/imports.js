@@ -1,6 +1,6 @@
 /**
- * Follows the jobs that read boxes of recordings and files. The start page has no open project, so it receives no events of
- * these jobs.
+ * Follows the jobs that read boxes of recordings and files. The start page has no open project, so it receives no
+ * events of these jobs.
  */
 
 import { isActive } from "../jobs.js";

@@ -12,8 +12,8 @@ from jaxtyping import Float64
 from scipy.stats import qmc
 
 from annotator.geometry.iou import iou_3d
-from annotator.rcv.box_evidence import Candidates, Evidence
 from annotator.rcv.rotation_search import free_grid, rotation_matrices, yaw_grid
+from annotator.rcv.typical_size.evidence import Candidates, Evidence
 from annotator.types import OrientedBox
 
 # Percentiles of the depths in the middle of the image box at which the object's surface may be.

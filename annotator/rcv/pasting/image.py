@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from annotator.geometry.projection import project
 from annotator.geometry.sight_grid import GAP
-from annotator.rcv.pasting import Cutout, PastedFrame
+from annotator.rcv.pasting.objects import Cutout, PastedFrame
 from annotator.types import Camera, Frame
 
 # Pixels around a patch, so that its edge can be smoothed.

@@ -1,0 +1,1 @@
+"""Reviewed objects that are put into other frames, for training."""
