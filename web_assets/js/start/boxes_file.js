@@ -200,10 +200,11 @@ function described({ name, images, unmatched, unmatched_names, ambiguous, boxes 
       `${name}: ${count(total, "box", "boxes")} on ${count(images - unmatched, "image")} of this project's frames.`,
     ),
   ];
-  if (unmatched)
+  if (unmatched) {
     const names = unmatched_names.join(", ");
     const left = `Left out: ${count(unmatched, "image")} without a frame of the same name, such as ${names}.`;
     lines.push(h("p", { class: "muted" }, left));
+  }
   if (ambiguous)
     lines.push(
       h(
