@@ -6,7 +6,8 @@
 With `--taught 0` alone, the base detector is tried on all frames. Otherwise the first half of the recording teaches and
 the second half is tried, the same for every number. For each number of taught objects of each class, a project with
 their 3D boxes trains its view detector as `annotator train` does, except that all frames train and the result is used
-whatever held-out frames say. A class without that many objects has no row.
+whatever held-out frames say. Typical sizes are those of well-known classes and of the taught objects. A class without
+that many objects has no row.
 
 `projected` takes the true 3D boxes' outlines, clipped to the image; `label` takes the labels' own 2D boxes, or the
 extents of the masks. Both get an error of 2 px on every edge. The rows "<class> (clusters)" guess from geometry alone:
@@ -42,6 +43,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import load_detector, view_model
 from annotator.workflows.recorded.reading import has_masks, load_mask, load_truth, own_image_box
+from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
@@ -67,6 +69,8 @@ class Arguments:
     """Freely rotated boxes (default for other recordings)."""
     base: Path | None = None
     """Weights of a base detector for --taught 0; None = the one of the package."""
+    no_sizes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Use no typical sizes, neither of well-known classes nor of taught objects."""
     minutes: float = 3.0
     """Length of each training, minutes."""
     epochs: int | None = None
@@ -214,6 +218,9 @@ def tried(
         config: with the settings of the detector.
     """
     ious: dict[str, list[float]] = defaultdict(list)
+    if args.no_sizes:
+        look = config.first_look.model_copy(update={"use_typical_sizes": False})
+        config = config.model_copy(update={"first_look": look})
     for shot in shots(recording, indices, args):
         boxes = lifted(shot.frame, [item.image_box for item in shot.objects], detector, config, args.rotation)
         for item, box in zip(shot.objects, boxes, strict=True):
@@ -286,7 +293,7 @@ def after(
         seconds = time.perf_counter() - begin
         model = view_model(project)
         size_px = read_trained(model.path.parent).image_size_px
-        config = RcvConfig(view=ViewConfig(size_px=size_px)).for_detector(model.box_kind, model.class_agnostic)
+        config = rcv_config(project, view_px=size_px).for_detector(model.box_kind, model.class_agnostic)
         ious = tried(recording, indices, load_detector(model.path, args.backend), config, args)
         return {label: ious[label] for label in chosen}, seconds
 

@@ -1,7 +1,7 @@
 """The base detector: a view detector that measures the object of a crop, whatever its class.
 
-It takes the place of a project's own view detector until that is trained. It is not in the repository yet;
-`scripts/train_base.py --install` puts it into the package. docs/base_detector.md describes its training.
+It takes the place of a project's own view detector until that is trained. docs/base_detector.md describes its training;
+`scripts/train_base.py --install` puts another one into the package.
 """
 
 from __future__ import annotations

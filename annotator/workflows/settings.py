@@ -6,6 +6,7 @@ import json
 from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from pydantic import BaseModel, JsonValue, RootModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -19,7 +20,7 @@ from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.reviewed_sizes import reviewed_sizes
 
-Settings = Mapping[str, JsonValue]
+Settings = Mapping[str, Any]
 """Some of `RcvConfig`'s fields; groups are nested objects."""
 
 # Fields that cannot be set, and where their values come from.
@@ -131,7 +132,7 @@ def _fields(group: tuple[int | str, ...]) -> list[str]:
     return [name for name in model.model_fields if name not in DERIVED]
 
 
-def _merged(under: Settings, over: Settings) -> dict[str, JsonValue]:
+def _merged(under: Settings, over: Settings) -> dict[str, Any]:
     merged = dict(under)
     for name, value in over.items():
         below = merged.get(name)

@@ -38,6 +38,12 @@ class AnyClass:
         return [[replace(box, label=label) for box in boxes] for boxes in self._detector.detect(images)]
 
 
+def first_look(orientation: Orientation) -> RcvConfig:
+    """Settings with which no class has a typical size."""
+    look = FirstLookConfig(use_typical_sizes=False)
+    return RcvConfig(orientation=orientation, first_look=look).for_detector(BoxKind.BOX, class_agnostic=True)
+
+
 def points_at(depths_m: Sequence[float], count: int = 200) -> np.ndarray:
     rng = np.random.default_rng(0)
     layers = [np.column_stack([rng.uniform(-0.1, 0.1, (count, 2)) * z, np.full(count, z)]) for z in depths_m]
@@ -88,7 +94,7 @@ def test_objects_of_any_class_are_measured(
     truths = load_truth(recording, 0, frame)
     boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
     orientation = Orientation.UPRIGHT if name == "people" else Orientation.FREE
-    config = RcvConfig(orientation=orientation).for_detector(BoxKind.BOX, class_agnostic=True)
+    config = first_look(orientation)
     view = AnyClass(knowing(name).view)
     (result,) = propose_from_boxes([frame], [boxes], view, config)
     assert len(result.proposals) == len(truths)
@@ -128,7 +134,7 @@ def test_a_dropped_start_box_is_followed_by_a_first_look(generated, knowing: Cal
     frame = recording.frame(0)
     truth = load_truth(recording, 0, frame)[0]
     image_box = box_on_image(frame.camera, truth.box, truth.label)
-    config = RcvConfig(orientation=Orientation.UPRIGHT).for_detector(BoxKind.BOX, class_agnostic=True)
+    config = first_look(Orientation.UPRIGHT)
     view = AnyClass(knowing("people").view)
     good = WarmStart(truth.label, truth.box)
     wrong = WarmStart(truth.label, OrientedBox(truth.box.T_camera_box, truth.box.size_m * [1, 1, 0.4]))

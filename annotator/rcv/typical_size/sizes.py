@@ -39,6 +39,7 @@ _KNOWN: tuple[tuple[tuple[float, float, float], tuple[float, float, float], str]
     ((7.0, 2.5, 2.9), (0.35, 0.1, 0.2), "truck"),
     ((11.0, 2.9, 3.5), (0.2, 0.07, 0.1), "bus"),
     ((12.0, 2.9, 3.9), (0.3, 0.1, 0.15), "trailer"),
+    ((6.5, 2.8, 3.2), (0.3, 0.15, 0.15), "construction_vehicle"),
     ((16.0, 2.5, 3.5), (0.15, 0.07, 0.07), "tram"),
     ((0.85, 0.65, 1.75), (0.25, 0.15, 0.07), "pedestrian"),
     # people who are not on a street are often partly in view, so their height is nearly unknown
@@ -47,6 +48,7 @@ _KNOWN: tuple[tuple[tuple[float, float, float], tuple[float, float, float], str]
     ((1.77, 0.65, 1.73), (0.1, 0.15, 0.07), "cyclist bicyclist motorcyclist"),
     ((1.7, 0.6, 1.2), (0.1, 0.2, 0.15), "bicycle"),
     ((2.1, 0.8, 1.4), (0.12, 0.2, 0.15), "motorcycle"),
+    ((2.4, 0.5, 1.0), (0.3, 0.2, 0.15), "barrier"),
     ((0.41, 0.41, 1.07), (0.25, 0.25, 0.25), "traffic_cone"),
     ((0.16, 0.1, 0.07), (0.25, 0.2, 0.25), "hand"),
     ((2.1, 1.6, 0.95), (0.15, 0.25, 0.3), "bed"),

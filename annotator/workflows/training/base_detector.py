@@ -98,7 +98,7 @@ class BaseManifest(BaseModel):
         frames, seed: number of generated frames, and the first seed.
         draws: crops per object.
         views: training images.
-        views_sha256: hash of the training images and their boxes.
+        views_sha256: hash of the training images and their boxes; empty if it was not recorded.
         pictures_shown: images shown in training, repetitions included.
         hours: duration of the training.
         weights_sha256: hash of the weights file.

@@ -1,0 +1,245 @@
+"""Objects of a class with a typical size: the evidence for a box, where it may be, and which box is best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_first_look import AnyClass
+
+from annotator.geometry.iou import iou_3d
+from annotator.geometry.outline import box_on_image
+from annotator.rcv import finish
+from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig
+from annotator.rcv.interval_fit import Intervals
+from annotator.rcv.propose import propose_from_boxes
+from annotator.rcv.recursion import TYPICAL_SIZE
+from annotator.rcv.typical_size.evidence import MARGIN, Candidates, Evidence, best_expected
+from annotator.rcv.typical_size.placement import BY_SCORE, changed, distinct, place
+from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.recorded.reading import load_truth
+
+CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+UP = np.array([0.0, -1.0, 0.0])
+# 0.8 x 0.4 x 0.3 m, upright: z against gravity, turned by 40 degrees about it
+_ANGLE = np.deg2rad(40)
+_AXES = np.array([[np.cos(_ANGLE), -np.sin(_ANGLE), 0.0], [0.0, 0.0, -1.0], [np.sin(_ANGLE), np.cos(_ANGLE), 0.0]])
+BOX = OrientedBox.from_parts(np.array([0.2, 0.1, 3.0]), _AXES, np.array([0.8, 0.4, 0.3]))
+TYPICAL = TypicalSize(label="crate", size_m=(0.85, 0.38, 0.3), spread=(0.1, 0.1, 0.1))
+
+
+def surface(box: OrientedBox, camera: Camera = CAMERA, step_px: int = 4) -> np.ndarray:
+    """The points of the visible surface of a box, on rays through every few pixels."""
+    u, v = np.meshgrid(np.arange(0, camera.width_px, step_px), np.arange(0, camera.height_px, step_px))
+    rays = np.column_stack([(u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy, np.ones(u.size)])
+    origin, along = -box.center_m @ box.rotation, rays @ box.rotation
+    with np.errstate(divide="ignore"):
+        ends = np.sort(np.stack([(s * box.size_m / 2 - origin) / along for s in (-1, 1)]), axis=0)
+    enter, leave = ends[0].max(axis=1), ends[1].min(axis=1)
+    hit = (enter < leave) & (enter > 0)
+    return (rays[hit] * enter[hit, None]).astype(np.float32)
+
+
+def evidence_of(
+    box: OrientedBox, extra: Sequence[np.ndarray] = (), typical: TypicalSize = TYPICAL, up: np.ndarray | None = UP
+) -> Evidence:
+    image_box = box_on_image(CAMERA, box, typical.label)
+    return Evidence.of(CAMERA, np.concatenate([surface(box), *extra]), image_box, typical, up)
+
+
+def moved(box: OrientedBox, *offsets_m: Sequence[float]) -> Candidates:
+    parts = [OrientedBox.from_parts(box.center_m + np.array(o), box.rotation, box.size_m) for o in offsets_m]
+    return Candidates.of(parts)
+
+
+def score_in_numpy(evidence: Evidence, box: OrientedBox) -> float:
+    """The geometric score of a box, one ray at a time, with the definitions of `Evidence.score`."""
+    half = box.size_m / 2 + MARGIN * box.size_m.mean()
+    origin = -box.center_m @ box.rotation
+    hits, behind, front = [], [], []
+    for point in evidence.points:
+        along = point @ box.rotation
+        low, high = np.sort(np.stack([(-half - origin) / along, (half - origin) / along]), axis=0)
+        meets = low.max() < high.min() and high.min() > 0
+        hits.append(meets and low.max() <= 1 <= high.min())
+        behind.append(meets and high.min() < 1)
+        front.append(meets and low.max() > 1)
+    hit, middle = np.array(hits), evidence.middle & ~np.array(front)
+    shares = hit.mean(), hit.sum() / max(hit.sum() + sum(behind), 1), hit[middle].sum() / max(middle.sum(), 1)
+    outline = box_on_image(CAMERA, box, "crate")
+    left, right, top, bottom = evidence.window
+    ends = np.array([outline.x_min, outline.x_max, outline.y_min, outline.y_max])
+    ends = (ends - np.repeat([CAMERA.cx, CAMERA.cy], 2)) / CAMERA.fx
+    sides = np.repeat([right - left, bottom - top], 2)
+    errors = np.minimum(np.abs(ends - evidence.window) / np.hypot(2 / CAMERA.fx, 0.03 * sides), 4).mean()
+    sizes, spread = np.log(TYPICAL.size_m), np.array(TYPICAL.spread)
+    away = min(
+        np.minimum(np.abs(np.log(box.size_m) - sizes[list(o)]) / spread[list(o)], 4).mean()
+        for o in ((0, 1, 2), (1, 0, 2))
+    )
+    return float(np.dot([*shares, errors, away], [0.5, 0.6, 0.6, -0.2, -0.12]))
+
+
+def test_the_score_is_that_of_the_definitions() -> None:
+    background = np.random.default_rng(0).uniform((-2, -1, 4), (2, 1, 5), (200, 3)).astype(np.float32)
+    occluder = np.random.default_rng(1).uniform((0, 0, 1.4), (0.1, 0.1, 1.5), (40, 3)).astype(np.float32)
+    evidence = evidence_of(BOX, [background, occluder])
+    boxes = [BOX, *moved(BOX, (0, 0, 0.3), (0.2, 0.05, -0.4), (0, 0, 2.0)).boxes]
+    turned = OrientedBox.from_parts(BOX.center_m, BOX.rotation @ _AXES.T @ BOX.rotation, BOX.size_m[[1, 0, 2]])
+    boxes.append(turned)
+    scores = evidence.score(Candidates.of(boxes))
+    assert scores == pytest.approx([score_in_numpy(evidence, box) for box in boxes], abs=1e-9)
+    assert int(np.argmax(scores)) == 0
+
+
+def test_what_views_measured_counts_for_the_boxes_near_it() -> None:
+    evidence = evidence_of(BOX)
+    candidates = moved(BOX, (0, 0, 0), (0, 0, 0.2), (0, 0, 0.4))
+    axes, half = BOX.rotation.T, BOX.size_m / 2
+    center = BOX.center_m + np.array([0, 0, 0.4])
+    ends = (axes @ center)[:, None] + np.stack([-half, half], axis=1)
+    sigma = np.full((3, 2), 0.01)
+    sigma[0, 0] = np.inf  # an unknown end has no say
+    ends[0, 0] = 99.0
+    change = evidence.score(candidates, [Intervals(axes, ends, sigma)]) - evidence.score(candidates)
+    assert change[2] == pytest.approx(0, abs=1e-9)
+    assert change[0] < change[1] < change[2]
+    # of several rivals, the nearest counts
+    far = Intervals(axes, ends + 5.0, sigma)
+    both = evidence.score(candidates, [far, Intervals(axes, ends, sigma)]) - evidence.score(candidates)
+    assert both == pytest.approx(change)
+
+
+def test_the_box_between_plausible_ones_has_the_highest_expected_iou() -> None:
+    candidates = moved(BOX, (-0.1, 0, 0), (0, 0, 0), (0.1, 0, 0), (3.0, 0, 0))
+    even = best_expected(candidates, np.array([1.0, 0.999, 1.0, 0.5]))
+    assert even.center_m == pytest.approx(BOX.center_m)
+    sure = best_expected(candidates, np.array([1.0, 0.0, 0.0, 2.0]))
+    assert sure.center_m == pytest.approx(BOX.center_m + np.array([3.0, 0, 0]))
+
+
+@pytest.mark.parametrize(("up", "least"), [(UP, 0.75), (None, 0.55)])
+def test_a_box_of_typical_size_is_placed_without_a_detector(up: np.ndarray | None, least: float) -> None:
+    wall = np.column_stack([np.random.default_rng(0).uniform(-1.5, 1.5, (600, 2)), np.full(600, 4.5)])
+    evidence = evidence_of(BOX, [wall.astype(np.float32)], up=up)
+    placed = place(evidence)
+    assert len(placed) == BY_SCORE
+    scores = evidence.score(placed)
+    assert (np.diff(scores) <= 1e-12).all()
+    assert iou_3d(placed.boxes[0], BOX) > least
+    if up is not None:
+        assert placed.rotation[:, :, 2] @ up == pytest.approx(np.ones(BY_SCORE))
+    again = place(evidence)
+    assert np.array_equal(again.center_m, placed.center_m)
+
+
+def test_of_two_depths_the_one_that_fits_the_typical_size_is_taken() -> None:
+    """The same image box may be a small near object or a large far one."""
+    far = OrientedBox.from_parts(BOX.center_m * 2, BOX.rotation, BOX.size_m * 2)
+    cloud = np.concatenate([surface(BOX)[::2], surface(far)[::2]])
+    image_box = box_on_image(CAMERA, BOX, "crate")
+    for truth in (BOX, far):
+        length, width, height = (float(side) for side in truth.size_m)
+        typical = TypicalSize(label="crate", size_m=(length, width, height), spread=(0.1, 0.1, 0.1))
+        best = place(Evidence.of(CAMERA, cloud, image_box, typical, UP)).boxes[0]
+        assert iou_3d(best, truth) > 0.6
+
+
+def test_distinct_boxes_overlap_little() -> None:
+    candidates = moved(BOX, (0, 0, 0), (0.01, 0, 0), (0, 0, 1.0), (0, 0, 1.01), (0, 0, 2.0))
+    chosen = distinct(candidates, 3, 0.5)
+    assert [box.center_m[2] for box in chosen] == pytest.approx([3.0, 4.0, 5.0])
+    assert len(distinct(candidates, 2, 0.5)) == 2
+
+
+def test_changed_boxes_stay_upright_and_near() -> None:
+    new = changed(Candidates.of([BOX]), evidence_of(BOX), 50, 1.0, np.random.default_rng(0))
+    assert len(new) == 50
+    assert new.rotation[:, :, 2] @ UP == pytest.approx(np.ones(50))
+    assert np.linalg.norm(new.center_m - BOX.center_m, axis=1).max() < BOX.size_m.max()
+    assert np.abs(np.log(new.size_m / BOX.size_m)).max() < 0.4
+
+
+def test_a_given_size_counts_more_than_the_name() -> None:
+    car = typical_size("Car")
+    assert car is not None and car.size_m[0] > 3
+    assert typical_size("traffic cone") == typical_size("Traffic_Cone") is not None
+    assert typical_size("thing") is None
+    own = TypicalSize(label="Car", size_m=(0.4, 0.2, 0.15), spread=(0.1, 0.1, 0.1))
+    assert typical_size("Car", [own]) is own
+    assert typical_size("Van", [own]) == typical_size("van")
+
+
+class Blind:
+    """A class-agnostic detector that detects nothing."""
+
+    labels = tuple(AGNOSTIC_LABELS.values())
+    fingerprint = "blind"
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        return [[] for _ in images]
+
+
+def frame_with(*boxes: OrientedBox) -> Frame:
+    xyz = np.concatenate([surface(box) for box in boxes])
+    rgb = np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8)
+    return Frame("000000", 0, CAMERA, rgb, PointCloud(xyz, np.full((len(xyz), 3), 128, np.uint8)), up=UP)
+
+
+def config_for(*sizes: TypicalSize, use: bool = True) -> RcvConfig:
+    look = FirstLookConfig(use_typical_sizes=use)
+    config = RcvConfig(orientation=Orientation.UPRIGHT, typical_sizes=sizes, first_look=look)
+    return config.for_detector(BoxKind.BOX, class_agnostic=True)
+
+
+def test_an_object_of_typical_size_needs_no_detection() -> None:
+    frame, image_box = frame_with(BOX), box_on_image(CAMERA, BOX, "crate")
+    (result,) = propose_from_boxes([frame], [[image_box]], Blind(), config_for(TYPICAL))
+    (proposal,) = result.proposals
+    assert iou_3d(proposal.box, BOX) > 0.7
+    assert proposal.trace[0].fallback[:1] == (TYPICAL_SIZE,)
+    assert proposal.score < 0.3  # nothing has confirmed it
+    for config in (config_for(), config_for(TYPICAL, use=False)):
+        (result,) = propose_from_boxes([frame], [[image_box]], Blind(), config)
+        assert result.proposals == () and len(result.lost) == 1
+
+
+def test_two_objects_are_not_placed_at_the_same_spot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The image box of the hidden object mainly shows the one in front."""
+    behind = OrientedBox.from_parts(BOX.center_m + np.array([0.25, 0.0, 0.7]), BOX.rotation, BOX.size_m)
+    image_boxes = [box_on_image(CAMERA, box, "crate") for box in (BOX, behind)]
+    seen = surface(behind)
+    visible = seen[seen[:, 0] / seen[:, 2] * CAMERA.fx + CAMERA.cx > image_boxes[0].x_max]
+    assert 20 < len(visible) < len(seen) / 2
+    frame = frame_with(BOX)
+    xyz = np.concatenate([surface(BOX), visible])
+    frame = replace(frame, cloud=PointCloud(xyz, np.full((len(xyz), 3), 128, np.uint8)))
+    overlaps = []
+    for weight in (finish.OVERLAP_WEIGHT, 0.0):
+        monkeypatch.setattr(finish, "OVERLAP_WEIGHT", weight)
+        config = config_for(TYPICAL).model_copy(update={"nms_iou": 1.0})
+        (result,) = propose_from_boxes([frame], [image_boxes], Blind(), config)
+        found = {id(proposal.image_box): proposal.box for proposal in result.proposals}
+        first, second = (found[id(image_box)] for image_box in image_boxes)
+        assert iou_3d(first, BOX) > 0.6
+        overlaps.append(iou_3d(first, second))
+    assert overlaps[0] < 0.3 < 0.4 < overlaps[1]
+
+
+def test_views_correct_the_placed_box(generated, knowing: Callable[..., Detectors]) -> None:
+    """Perfect detections leave little of an only roughly right typical size."""
+    recording = open_recording(generated / "people")
+    frame = recording.frame(0)
+    truth = load_truth(recording, 0, frame)[0]
+    image_box = box_on_image(frame.camera, truth.box, truth.label)
+    length, width, height = (float(side) for side in truth.box.size_m * [1.3, 0.8, 1.1])
+    rough = TypicalSize(label=truth.label, size_m=(length, width, height), spread=(0.3, 0.3, 0.3))
+    config = config_for(rough)
+    (blind,) = propose_from_boxes([frame], [[image_box]], Blind(), config)
+    (seen,) = propose_from_boxes([frame], [[image_box]], AnyClass(knowing("people").view), config)
+    assert iou_3d(seen.proposals[0].box, truth.box) > max(0.7, iou_3d(blind.proposals[0].box, truth.box))
