@@ -11,7 +11,7 @@ from scenes import CAMERA, box_surface, some_box
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import inside_image, project
-from annotator.rcv import pasting
+from annotator.rcv.pasting import objects as pasting
 from annotator.rcv.pasting.image import draw_patch, image_patch
 from annotator.rcv.pasting.objects import Cutout, PastedFrame, Target, can_paste, cut_objects, paste
 from annotator.rcv.teach import TaughtObject

@@ -26,12 +26,12 @@ POINTS = 300
 MARGIN = 0.03
 # Expected error of an edge of the image box: pixels, and share of the box's width or height.
 EDGE_PX, EDGE_SHARE = 2.0, 0.03
-# Limit of an edge's error and of a side's deviation, standard deviations; of a view's error, mean sides.
-FURTHEST, FURTHEST_END = 4.0, 0.5
+# Limit of an edge's error, a side's deviation and a measured end's error, standard deviations.
+FURTHEST = 4.0
 # Weights of the score; the geometric ones in the order of the terms. Chosen on generated frames and on several
 # recordings (docs/base_detector.md).
 WEIGHTS = np.array([0.5, 0.6, 0.6, -0.2, -0.12])
-MEASURED_WEIGHT = -3.0
+MEASURED_WEIGHT = -0.33
 # How many of the best candidates may be right, and how much more probable one is for a score that is higher by 1 (log).
 PROBABLE, SHARPNESS = 30, 12.0
 
@@ -137,7 +137,8 @@ class Evidence:
 
         The terms: hits (points of the frustum inside the box) as a share of all points, of those that are not in front
         of the box, and the same in the middle of the image box; the errors of the outline's edges; the deviation of
-        the sides from the typical ones; and the distance of the box's ends from those that views have measured.
+        the sides from the typical ones; and the distance of the box's ends from those that views have measured, in their
+        expected errors. So an accurate detector counts more.
 
         Args:
             measured: what the views of each rival measured; the one with the least distance counts.
@@ -170,12 +171,12 @@ def best_expected(boxes: Candidates, score: Float64[np.ndarray, "k"]) -> Oriente
 
 
 def _distance(boxes: Candidates, measured: Intervals) -> Float64[np.ndarray, "k"]:
-    """The mean distance of each box's ends from the measured ones, in mean sides, each limited."""
+    """The mean distance of each box's ends from the measured ones, in their expected errors, each limited."""
     directions, known = measured.directions, np.isfinite(measured.sigma_m)
     reach = np.einsum("kmi,ki->km", np.abs(directions @ boxes.rotation), boxes.size_m) / 2
     middle = boxes.center_m @ directions.T
     away = np.abs(np.stack([middle - reach, middle + reach], axis=2) - measured.ends_m)[:, known]
-    return np.asarray(np.minimum(away / boxes.size_m.mean(axis=1, keepdims=True), FURTHEST_END).mean(axis=1))
+    return np.asarray(np.minimum(away / measured.sigma_m[known], FURTHEST).mean(axis=1))
 
 
 def _normalised(camera: Camera, ends_px: tuple[float, float, float, float]) -> Float64[np.ndarray, "4"]:

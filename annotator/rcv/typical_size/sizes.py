@@ -42,8 +42,6 @@ _KNOWN: tuple[tuple[tuple[float, float, float], tuple[float, float, float], str]
     ((6.5, 2.8, 3.2), (0.3, 0.15, 0.15), "construction_vehicle"),
     ((16.0, 2.5, 3.5), (0.15, 0.07, 0.07), "tram"),
     ((0.85, 0.65, 1.75), (0.25, 0.15, 0.07), "pedestrian"),
-    # people who are not on a street are often partly in view, so their height is nearly unknown
-    ((0.5, 0.3, 1.6), (0.2, 0.25, 0.8), "human person"),
     ((0.8, 0.6, 1.27), (0.2, 0.15, 0.1), "person_sitting"),
     ((1.77, 0.65, 1.73), (0.1, 0.15, 0.07), "cyclist bicyclist motorcyclist"),
     ((1.7, 0.6, 1.2), (0.1, 0.2, 0.15), "bicycle"),
