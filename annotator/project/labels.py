@@ -104,6 +104,16 @@ class Created:
 
 
 @dataclass(frozen=True, eq=False)
+class ReviewedBox:
+    """A reviewed 3D box, with its frame, recording, and track if known."""
+
+    box: OrientedBox
+    frame_id: int
+    recording_id: int
+    track_id: int | None
+
+
+@dataclass(frozen=True, eq=False)
 class Labels:
     """Reads and reviews 3D labels.
 
@@ -145,11 +155,24 @@ class Labels:
         with self.writer.store.read() as connection:
             return tuple(map(stored_label, connection.execute(ordered)))
 
-    def recent(self, label: str, states: Collection[ReviewState], most: int) -> tuple[StoredLabel, ...]:
-        """The latest labels of a class in these states, the newest first."""
-        query = _filtered(select(labels), states, None, [label]).order_by(labels.c.id.desc()).limit(most)
+    def recent_boxes(self, label: str, most: int) -> tuple[ReviewedBox, ...]:
+        """The latest reviewed boxes of a class that enclose whole objects, the newest first."""
+        of_class = select(labels.c.id).where(labels.c.label == label, labels.c.box_kind == BoxKind.BOX.value)
+        # one query for each state, so that the index gives the order
+        latest = [
+            of_class.where(labels.c.state == state.value).order_by(labels.c.id.desc()).limit(most) for state in REVIEWED
+        ]
         with self.writer.store.read() as connection:
-            return tuple(map(stored_label, connection.execute(query)))
+            ids = sorted((id_ for query in latest for id_ in connection.execute(query).scalars()), reverse=True)[:most]
+            query = select(labels.c.box, labels.c.frame_id, frames.c.recording_id, labels.c.track_id)
+            query = query.join_from(labels, frames, frames.c.id == labels.c.frame_id).where(labels.c.id.in_(ids))
+            rows = connection.execute(query.order_by(labels.c.id.desc())).all()
+        return tuple(
+            ReviewedBox(
+                parsed(BoxRecord.model_validate_json, row.box).box(), row.frame_id, row.recording_id, row.track_id
+            )
+            for row in rows
+        )
 
     def count(self, states: Collection[ReviewState]) -> int:
         """Number of labels in one of these states."""

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.rcv.typical_size.sizes import TypicalSize
+from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
 from annotator.types import BoxKind
 
 # Part of the fingerprint of annotated frames. Increase it when the same settings give different boxes.
@@ -223,6 +223,9 @@ class RcvConfig(BaseModel):
     typical_sizes: tuple[TypicalSize, ...] = Field(
         (), description="typical sizes of classes, in place of those of reviewed boxes and of well-known classes"
     )
+    reviewed_sizes: tuple[TypicalSize, ...] = Field(
+        (), description="typical sizes of a project's classes, from its reviewed boxes"
+    )
     class_agnostic: bool = Field(
         False, description="whether the view detector measures the object of a crop, whatever its class"
     )
@@ -284,14 +287,28 @@ class RcvConfig(BaseModel):
         """
         return self.model_copy(update={"box_kind": kind, "class_agnostic": class_agnostic})
 
+    @property
+    def uses_typical_sizes(self) -> bool:
+        """Whether objects whose class has a typical size start from boxes of this size."""
+        return self.class_agnostic and self.box_kind is BoxKind.BOX and self.first_look.use_typical_sizes
+
+    def typical_size(self, label: str) -> TypicalSize | None:
+        """The typical size of a class, if it has one and it is used."""
+        if not self.uses_typical_sizes:
+            return None
+        return typical_size(label, (*self.typical_sizes, *self.reviewed_sizes))
+
     def record(self) -> dict[str, Any]:
         """The settings as JSON values, for the record of a run; those that do not apply are left out.
 
         So frames that were annotated before these settings existed are not annotated again.
         """
-        left_out: dict[str, Any] = {"orientation": True}
+        # Reviewed sizes change with every review, which is no reason to annotate all frames again.
+        left_out: dict[str, Any] = {"orientation": True, "reviewed_sizes": True}
+        if not self.uses_typical_sizes:
+            left_out["typical_sizes"] = True
         if not self.class_agnostic:
-            left_out |= {"class_agnostic": True, "first_look": True, "typical_sizes": True}
+            left_out |= {"class_agnostic": True, "first_look": True}
         if self.fit.use_edge_errors:  # a detector that tells them has another fingerprint
             left_out["fit"] = {"use_edge_errors"}
         return self.model_dump(mode="json", exclude=left_out)

@@ -23,7 +23,7 @@ from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Pro
 
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.
 MIDDLE_MARGIN = 0.03
-# How many times each rival's box is changed, and how much (`placement.changed`).
+# How many times each rival's box is changed, and how much (`typical_size/placement.changed`).
 CHANGES, CHANGE_SCALE = 20, 0.5
 # How much the IoU with the box of another object of the frame lowers a candidate's score.
 OVERLAP_WEIGHT = 2.0
@@ -120,9 +120,9 @@ def _of_typical_sizes(choices: Sequence[_Choice]) -> list[ObjectState]:
         score, best = choice.score, choice.best
         if taken:
             score = score - OVERLAP_WEIGHT * iou_3d_matrix(choice.candidates.boxes, taken).max(axis=1)
-        box = best_expected(choice.candidates, score)
+        box, iou = best_expected(choice.candidates, score)
         stop = StopReason.STEP_LIMIT if best.stop in (StopReason.LOST, StopReason.TOO_FEW_POINTS) else best.stop
-        chosen[index] = replace(best, box=canonical_box(box, best.up), stop=stop)
+        chosen[index] = replace(best, box=canonical_box(box, best.up), stop=stop, expected_loss=1 - iou)
         taken.append(box)
     return [chosen[index] for index in range(len(choices))]
 

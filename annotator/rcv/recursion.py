@@ -26,7 +26,6 @@ from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
 from annotator.rcv.typical_size.evidence import Candidates, Evidence
 from annotator.rcv.typical_size.placement import distinct, place
-from annotator.rcv.typical_size.sizes import typical_size
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -84,6 +83,7 @@ class ObjectState:
         view_score: mean score of the detections that gave the last box.
         disagreement, last_change, kept_share: the quality signals of the last step.
         fit: the fit of the last step, if it was one.
+        expected_loss: the expected 1 - IoU of a box that was chosen among candidates (`finish`); None = by the fit.
         steps: the trace.
         stop: CONTINUES while the recursion runs.
         notes: how the object started, for the trace of the first step.
@@ -105,6 +105,7 @@ class ObjectState:
     last_change: float = 1.0
     kept_share: float = 1.0
     fit: BoxFit | None = None
+    expected_loss: float | None = None
     steps: tuple[StepTrace, ...] = ()
     stop: StopReason = StopReason.CONTINUES
     notes: tuple[str, ...] = ()
@@ -119,7 +120,9 @@ class ObjectState:
 
     @property
     def quality(self) -> Quality:
-        loss = None if self.fit is None else self.fit.expected_iou_loss()
+        loss = self.expected_loss
+        if loss is None and self.fit is not None:
+            loss = self.fit.expected_iou_loss()
         return Quality(self.disagreement, self.kept_share, self.last_change, expected_iou_loss=loss)
 
 
@@ -166,10 +169,11 @@ def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[
     xyz_m = state.cloud.xyz_m
     middle = xyz_m[in_middle(camera, xyz_m, state.image_box)]
     facts = FrustumFacts(state.cloud, middle[:: max(len(middle) // MIDDLE_POINTS, 1)], camera)
-    typical = typical_size(state.image_box.label, config.typical_sizes) if config.first_look.use_typical_sizes else None
-    if typical is not None and config.box_kind is BoxKind.BOX:
+    typical = config.typical_size(state.image_box.label)
+    if typical is not None:
         evidence = Evidence.of(camera, xyz_m, state.image_box, typical, state.up)
-        return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), config)
+        if evidence is not None:
+            return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), config)
     crops = depth_crops(camera, xyz_m, state.image_box, config.first_look, config.min_points)
     whole = [] if crops and is_deep(state.cloud, config) else [replace(state, frustum=facts)]
     return whole + [replace(state, cloud=state.cloud.select(crop), frustum=facts) for crop in crops]
@@ -178,14 +182,14 @@ def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[
 def _placed(state: ObjectState, facts: FrustumFacts, config: RcvConfig) -> list[ObjectState]:
     """The states that start from the best placed boxes; without their points, the state that has only the frustum."""
     assert facts.placed is not None
+    state = replace(state, frustum=facts, notes=(*state.notes, TYPICAL_SIZE))
     started = []
     for placed in distinct(facts.placed, STARTS, STARTS_IOU):
         box = canonical_box(placed, state.up)
         cloud = state.cloud.select(contains(box, state.cloud.xyz_m, START_ROOM * float(box.size_m.mean())))
         if len(cloud) >= config.min_points:
-            notes = (TYPICAL_SIZE,)
-            started.append(replace(state, cloud=cloud, box=box, axes=box.rotation.T, frustum=facts, notes=notes))
-    return started or [replace(state, frustum=facts)]
+            started.append(replace(state, cloud=cloud, box=box, axes=box.rotation.T))
+    return started or [state]
 
 
 def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -> StepPlan:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, JsonValue, RootModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -28,6 +28,7 @@ DERIVED = {
     "orientation": "follows from the rotation: settings.rotation of the project, or --rotation",
     "box_kind": "follows from the boxes that the pseudo-view detector was trained on",
     "class_agnostic": "follows from the pseudo-view detector",
+    "reviewed_sizes": "follows from the reviewed boxes of the project; set typical_sizes",
 }
 
 
@@ -61,8 +62,7 @@ def rcv_config(
     from_file = {} if file is None else _checked(read_model(file, _File).root, f"{file}: ")
     from_options = _checked(options or {}, "command line: ")
     config = _validated(_merged(_merged(stored, from_file), from_options))
-    sizes = (*config.typical_sizes, *reviewed_sizes(project, without_frames))
-    config = config.model_copy(update={"typical_sizes": sizes})
+    config = config.model_copy(update={"reviewed_sizes": reviewed_sizes(project, without_frames)})
     if "size_px" in config.view.model_fields_set:
         return config
     size_px = view_px or _trained_px(project) or config.view.size_px
@@ -126,9 +126,10 @@ def _message(problem: ErrorDetails) -> str:
 def _fields(group: tuple[int | str, ...]) -> list[str]:
     model: type[BaseModel] = RcvConfig
     for name in group:
-        nested = model.model_fields[str(name)].annotation
-        assert isinstance(nested, type)  # only groups have unknown fields
-        model = nested
+        if isinstance(name, int):  # an item of a list of groups
+            continue
+        nested: Any = model.model_fields[name].annotation
+        model = nested if isinstance(nested, type) else get_args(nested)[0]
     return [name for name in model.model_fields if name not in DERIVED]
 
 

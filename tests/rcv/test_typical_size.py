@@ -49,7 +49,9 @@ def evidence_of(
     box: OrientedBox, extra: Sequence[np.ndarray] = (), typical: TypicalSize = TYPICAL, up: np.ndarray | None = UP
 ) -> Evidence:
     image_box = box_on_image(CAMERA, box, typical.label)
-    return Evidence.of(CAMERA, np.concatenate([surface(box), *extra]), image_box, typical, up)
+    evidence = Evidence.of(CAMERA, np.concatenate([surface(box), *extra]), image_box, typical, up)
+    assert evidence is not None
+    return evidence
 
 
 def moved(box: OrientedBox, *offsets_m: Sequence[float]) -> Candidates:
@@ -108,18 +110,24 @@ def test_what_views_measured_counts_for_the_boxes_near_it() -> None:
     ends[0, 0] = 99.0
     change = evidence.score(candidates, [Intervals(axes, ends, sigma)]) - evidence.score(candidates)
     assert change[2] == pytest.approx(0, abs=1e-9)
-    assert change[0] < change[1] < change[2]
+    assert max(change[:2]) < change[2]
     # of several rivals, the nearest counts
     far = Intervals(axes, ends + 5.0, sigma)
     both = evidence.score(candidates, [far, Intervals(axes, ends, sigma)]) - evidence.score(candidates)
     assert both == pytest.approx(change)
+    # a less accurate detector counts less
+    rough = evidence.score(candidates, [Intervals(axes, ends, sigma * 20)]) - evidence.score(candidates)
+    assert rough[0] < rough[1] < rough[2]
+    assert (rough >= change - 1e-9).all()
 
 
 def test_the_box_between_plausible_ones_has_the_highest_expected_iou() -> None:
     candidates = moved(BOX, (-0.1, 0, 0), (0, 0, 0), (0.1, 0, 0), (3.0, 0, 0))
-    even = best_expected(candidates, np.array([1.0, 0.999, 1.0, 0.5]))
+    even, iou = best_expected(candidates, np.array([1.0, 0.999, 1.0, 0.5]))
+    assert 0.5 < iou < 0.9
     assert even.center_m == pytest.approx(BOX.center_m)
-    sure = best_expected(candidates, np.array([1.0, 0.0, 0.0, 2.0]))
+    sure, iou = best_expected(candidates, np.array([1.0, 0.0, 0.0, 2.0]))
+    assert iou == pytest.approx(1, abs=1e-3)
     assert sure.center_m == pytest.approx(BOX.center_m + np.array([3.0, 0, 0]))
 
 
@@ -146,7 +154,9 @@ def test_of_two_depths_the_one_that_fits_the_typical_size_is_taken() -> None:
     for truth in (BOX, far):
         length, width, height = (float(side) for side in truth.size_m)
         typical = TypicalSize(label="crate", size_m=(length, width, height), spread=(0.1, 0.1, 0.1))
-        best = place(Evidence.of(CAMERA, cloud, image_box, typical, UP)).boxes[0]
+        evidence = Evidence.of(CAMERA, cloud, image_box, typical, UP)
+        assert evidence is not None
+        best = place(evidence).boxes[0]
         assert iou_3d(best, truth) > 0.6
 
 
@@ -172,7 +182,26 @@ def test_a_given_size_counts_more_than_the_name() -> None:
     assert typical_size("thing") is None
     own = TypicalSize(label="Car", size_m=(0.4, 0.2, 0.15), spread=(0.1, 0.1, 0.1))
     assert typical_size("Car", [own]) is own
+    assert typical_size("car", [own]) is own
     assert typical_size("Van", [own]) == typical_size("van")
+
+
+def test_an_image_box_where_the_distortion_has_no_inverse_gives_no_evidence() -> None:
+    camera = Camera(640, 480, 400.0, 400.0, 319.5, 239.5, (-0.35, 0.0, 0.0, 0.0, 0.0))
+    xyz = np.random.default_rng(0).uniform((-1, -0.3, 2), (-0.5, 0.3, 3), (100, 3)).astype(np.float32)
+    assert Evidence.of(camera, xyz, Box2D("crate", 0.0, 150.0, 150.0, 330.0), TYPICAL, UP) is None
+    inner = Evidence.of(camera, xyz, Box2D("crate", 250.0, 180.0, 390.0, 300.0), TYPICAL, UP)
+    assert inner is not None
+    assert np.isfinite(inner.score(Candidates.of([BOX]))).all()
+
+
+def test_sizes_are_recorded_only_if_they_are_used() -> None:
+    config = config_for(TYPICAL).model_copy(update={"reviewed_sizes": (TYPICAL,)})
+    assert "typical_sizes" in config.record()
+    assert "reviewed_sizes" not in config.record()
+    for unused in (config_for(TYPICAL, use=False), config.for_detector(BoxKind.SILHOUETTE, True)):
+        assert "typical_sizes" not in unused.record()
+        assert unused.typical_size("crate") is None
 
 
 class Blind:

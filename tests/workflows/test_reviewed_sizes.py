@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, W
 from annotator.rcv.typical_size.sizes import typical_size
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState
+from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.reviewed_sizes import reviewed_sizes
-from annotator.workflows.settings import rcv_config
+from annotator.workflows.settings import editable, rcv_config
 
 ABOUT_Z = Rotation.from_euler("z", 0.4).as_matrix()
 
@@ -34,11 +36,12 @@ def add(
     rotation: np.ndarray = ABOUT_Z,
     label: str = "thing",
     kind: BoxKind = BoxKind.BOX,
+    track: int | None = None,
     state: ReviewState = ReviewState.ACCEPTED,
 ) -> None:
     stored = project.frames.of()[frame]
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), rotation, np.array(size_m))
-    new = NewLabel(label, box, box_kind=kind, state=state)
+    new = NewLabel(label, box, box_kind=kind, state=state, track_id=track)
     project.labels.create(stored.id, [new], WriteContext(stored.revision, "ann"))
 
 
@@ -58,7 +61,7 @@ def test_the_first_box_gives_the_size_and_further_ones_make_it_sure(project: Pro
     (four,) = reviewed_sizes(project)
     assert four.size_m == pytest.approx((2.0, 1.0, 0.5))
     assert max(four.spread) < min(one.spread) < 0.2
-    assert rcv_config(project).typical_sizes == (four,)
+    assert rcv_config(project).reviewed_sizes == (four,)
 
 
 def test_boxes_of_unlike_sizes_have_a_wide_spread(project: Project) -> None:
@@ -75,37 +78,75 @@ def test_some_frames_do_not_count(project: Project) -> None:
     held_out = project.frames.of()[1].id
     (size,) = reviewed_sizes(project, [held_out])
     assert size.size_m[0] == pytest.approx(2.0)
-    assert rcv_config(project, without_frames=[held_out]).typical_sizes == (size,)
+    assert rcv_config(project, without_frames=[held_out]).reviewed_sizes == (size,)
 
 
-def test_freely_rotated_boxes_are_ordered_by_length(project: Project) -> None:
+def test_free_boxes_are_compared_in_the_order_in_which_they_are_most_alike(project: Project) -> None:
     add(project, 0, (2.0, 1.0, 0.5))
     add(project, 1, (1.0, 0.5, 2.0), Rotation.from_euler("x", 1.2).as_matrix())
     (size,) = reviewed_sizes(project)
-    assert size.size_m == pytest.approx((2.0, 1.0, 0.5))
+    assert sorted(size.size_m) == pytest.approx([0.5, 1.0, 2.0])
     assert max(size.spread) < 0.2
 
 
-def test_freely_rotated_boxes_are_ordered_in_free_projects(tmp_path: Path, generated: Path) -> None:
+def test_upright_boxes_keep_their_height_however_the_camera_is_tilted(project: Project) -> None:
+    for frame, tilt in enumerate((0.0, 0.3, 0.6)):
+        add(project, frame, (0.5, 0.3, 1.6 + 0.05 * frame), Rotation.from_euler("x", tilt).as_matrix())
+    (size,) = reviewed_sizes(project)
+    assert size.size_m == pytest.approx((0.5, 0.3, 1.65), rel=0.01)
+
+
+def test_boxes_of_free_projects_are_like_those_of_a_well_known_class(tmp_path: Path, generated: Path) -> None:
     settings = ProjectSettings(rotation=BoxRotation.FREE)
-    with create_project(tmp_path, "free", ("thing",), settings=settings) as project:
+    known = typical_size("pedestrian")
+    assert known is not None
+    length, width, height = known.size_m
+    with create_project(tmp_path, "free", ("pedestrian",), settings=settings) as project:
         register_recording(project, open_recording(generated / "hands"))
-        add(project, 0, (0.1, 0.05, 0.2))
+        add(project, 0, (height, length, width), label="pedestrian")
         (size,) = reviewed_sizes(project)
-        assert size.size_m == pytest.approx((0.2, 0.1, 0.05))
+        assert size.size_m == pytest.approx(known.size_m)
 
 
 def test_a_well_known_class_begins_with_its_size(project: Project) -> None:
     known = typical_size("Car")
     assert known is not None
-    add(project, 0, (6.0, 1.6, 1.5), label="Car")
+    add(project, 0, (4.6, 1.7, 1.5), label="Car")
     (size,) = reviewed_sizes(project)
-    assert known.size_m[0] < size.size_m[0] < 6.0
+    assert known.size_m[0] < size.size_m[0] < 4.6
+
+
+def test_toy_cars_are_no_cars(project: Project) -> None:
+    add(project, 0, (0.08, 0.04, 0.03), label="Car")
+    (size,) = reviewed_sizes(project)
+    assert size.size_m == pytest.approx((0.08, 0.04, 0.03))
+
+
+def test_a_track_counts_once(project: Project) -> None:
+    for frame in range(3):
+        add(project, frame, (2.0, 1.0, 0.5), track=7)
+    add(project, 3, (1.0, 1.0, 0.5), track=8)
+    (size,) = reviewed_sizes(project)
+    assert size.size_m[0] == pytest.approx(np.sqrt(2.0))
 
 
 def test_sizes_of_the_settings_come_first(project: Project) -> None:
     add(project, 0, (2.0, 1.0, 0.5))
     own = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "spread": [0.1, 0.1, 0.1]}
     project.configure(settings=ProjectSettings.model_validate({"rcv": {"typical_sizes": [own]}}))
-    sizes = rcv_config(project).typical_sizes
-    assert typical_size("thing", sizes).size_m == (3.0, 2.0, 1.0)
+    config = rcv_config(project).for_detector(BoxKind.BOX, class_agnostic=True)
+    size = config.typical_size("thing")
+    assert size is not None and size.size_m == (3.0, 2.0, 1.0)
+    assert json.loads(editable(config))["typical_sizes"] == [own]
+    assert "reviewed_sizes" not in editable(config)
+
+
+def test_a_misspelt_key_of_a_size_is_named(project: Project) -> None:
+    wrong = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "sprad": [0.1, 0.1, 0.1]}
+    project.configure(settings=ProjectSettings.model_validate({"rcv": {"typical_sizes": [wrong]}}))
+    with pytest.raises(ConfigError, match="typical_sizes"):
+        rcv_config(project)
+    extra = {"label": "thing", "size_m": [3.0, 2.0, 1.0], "spread": [0.1, 0.1, 0.1], "sprad": 1}
+    project.configure(settings=ProjectSettings.model_validate({"rcv": {"typical_sizes": [extra]}}))
+    with pytest.raises(ConfigError, match="did you mean 'spread'"):
+        rcv_config(project)

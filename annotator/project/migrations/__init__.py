@@ -24,6 +24,7 @@ from annotator.project.migrations import (
     m0009_iou_loss,
     m0010_suggestions,
     m0011_box_kind,
+    m0012_labels_by_class,
 )
 from annotator.types.errors import ProjectError
 
@@ -55,6 +56,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(9, m0009_iou_loss.STATEMENTS),
     Migration(10, m0010_suggestions.STATEMENTS),
     Migration(11, m0011_box_kind.STATEMENTS),
+    Migration(12, m0012_labels_by_class.STATEMENTS),
 )
 
 

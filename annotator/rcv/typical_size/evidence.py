@@ -105,13 +105,20 @@ class Evidence:
         image_box: Box2D,
         typical: TypicalSize,
         up: Float64[np.ndarray, "3"] | None,
-    ) -> Evidence:
-        """From the points in the frustum of an image box; other arguments as the attributes."""
+    ) -> Evidence | None:
+        """From the points in the frustum of an image box; other arguments as the attributes.
+
+        None if the camera's distortion has no inverse at the edges of the image box.
+        """
         chosen = np.random.default_rng(0).permutation(len(xyz_m))[:POINTS]
         points = xyz_m[chosen].astype(np.float64)
         ends = (-0.5, camera.width_px - 0.5, -0.5, camera.height_px - 0.5)
         edges = (image_box.x_min, image_box.x_max, image_box.y_min, image_box.y_max)
         window, image = _normalised(camera, edges), _normalised(camera, ends)
+        if not np.isfinite(window).all():
+            return None
+        # where the distortion has no inverse at the image's border, outlines are not clipped
+        image = np.where(np.isfinite(image), image, [-np.inf, np.inf, -np.inf, np.inf])
         return cls(points, in_middle(camera, points, image_box), window, image, 1 / camera.fx, typical, up)
 
     @property
@@ -137,8 +144,8 @@ class Evidence:
 
         The terms: hits (points of the frustum inside the box) as a share of all points, of those that are not in front
         of the box, and the same in the middle of the image box; the errors of the outline's edges; the deviation of
-        the sides from the typical ones; and the distance of the box's ends from those that views have measured, in their
-        expected errors. So an accurate detector counts more.
+        the sides from the typical ones; and the distance of the box's ends from those that views have measured, in
+        their expected errors, so that an accurate detector counts more.
 
         Args:
             measured: what the views of each rival measured; the one with the least distance counts.
@@ -159,15 +166,17 @@ class Evidence:
         return np.asarray(np.minimum(away, FURTHEST).mean(axis=2).min(axis=0))
 
 
-def best_expected(boxes: Candidates, score: Float64[np.ndarray, "k"]) -> OrientedBox:
-    """The candidate with the highest expected IoU with the true box.
+def best_expected(boxes: Candidates, score: Float64[np.ndarray, "k"]) -> tuple[OrientedBox, float]:
+    """The candidate with the highest expected IoU with the true box, and this IoU.
 
     One of the best candidates is taken to be the true box, with a probability that grows exponentially with its score.
     """
     best = np.argsort(-score, kind="stable")[:PROBABLE]
     probable = boxes.take(best).boxes
     weight = np.exp(SHARPNESS * (score[best] - score[best[0]]))
-    return probable[int(np.argmax(iou_3d_matrix(probable, probable) @ weight))]
+    expected = iou_3d_matrix(probable, probable) @ weight / weight.sum()
+    chosen = int(np.argmax(expected))
+    return probable[chosen], float(min(expected[chosen], 1.0))
 
 
 def _distance(boxes: Candidates, measured: Intervals) -> Float64[np.ndarray, "k"]:

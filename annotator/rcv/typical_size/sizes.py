@@ -68,6 +68,14 @@ WELL_KNOWN: Mapping[str, TypicalSize] = {
 
 
 def typical_size(label: str, given: Iterable[TypicalSize] = ()) -> TypicalSize | None:
-    """The typical size of a class: the first given one, else that of a well-known class of this name, else None."""
-    own = next((size for size in given if size.label == label), None)
-    return own or WELL_KNOWN.get(label.strip().lower().replace(" ", "_").replace("-", "_"))
+    """The typical size of a class: the first given one, else that of a well-known class of this name, else None.
+
+    Case, and spaces or hyphens in place of underscores, make no difference.
+    """
+    name = _normalised(label)
+    own = next((size for size in given if _normalised(size.label) == name), None)
+    return own or WELL_KNOWN.get(name)
+
+
+def _normalised(label: str) -> str:
+    return label.strip().lower().replace(" ", "_").replace("-", "_")

@@ -189,7 +189,7 @@ def _thinned(frame: Frame, image_box: Box2D) -> Frame:
 
 def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config: RcvConfig) -> OrientedBox:
     """Fits a proposal again, with the spans of drawn boxes beside what was detected."""
-    is_placed = found.trace[0].fallback[:1] == (TYPICAL_SIZE,)
+    is_placed = TYPICAL_SIZE in found.trace[0].fallback
     detected = _spans_of(found.box) if is_placed else traced_intervals(found.trace[1:], config)
     if detected is None:
         return found.box
