@@ -78,7 +78,9 @@ def score_in_numpy(evidence: Evidence, box: OrientedBox) -> float:
     ends = np.array([outline.x_min, outline.x_max, outline.y_min, outline.y_max])
     ends = (ends - np.repeat([CAMERA.cx, CAMERA.cy], 2)) / CAMERA.fx
     sides = np.repeat([right - left, bottom - top], 2)
-    errors = np.minimum(np.abs(ends - evidence.window) / np.hypot(2 / CAMERA.fx, 0.03 * sides), 4).mean()
+    is_larger = (ends - evidence.window) * [-1, 1, -1, 1] > 0
+    sigma = np.hypot(2 / CAMERA.fx, np.where(is_larger, 0.1, 0.05) * sides)
+    errors = np.minimum(np.abs(ends - evidence.window) / sigma, 4).mean()
     sizes, spread = np.log(TYPICAL.size_m), np.array(TYPICAL.spread)
     away = min(
         np.minimum(np.abs(np.log(box.size_m) - sizes[list(o)]) / spread[list(o)], 4).mean()

@@ -24,8 +24,11 @@ from annotator.types import Box2D, Camera, OrientedBox
 POINTS = 300
 # Margin around a box within which points count as inside, share of its mean side.
 MARGIN = 0.03
-# Expected error of an edge of the image box: pixels, and share of the box's width or height.
-EDGE_PX, EDGE_SHARE = 2.0, 0.03
+# Expected error of an edge of the image box: pixels, and share of the box's width or height. The outline of a 3D box is
+# often larger than the object's own box on the image, because its corners are empty, but seldom smaller.
+EDGE_PX, LARGER_SHARE, SMALLER_SHARE = 2.0, 0.1, 0.05
+# The direction in which each edge of an outline leaves the object: left, right, top, bottom.
+OUTWARD = np.array([-1.0, 1.0, -1.0, 1.0])
 # Limit of an edge's error, a side's deviation and a measured end's error, standard deviations.
 FURTHEST = 4.0
 # Weights of the score; the geometric ones in the order of the terms. Chosen on generated frames and on several
@@ -136,8 +139,10 @@ class Evidence:
         """The mean distance of the outlines' edges from the image box's, standard deviations, each limited."""
         left, right, top, bottom = self.window
         sides = np.array([right - left, right - left, bottom - top, bottom - top])
-        sigma = np.hypot(EDGE_PX * self.pixel, EDGE_SHARE * sides)
-        return np.asarray(np.minimum(np.abs(self.outlines(boxes) - self.window) / sigma, FURTHEST).mean(axis=1))
+        beyond = (self.outlines(boxes) - self.window) * OUTWARD
+        share = np.where(beyond > 0, LARGER_SHARE, SMALLER_SHARE)
+        errors = np.abs(beyond) / np.hypot(EDGE_PX * self.pixel, share * sides)
+        return np.asarray(np.minimum(errors, FURTHEST).mean(axis=1))
 
     def score(self, boxes: Candidates, measured: Sequence[Intervals] = ()) -> Float64[np.ndarray, "k"]:
         """The score of each box.

@@ -12,7 +12,7 @@ from browser_page import drag_box, draw_on_views, until
 from label_bench import EDGES, FRAME, Bench
 
 from annotator.geometry.iou import iou_3d
-from annotator.types import ReviewState
+from annotator.types import BoxKind, ReviewState
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
