@@ -15,7 +15,7 @@ from annotator.rcv import finish
 from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.recursion import TYPICAL_SIZE
+from annotator.rcv.recursion import TYPICAL_SIZE, start
 from annotator.rcv.typical_size.evidence import MARGIN, Candidates, Evidence, best_expected
 from annotator.rcv.typical_size.placement import BY_SCORE, changed, distinct, place
 from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
@@ -240,26 +240,21 @@ def test_an_object_of_typical_size_needs_no_detection() -> None:
         assert result.proposals == () and len(result.lost) == 1
 
 
-def test_two_objects_are_not_placed_at_the_same_spot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The image box of the hidden object mainly shows the one in front."""
-    behind = OrientedBox.from_parts(BOX.center_m + np.array([0.25, 0.0, 0.7]), BOX.rotation, BOX.size_m)
-    image_boxes = [box_on_image(CAMERA, box, "crate") for box in (BOX, behind)]
-    seen = surface(behind)
-    visible = seen[seen[:, 0] / seen[:, 2] * CAMERA.fx + CAMERA.cx > image_boxes[0].x_max]
-    assert 20 < len(visible) < len(seen) / 2
-    frame = frame_with(BOX)
-    xyz = np.concatenate([surface(BOX), visible])
-    frame = replace(frame, cloud=PointCloud(xyz, np.full((len(xyz), 3), 128, np.uint8)))
-    overlaps = []
-    for weight in (finish.OVERLAP_WEIGHT, 0.0):
-        monkeypatch.setattr(finish, "OVERLAP_WEIGHT", weight)
-        config = config_for(TYPICAL).model_copy(update={"nms_iou": 1.0})
-        (result,) = propose_from_boxes([frame], [image_boxes], Blind(), config)
-        found = {id(proposal.image_box): proposal.box for proposal in result.proposals}
-        first, second = (found[id(image_box)] for image_box in image_boxes)
-        assert iou_3d(first, BOX) > 0.6
-        overlaps.append(iou_3d(first, second))
-    assert overlaps[0] < 0.3 < 0.4 < overlaps[1]
+def test_two_objects_do_not_get_the_same_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The object with the higher score is chosen first; the other one then prefers a place that is still free."""
+    cloud, image_box = frame_with(BOX).cloud, box_on_image(CAMERA, BOX, "crate")
+    states = [start(0, replace(image_box), cloud, UP, config_for(TYPICAL)) for _ in range(2)]
+    places = moved(BOX, (0, 0, 0), (0, 0, 1.0))
+    choices = [
+        finish._Choice(states[0], places, np.array([0.9, 0.6])),
+        finish._Choice(states[1], places, np.array([1.2, 0.0])),
+    ]
+    second, first = (state.box for state in finish._of_typical_sizes(choices))
+    assert first is not None and second is not None
+    assert (first.center_m[2], second.center_m[2]) == pytest.approx((3.0, 4.0))
+    monkeypatch.setattr(finish, "OVERLAP_WEIGHT", 0.0)
+    alone, _ = (state.box for state in finish._of_typical_sizes(choices))
+    assert alone is not None and alone.center_m[2] == pytest.approx(3.0)
 
 
 def test_views_correct_the_placed_box(generated, knowing: Callable[..., Detectors]) -> None:
