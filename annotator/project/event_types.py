@@ -262,7 +262,7 @@ class LabelEdited(_Payload):
     Attributes:
         image_box: the new box on the camera image that the label is made from; None = unchanged.
         suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. None = the
-            operator made the new 3D box, and an earlier suggestion counts as corrected.
+            operator made the 3D box, and an earlier suggestion counts as corrected if the box is another one.
         box_kind: what the new 3D box encloses; None = as before.
     """
 
