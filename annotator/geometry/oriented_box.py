@@ -10,6 +10,8 @@ from annotator.types.errors import GeometryError
 
 # Minimum side of a box around points, so that points on a plane still give a valid box.
 MIN_SIDE_M = 1e-3
+# Tolerance for equal boxes: metres, and entries of the rotation matrix.
+SAME_BOX = 1e-6
 
 # Order of the corners, along the box's own x, y, z: --- +-- ++- -+- --+ +-+ +++ -++
 CORNER_SIGNS = np.array(
@@ -124,3 +126,11 @@ def canonical_box(box: OrientedBox, up: Float64[np.ndarray, "3"] | None) -> Orie
     (a, b, c), (d, e, f) = axes[:, 2].tolist(), axes[:, 0].tolist()
     axes[:, 1] = (b * f - c * e, c * d - a * f, a * e - b * d)
     return OrientedBox.from_parts(box.center_m, axes, size[order])
+
+
+def same_box(a: OrientedBox, b: OrientedBox) -> bool:
+    """True if two boxes have the same centre, axes and size, within `SAME_BOX`."""
+    return bool(
+        np.allclose(a.T_camera_box.as_matrix(), b.T_camera_box.as_matrix(), rtol=0, atol=SAME_BOX)
+        and np.allclose(a.size_m, b.size_m, rtol=0, atol=SAME_BOX)
+    )

@@ -80,14 +80,15 @@ def register_surface(
     the truth for a person who turns by 10 degrees per frame); planes let it slide along itself.
 
     Args:
-        normals: unit vectors at the cloud's points.
+        normals: unit vectors at the cloud's points; zero where unknown, and these points are no counterparts.
     """
     rotation, translation = start
+    has_plane = np.append(normals.any(axis=1), False)  # the last one: of points without a counterpart
     reach = reach_m
     for _ in range(PLANE_ITERATIONS):
         moved = points @ rotation.T + translation
         distances, indices = cloud.query(moved, distance_upper_bound=reach)
-        near = np.isfinite(distances)
+        near = has_plane[indices]
         if near.sum() < PLANE_PAIRS:
             return None
         near &= distances <= np.quantile(distances[near], PLANE_TRIM)

@@ -32,12 +32,12 @@ def replace_proposals(connection: Connection, event: Event, payload: ProposalsRe
     """Applies an automatic pass: its proposals replace the unreviewed labels of the frame."""
     unreviewed = (labels.c.frame_id == event.frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
     connection.execute(delete(labels).where(unreviewed))
-    rows = [_proposed_row(event, entry, payload.run) for entry in payload.objects if entry.covered_by is None]
+    rows = [_proposed_row(event, entry, payload) for entry in payload.objects if entry.covered_by is None]
     if rows:
         connection.execute(insert(labels), rows)
 
 
-def _proposed_row(event: Event, entry: ProposedObject, run_id: int | None) -> dict[str, Value]:
+def _proposed_row(event: Event, entry: ProposedObject, payload: ProposalsReplaced) -> dict[str, Value]:
     proposal = entry.proposal
     row: dict[str, Value] = {
         "uid": entry.uid,
@@ -48,7 +48,8 @@ def _proposed_row(event: Event, entry: ProposedObject, run_id: int | None) -> di
         "state": ReviewState.PROPOSED.value,
         "track_id": entry.track_id,
         "track_linked": entry.track_id is not None,
-        "run_id": run_id,
+        "run_id": payload.run,
+        "box_kind": payload.box_kind.value,
     } | _proposal_values(event, proposal)
     # the source of a proposal is AUTO, whoever started the pass
     return row | _authorship(event) | {"source": Source.AUTO.value}
@@ -81,13 +82,13 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
         "box": payload.box.model_dump_json(),
         "track_id": payload.track_id,
         "track_linked": False,
+        "box_kind": payload.box_kind.value,
     }
     row |= _authorship(event)
     if isinstance(payload, LabelCreated):
         row |= {"score": payload.score, "state": payload.state.value}
         row |= {"origin": payload.origin, "image_box": box_2d_json(payload.image_box)}
         row |= {"suggestion": suggestion_json(payload.suggestion)}
-        row |= {"box_kind": payload.box_kind.value}
     else:
         row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
         row |= {"track_linked": payload.track_id is not None}

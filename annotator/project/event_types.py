@@ -155,12 +155,14 @@ class ProposalsReplaced(_Payload):
         run: id of the batch run, if it was part of one.
         objects: every proposal with its trace, also those covered by a reviewed label.
         lost: frustums without a resulting box.
+        box_kind: what the proposed boxes enclose.
     """
 
     kind: Literal["proposals_replaced"] = "proposals_replaced"
     run: int | None = None
     objects: tuple[ProposedObject, ...]
     lost: tuple[LostObject, ...] = ()
+    box_kind: BoxKind = BoxKind.BOX
 
     def classes(self) -> set[str]:
         return {entry.proposal.label for entry in self.objects}
@@ -206,6 +208,7 @@ class LabelProposed(_Payload):
 
     Attributes:
         proposal: with its trace, if the recursion found the box.
+        box_kind: what the box encloses.
     """
 
     kind: Literal["label_proposed"] = "label_proposed"
@@ -214,6 +217,7 @@ class LabelProposed(_Payload):
     box: BoxRecord
     track_id: TrackId | None = None
     proposal: ProposalRecord | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
     def classes(self) -> set[str]:
         return {self.label}
@@ -262,7 +266,7 @@ class LabelEdited(_Payload):
     Attributes:
         image_box: the new box on the camera image that the label is made from; None = unchanged.
         suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. None = the
-            operator made the new 3D box, and an earlier suggestion counts as corrected.
+            operator made the 3D box, and an earlier suggestion counts as corrected if the box is another one.
         box_kind: what the new 3D box encloses; None = as before.
     """
 

@@ -19,7 +19,7 @@ from annotator.project.labels import read_labels
 from annotator.project.records import BoxRecord, ProposalRecord, parsed, storable
 from annotator.project.schema import events, frames, labels
 from annotator.project.writing import Receipt, WriteContext, Writer, require_writable
-from annotator.types import Label, LostObject, OrientedBox, Proposal, ReviewState
+from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import ProjectError
 
 # Minimum exact 3D IoU at which a proposal and a label of one class count as the same object.
@@ -98,6 +98,7 @@ class Proposals:
         lost: Sequence[LostObject] = (),
         run: RunShare | None = None,
         track_ids: Sequence[int | None] | None = None,
+        box_kind: BoxKind = BoxKind.BOX,
     ) -> Replaced:
         """Replaces the unreviewed labels of a frame with new proposals.
 
@@ -109,6 +110,7 @@ class Proposals:
             run: if given, the frame is recorded as done for that run, in the same transaction.
             track_ids: of the proposals' objects over the recording, if the pass followed them from another frame; an
                 id that a reviewed label of this frame uses is ignored.
+            box_kind: what the proposed boxes enclose: what the view detector measures.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
@@ -130,7 +132,9 @@ class Proposals:
                     )
                     for each, cover, id in zip(proposals, covering, ids, strict=True)
                 )
-                payload = ProposalsReplaced(run=run.run_id if run else None, objects=objects, lost=tuple(lost))
+                payload = ProposalsReplaced(
+                    run=run.run_id if run else None, objects=objects, lost=tuple(lost), box_kind=box_kind
+                )
             receipt = self.writer.to_frame_in(connection, frame_id, (payload,), context)
             if run is not None:
                 time_ns = self.writer.store.clock()

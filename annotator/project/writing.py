@@ -9,11 +9,12 @@ from pathlib import Path
 
 from sqlalchemy import Connection, func, select
 
+from annotator.geometry.oriented_box import same_box
 from annotator.project.config import read_config
 from annotator.project.derived import apply_event
-from annotator.project.event_types import PAYLOAD, Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
+from annotator.project.event_types import PAYLOAD, LabelEdited, Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
 from annotator.project.events import Effort, Event, insert_event
-from annotator.project.records import storable
+from annotator.project.records import BoxRecord, parsed, storable
 from annotator.project.schema import events, frames, labels, recordings
 from annotator.project.store import Store
 from annotator.types import Source
@@ -164,7 +165,7 @@ class Writer:
         action = (shared_action or new_action()) if _is_action(frame_id, payloads, context, shared_action) else None
         appended: list[Event] = []
         for revision, payload in enumerate(payloads, context.revision + 1):
-            content, stored = _encoded(where, payload)
+            content, stored = _encoded(where, _with_present_box(connection, payload))
             event = insert_event(
                 connection,
                 frame_id=frame_id,
@@ -245,6 +246,20 @@ def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: Write
     undoable = context.source is Source.MANUAL or (context.source is Source.IMPORTED and action is not None)
     by_hand = frame_id is not None and undoable
     return by_hand and not any(isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads)
+
+
+def _with_present_box(connection: Connection, payload: Payload) -> Payload:
+    """An edit that keeps the label's box gets it bit for bit: the page's box has other last digits.
+
+    Otherwise, the edit would count as a correction of a suggested box.
+    """
+    if not isinstance(payload, LabelEdited):
+        return payload
+    present = connection.execute(select(labels.c.box).where(labels.c.uid == payload.uid)).scalar()
+    if present is None:
+        return payload
+    box = parsed(BoxRecord.model_validate_json, present)
+    return payload.model_copy(update={"box": box}) if same_box(box.box(), payload.box.box()) else payload
 
 
 def _encoded(where: str, payload: Payload) -> tuple[str, Payload]:

@@ -50,6 +50,13 @@ MOST_FRAMES = 60
 # The surface is closed if its mean normal is shorter than this (a plane: 1, a closed surface: 0). A person who turns
 # around once has 0.03, objects seen from one side have 0.5 to 0.8.
 CLOSED = 0.4
+# Of upright objects, the horizontal part of the normals counts where it is at least so long. At least this share of the
+# surface must have it: the top of a table says nothing about its sides.
+STEEP, STEEP_SHARE = 0.5, 0.2
+# Share of the surface whose normals must be known.
+KNOWN_SHARE = 0.5
+# Nothing is offered for fewer points, or if they spread across a line by less than this share of their spread along it.
+MIN_POINTS, LINE = 10, 1e-3
 # Side of the cells in which normals are averaged, share of the mean side.
 CELL = 0.05
 # Offered boxes with a larger IoU are the same.
@@ -139,7 +146,7 @@ def whole_boxes(
     view: Detector | None,
     config: RcvConfig,
 ) -> list[Offered]:
-    """The boxes that the whole object may have, best first.
+    """The boxes that the whole object may have, best first; none for too few points or points on a line.
 
     Args:
         cloud: its points in this frame, for the detector.
@@ -148,6 +155,8 @@ def whole_boxes(
         view: detector for pseudo-views, or None.
         config: its settings (`RcvConfig.for_detector`).
     """
+    if len(seen.xyz_m) < MIN_POINTS or _is_line(seen.xyz_m):
+        return []
     xyz_m, normals = _from_all_frames(seen, before, after)
     grid = free_grid() if seen.up is None else yaw_grid(seen.up)
     if _mean_normal(xyz_m, normals, seen) < CLOSED:
@@ -226,14 +235,29 @@ def _registered(to: SeenObject, other: SeenObject) -> Link | None:
     return Link(pose, max(share_found(points, to.tree, pose, tolerance), there))
 
 
+def _is_line(xyz_m: Float64[np.ndarray, "n 3"]) -> bool:
+    """True for points on a line, or at one place."""
+    along, across, _ = np.linalg.svd(xyz_m - xyz_m.mean(axis=0), compute_uv=False)
+    return bool(across <= LINE * along)
+
+
 def _mean_normal(xyz_m: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray, "n 3"], seen: SeenObject) -> float:
-    """Length of a surface's mean normal over cells of equal size; of upright objects without the vertical part."""
+    """Length of a surface's mean normal over cells of equal size, of upright objects without the vertical part.
+
+    Each cell counts by the length of the part that counts; 1 if too little of the surface tells.
+    """
     cells = np.unique(np.floor(xyz_m / (CELL * seen.side_m)).astype(int), axis=0, return_inverse=True)[1].ravel()
     sums = np.stack([np.bincount(cells, normals[:, axis]) for axis in range(3)], axis=1)
-    mean = (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-9)).mean(axis=0)
+    known = sums[np.linalg.norm(sums, axis=1) > 1e-9]
+    if len(known) < KNOWN_SHARE * len(sums):
+        return 1.0
+    unit = known / np.linalg.norm(known, axis=1, keepdims=True)
     if seen.up is not None:
-        mean = mean - (mean @ seen.up) * seen.up
-    return float(np.linalg.norm(mean))
+        level = unit - np.outer(unit @ seen.up, seen.up)
+        unit = level[np.linalg.norm(level, axis=1) > STEEP]
+        if len(unit) < STEEP_SHARE * len(known):
+            return 1.0
+    return float(np.linalg.norm(unit.sum(axis=0)) / np.linalg.norm(unit, axis=1).sum())
 
 
 def _extended(seen: SeenObject, cloud: PointCloud, view: Detector | None, config: RcvConfig) -> OrientedBox:

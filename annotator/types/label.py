@@ -97,6 +97,7 @@ class Truth:
         track_id: the object's id within the recording; None if unknown.
         score: as in its file: a confidence in 0..1, or a detector's raw value of any size; None if the file has none.
         image_box: the label's own 2D box on the image; None if its file has none.
+        box_kind: what the box encloses.
     """
 
     label: str
@@ -105,3 +106,4 @@ class Truth:
     score: float | None = None
     # not compared: formats without 2D boxes give equal objects
     image_box: Box2D | None = field(default=None, compare=False)
+    box_kind: BoxKind = BoxKind.BOX

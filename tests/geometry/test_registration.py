@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from annotator.geometry.normals import normals_knn
 from annotator.geometry.registration import register, register_surface, share_found
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -112,3 +113,22 @@ def test_a_surface_that_turns_is_turned_all_the_way_by_planes() -> None:
 def test_a_surface_far_away_is_not_registered() -> None:
     points = corner(np.random.default_rng(0))
     assert register_surface(points, KDTree(points + 5.0), points, (np.eye(3), np.zeros(3)), 0.1) is None
+
+
+@pytest.mark.parametrize("up", [None, UP])
+def test_points_on_a_line_have_no_planes_to_register_with(up: np.ndarray | None) -> None:
+    line = np.linspace(0, 1, 200)[:, None] * [0.3, 0.2, 1.0] + [0.0, 0.0, 2.0]
+    normals = normals_knn(line).astype(np.float64)
+    assert not normals.any()
+    assert register_surface(line + 0.01, KDTree(line), normals, (np.eye(3), np.zeros(3)), 0.1, up) is None
+
+
+def test_points_without_a_normal_do_no_harm() -> None:
+    points = corner(np.random.default_rng(0))
+    face = np.argmax(points == 0.5 * np.array([1.0, 0.6, 1.6]), axis=1)
+    normals, shift = np.eye(3)[face], np.array([0.02, -0.01, 0.02])
+    normals[::3] = 0
+    pose = register_surface(points - shift, KDTree(points), normals, (np.eye(3), np.zeros(3)), 0.2)
+    assert pose is not None
+    error = pose_error(pose, np.eye(3), shift)
+    assert error[0] < 1e-3 and error[1] < 1e-3

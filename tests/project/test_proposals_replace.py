@@ -10,7 +10,9 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, lost_object, proposal_at, same_box
 
 from annotator.project import NewLabel, Project, RunShare
-from annotator.types import Proposal, ReviewState
+from annotator.project.event_types import LabelProposed
+from annotator.project.records import BoxRecord
+from annotator.types import BoxKind, Proposal, ReviewState
 from annotator.types.errors import ProjectError
 
 
@@ -72,6 +74,15 @@ def test_a_deleted_label_may_be_proposed_again(project: Project, frame: int) -> 
     (uid,) = project.proposals.replace(frame, [proposal_at()], by_machine()).uids
     project.labels.delete(frame, uid, by_hand(1))
     assert project.proposals.replace(frame, [proposal_at()], by_machine(2)).covered == 0
+
+
+@pytest.mark.parametrize("kind", BoxKind)
+def test_proposals_are_of_the_kind_that_their_detector_measures(project: Project, frame: int, kind: BoxKind) -> None:
+    project.proposals.replace(frame, [proposal_at(0.0)], by_machine(), box_kind=kind)
+    requested = LabelProposed(uid="ab", label="hand", box=BoxRecord.of(box_at(5.0)), box_kind=kind)
+    project.log.append(frame, [requested], by_hand(1))
+    project.log.rebuild()
+    assert [label.box_kind for label in project.labels.of_frame(frame)] == [kind, kind]
 
 
 def test_the_trace_is_read_back(project: Project, frame: int) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
 
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
 from annotator.project.event_types import LabelEdited
 from annotator.project.records import BoxRecord
-from annotator.types import BoxKind, Label, ReviewState, Source, Suggestion
+from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Suggestion
 from annotator.types.errors import ProjectError
 
 
@@ -126,8 +127,13 @@ def test_a_suggestion_counts_as_corrected_once_the_box_changes(project: Project,
     (uid,) = project.labels.create(frame, [new], by_hand()).uids
     project.labels.edit(frame, uid, by_hand(1), label="person", box=box_at(0.0))
     assert project.labels.get(uid).label.suggestion == given, "only the class is another"
-    project.labels.edit(frame, uid, by_hand(2), label="person", box=box_at(2.0))
-    project.labels.accept(frame, uid, by_hand(3))
+    present = project.labels.get(uid).label.box
+    rounded = OrientedBox.from_parts(present.center_m + 1e-9, present.rotation, present.size_m - 1e-9)
+    project.labels.edit(frame, uid, by_hand(2), label="hand", box=rounded)
+    assert project.labels.get(uid).label.suggestion == given, "the box is the same, but for its last digits"
+    np.testing.assert_array_equal(project.labels.get(uid).label.box.center_m, present.center_m)
+    project.labels.edit(frame, uid, by_hand(3), label="person", box=box_at(2.0))
+    project.labels.accept(frame, uid, by_hand(4))
     assert project.labels.get(uid).label.suggestion == replace(given, corrected=True)
     counts = project.statistics().suggested
     assert {name: (each.as_suggested, each.corrected) for name, each in counts.items()} == {"base detector": (0, 1)}

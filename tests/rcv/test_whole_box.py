@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import points_on_image
+from annotator.geometry.projection import project
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.whole_box import Offered, SeenObject, whole_boxes
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PointCloud
@@ -129,3 +130,30 @@ def test_points_where_a_frame_shows_something_farther_are_not_there() -> None:
     seen, _ = drawn(frame)
     in_front, behind, beside = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.3], [1.0, 0.0, 0.0]]) + CENTER
     assert seen.may_be_at(np.stack([in_front, behind, beside])).tolist() == [False, True, False]
+
+
+def of_points(xyz_m: np.ndarray, up: np.ndarray | None = UP) -> list[Offered]:
+    """What is offered for an object of which one frame shows these points."""
+    cloud = PointCloud(xyz_m.astype(np.float32))
+    frame = Frame("0", 0, CAMERA, np.zeros((480, 640, 3), np.uint8), cloud, up=UP)
+    u, v = project(CAMERA, xyz_m).T
+    box = Box2D("body", *(float(each) for each in (u.min() - 1, v.min() - 1, u.max() + 1, v.max() + 1)))
+    seen = SeenObject.of(frame, np.ones(len(cloud), np.bool_), box, np.eye(3), up)
+    return whole_boxes(seen, cloud, [], [], None, CONFIG)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.002])
+@pytest.mark.parametrize("up", [UP, None], ids=["upright", "free"])
+def test_a_table_top_seen_from_above_is_not_seen_from_all_around(noise_m: float, up: np.ndarray | None) -> None:
+    x, z = np.meshgrid(np.linspace(-0.6, 0.6, 80), np.linspace(1.6, 2.4, 54))
+    y = 0.6 + np.random.default_rng(0).normal(0, 1, x.size) * noise_m
+    found = of_points(np.stack([x.ravel(), y, z.ravel()], axis=1), up)
+    assert found and not any(one.is_closed for one in found)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 300])
+def test_nothing_is_offered_for_a_few_points_or_points_on_a_line(count: int) -> None:
+    line = np.linspace(0, 1, count)[:, None] * [0.3, 0.2, 0.5] + CENTER
+    assert of_points(line) == []
+    assert of_points(line, None) == []
+    assert of_points(np.tile(CENTER, (count, 1))) == []

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import Origin, Project
+from annotator.project import BoxRotation, Origin, Project
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind
@@ -60,3 +60,15 @@ def test_only_objects_with_all_silhouettes_have_whole_boxes(drawn: Project) -> N
     assert offers.of(frame, stored, image_box, None)
     never_drawn = Box2D(image_box.label, 1.0, 1.0, 9.0, 9.0)
     assert offers.of(frame, stored, never_drawn, None) == []
+
+
+def test_another_setting_for_the_rotation_applies_at_once(drawn: Project) -> None:
+    stored = drawn.frames.of()[0]
+    image_box, frame = drawn.boxes.on_image(stored.id).boxes[0], FrameSource(drawn).read(stored)
+    offers = WholeBoxes(drawn)
+    upright = offers.of(frame, stored, image_box, None)
+    drawn.configure(settings=drawn.config.settings.model_copy(update={"rotation": BoxRotation.FREE}))
+    free = offers.of(frame, stored, image_box, None)
+    expected = WholeBoxes(drawn).of(frame, stored, image_box, None)
+    assert [one.box.size_m.tolist() for one in free] == [one.box.size_m.tolist() for one in expected]
+    assert [one.box.size_m.tolist() for one in free] != [one.box.size_m.tolist() for one in upright]

@@ -11,7 +11,7 @@ from annotator.formats.json_file import read_model, unique_keys
 from annotator.formats.openlabel.coordinates import Coordinates
 from annotator.formats.openlabel.model import Attributes, Content, Cuboid, Document, Frame, FrameProperties, Object
 from annotator.formats.openlabel.shapes import box_from
-from annotator.types import OrientedBox, ReviewState
+from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 
@@ -26,6 +26,7 @@ class OpenLabelBox:
         track_id: the attribute `track_id`, else the object's number; None for UUIDs.
         score: the attribute `score`, if any.
         state: the review state from the attribute `state`, if any.
+        box_kind: what the box encloses, from the attribute `box_kind`, else the whole object.
     """
 
     label: str
@@ -33,6 +34,7 @@ class OpenLabelBox:
     track_id: int | None = None
     score: float | None = None
     state: ReviewState | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,15 +160,17 @@ def _box(
         raise FormatError(path, f"{where}: has no coordinate_system, and its object has none either; add one")
     attributes = cuboid.attributes or Attributes()
     numbers = {num.name: num.val for num in attributes.num or ()}
-    state = next((text.val for text in attributes.text or () if text.name == "state"), None)
+    texts = {text.name: text.val for text in attributes.text or ()}
     try:
         box, track_id = box_from(cuboid.val or ()), _track(numbers.get("track_id"), uid)
         if system != sensor:
             box = box.transformed(coordinates.transform(sensor, system))
     except ValueError as error:
         raise FormatError(path, f"{where}: {error}") from error
+    state, kind = texts.get("state"), texts.get("box_kind")
     review = ReviewState(state) if state in set(ReviewState) else None
-    return OpenLabelBox(each.type, box, track_id, numbers.get("score"), review)
+    box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
+    return OpenLabelBox(each.type, box, track_id, numbers.get("score"), review, box_kind)
 
 
 def _track(attribute: float | None, uid: str) -> int | None:

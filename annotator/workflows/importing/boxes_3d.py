@@ -90,7 +90,11 @@ def import_labels(
                 done.unreadable.append(f"{stored.key}: {error}")
             else:
                 done.other_classes.update(t.label for t in truths if t.label not in classes)
-                new = [NewLabel(t.label, t.box, t.score, t.track_id) for t in truths if t.label in classes]
+                new = [
+                    NewLabel(t.label, t.box, t.score, t.track_id, box_kind=t.box_kind)
+                    for t in truths
+                    if t.label in classes
+                ]
                 if create_if_unlabelled(project, stored.id, new, AUTHOR):
                     done.frames += 1
                     done.labels.update(label.label for label in new)

@@ -39,7 +39,7 @@ class RcvLabels:
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         reviewed = (label for label in self.labels[name] if label.state in REVIEWED)
-        return [Truth(label.label, label.box, label.track_id, label.score) for label in reviewed]
+        return [Truth(one.label, one.box, one.track_id, one.score, box_kind=one.box_kind) for one in reviewed]
 
     def left_out_of(self, name: str) -> LeftOut:
         return LeftOut(not_reviewed=sum(label.state not in REVIEWED for label in self.labels[name]))
@@ -171,6 +171,7 @@ class OpenLabelLabels:
                 each.box if T is None else each.box.transformed(T),
                 each.track_id,
                 each.score if self.scored else None,
+                box_kind=each.box_kind,
             )
             for each in self.by_frame[name].boxes
             if _is_imported(each)

@@ -95,7 +95,7 @@ def annotate_with(
         present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
         frames = pending if limit is None else min(pending, limit)
         summary = AnnotateSummary(frames=frames, skipped=present - pending, backends=identity.backends)
-        batch = Batch(project, run, frames, recordings, summary)
+        batch = Batch(project, run, frames, recordings, summary, config.box_kind)
         tasks = _tasks(batch, config, rotation, from_reviewed)
         _run_tasks(engine, tasks, batch, progress)
     except BaseException:

@@ -11,7 +11,7 @@ from annotator.project.project import Project
 from annotator.project.proposals import RunShare
 from annotator.project.writing import WriteContext
 from annotator.rcv.finish import FrameProposals
-from annotator.types import Source
+from annotator.types import BoxKind, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.workflows.proposing.engines.runner import failure
 from annotator.workflows.proposing.engines.tasks import FrameAnswer, RecordingSpec
@@ -64,6 +64,7 @@ class Batch:
 
     Attributes:
         frames: number of frames to do.
+        box_kind: what the proposed boxes enclose.
     """
 
     project: Project
@@ -71,6 +72,7 @@ class Batch:
     frames: int
     recordings: Sequence[int] | None
     summary: AnnotateSummary
+    box_kind: BoxKind
     specs: dict[int, RecordingSpec] = field(default_factory=dict)
 
     def pending(self) -> Iterator[StoredFrame]:
@@ -120,7 +122,13 @@ class Batch:
             tracks = followed_tracks(self.project, frame, proposals)
             try:
                 self.project.proposals.replace(
-                    frame_id, proposals, context, lost=result.lost, run=share, track_ids=tracks
+                    frame_id,
+                    proposals,
+                    context,
+                    lost=result.lost,
+                    run=share,
+                    track_ids=tracks,
+                    box_kind=self.box_kind,
                 )
                 return
             except StaleRevisionError:

@@ -171,7 +171,7 @@ def lift(
     run = project.jobs.start(
         image_detector=_fingerprint(boxes), view_detector=view.fingerprint, config_json=json.dumps(settings)
     )
-    batch = Batch(project, run, len(frames), None, AnnotateSummary(frames=len(frames)))
+    batch = Batch(project, run, len(frames), None, AnnotateSummary(frames=len(frames)), config.box_kind)
     source = FrameSource(project)
 
     def answer(stored: StoredFrame) -> FrameAnswer:

@@ -241,7 +241,8 @@ class FollowRun:
         """
         Args:
             objects: the stretches of each object.
-            view: the project's view detector, if any; it is used for the classes that it was trained on.
+            view: the project's view detector, if any; it is used for the classes that it was trained on, and for boxes
+                of the kind that it measures.
             author: the operator, who can undo this.
             effort: the operator's effort for this action.
         """
@@ -308,7 +309,7 @@ class FollowRun:
             if walk.follower is None:
                 reading = walk.key.index
                 start, label = self._timeline.moment(reading), walk.key.label
-                view = self._view if self._view is not None and label.label in self._view.labels else None
+                view = self._view if self._view is not None and _measures(self._view, label) else None
                 walk.follower = Follower(start, label.box, label.label, view, self._settings, self._limits)
                 reading = index
             followed = walk.follower.step(self._timeline.moment(index))
@@ -364,7 +365,7 @@ class FollowRun:
                 untracked.add(track_id)
             owners[track_id] = item
             for index, proposal in boxes.items():
-                new[index].append(NewProposal(item.label.label, proposal.box, track_id, proposal))
+                new[index].append(NewProposal(item.label.label, proposal.box, track_id, proposal, label.box_kind))
         payloads: dict[int, list[Payload]] = defaultdict(list)
         for index, proposals in new.items():
             if not read[index].finalised:
@@ -411,6 +412,10 @@ class FollowRun:
                 return None
             first = first or label
         return first
+
+
+def _measures(view: ReadyDetector, label: Label) -> bool:
+    return label.label in view.labels and view.box_kind is label.box_kind
 
 
 def _is_same(a: Label, b: Label) -> bool:

@@ -89,8 +89,10 @@ def interpolate(
             if frame.finalised:
                 finalised += 1
                 continue
-            fitted = box if fit is None else fit(frame, box, before.label.label)
-            payloads = proposal_events(project, frame, [NewProposal(before.label.label, fitted, track_id)])
+            label = before.label
+            fitted = box if fit is None else fit(frame, box, label.label)
+            proposal = NewProposal(label.label, fitted, track_id, box_kind=label.box_kind)
+            payloads = proposal_events(project, frame, [proposal])
             covered += not payloads
             if payloads:
                 parts.append(part_of(frame, payloads, author, None if parts else effort))

@@ -14,7 +14,7 @@ from annotator.project.event_types import LabelDeleted, LabelProposed, Payload
 from annotator.project.overview import read_page
 from annotator.project.proposals import SAME_OBJECT_IOU, covered_by
 from annotator.project.records import BoxRecord, ProposalRecord
-from annotator.types import Label, OrientedBox, Proposal, ReviewState
+from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +26,14 @@ class NewProposal:
         box: in the camera frame.
         track_id: of its object, if known.
         proposal: with its trace, if the recursion found the box.
+        box_kind: what the box encloses.
     """
 
     label: str
     box: OrientedBox
     track_id: int | None = None
     proposal: Proposal | None = None
+    box_kind: BoxKind = BoxKind.BOX
 
 
 def proposal_events(project: Project, frame: StoredFrame, boxes: Sequence[NewProposal]) -> list[Payload]:
@@ -59,6 +61,7 @@ def proposal_events(project: Project, frame: StoredFrame, boxes: Sequence[NewPro
                 box=BoxRecord.of(each.box),
                 track_id=each.track_id,
                 proposal=None if each.proposal is None else ProposalRecord.of(each.proposal),
+                box_kind=each.box_kind,
             )
             for each in new
         ),

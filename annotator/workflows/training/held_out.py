@@ -25,7 +25,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.project import Project, StoredFrame
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
-from annotator.types import Box2D, Camera, Detector, Frame, Label, OrientedBox
+from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, Label, OrientedBox
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.detectors import UsedModel, load_detector
 from annotator.workflows.frame_source import FrameSource
@@ -116,13 +116,15 @@ class HeldOut:
         project: Project,
         labels: Mapping[int, Sequence[Label]],
         check_stop: Callable[[], None] = lambda: None,
+        kind: BoxKind = BoxKind.BOX,
     ) -> None:
         """
         Args:
             labels: reviewed labels by frame id.
             check_stop: called before each frame is read or measured; may raise to end that.
+            kind: what the labels' boxes enclose.
         """
-        self._project, self._check_stop = project, check_stop
+        self._project, self._check_stop, self._kind = project, check_stop, kind
         self._frames: list[_HeldOutFrame] = []
         source = FrameSource(project)
         held_out = held_out_frames(project, labels)
@@ -157,13 +159,15 @@ class HeldOut:
     def mean_iou(self, model: UsedModel) -> float:
         """Mean 3D IoU of the boxes that a view detector finds from the objects' boxes on the image.
 
+        A class-agnostic detector measures what the labels enclose, since it knows both kinds of boxes.
+
         Raises:
             DetectionError, FormatError: the detector cannot be loaded.
         """
         detector = load_detector(model.path)
         view_px = read_trained(model.path.parent).image_size_px
         config = rcv_config(self._project, view_px=view_px, without_frames=self._held_out)
-        config = config.for_detector(model.box_kind, model.class_agnostic)
+        config = config.for_detector(self._kind if model.class_agnostic else model.box_kind, model.class_agnostic)
         rotation = self._project.config.settings.rotation
         ious: list[float] = []
         for held in self._frames:

@@ -19,7 +19,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.pasting.image import ImagePatch, draw_patch, image_patch
 from annotator.rcv.pasting.objects import Cutout, PastedFrame, Target, can_paste, cut_objects, paste
 from annotator.rcv.teach import TaughtView, teach_agnostic_views, teach_views
-from annotator.types import Box2D, BoxKind, Label
+from annotator.types import Box2D, BoxKind, Label, OrientedBox
 from annotator.workflows.training.samples import (
     KnownObjects,
     Material,
@@ -83,9 +83,10 @@ def pasted_view_samples(
         held_out: groups of frames that are not used.
         agnostic: views for a class-agnostic detector; otherwise all objects on a view are labelled.
     """
-    total = sum(map(len, material.labels.values()))
+    total = sum(map(len, material.taught(agnostic).values()))
     views = min(max(config.views, 2 * total), 2 * total * most_draws) * config.pasted
-    for pasted in pasted_frames(project, material, rcv, config, round(views / (2 * DRAWS)), held_out, skip):
+    count = round(views / (2 * DRAWS))
+    for pasted in pasted_frames(project, material, rcv, config, count, held_out, skip, both_kinds=agnostic):
         for taught in _views(pasted, material, agnostic):
             uids = (pasted.label.uid,) * len(taught.boxes) if agnostic else ()
             view = taught.view
@@ -102,6 +103,8 @@ def pasted_image_samples(
     Args:
         held_out: groups of frames that are not used.
     """
+    if config.pasted_images == 0:
+        return
     known = material.labels.keys() - material.open.keys()
     some = _only(material, sorted(known))
     train = [s for s in project.frames.of() if s.id in known | material.images.keys()]
@@ -132,25 +135,27 @@ def pasted_frames(
     held_out: Container[str],
     skip: Skip,
     with_images: bool = False,
+    both_kinds: bool = False,
 ) -> Iterator[Pasted]:
     """Yields up to `count` frames with one pasted object each, spread evenly over the frames that train.
 
     Args:
         with_images: keep the pixels of the objects, too.
+        both_kinds: as for `known_objects`.
     """
     rng = np.random.default_rng([config.seed, 1])
-    train = [s.id for s in project.frames.of() if s.id in material.labels_of_kind and frame_group(s) not in held_out]
+    train = [s.id for s in project.frames.of() if s.id in material.labels and frame_group(s) not in held_out]
     if count == 0 or len(train) < 2:
         return
     chosen = rng.permutation(train)[:MOST_FRAMES].tolist()
     some = _only(material, chosen)
     sources = [
         _Source(cutout, image_patch(known.frame, cutout) if with_images else None, label, known.stored.id)
-        for known in known_objects(project, some, rcv, config, 1, skip)
+        for known in known_objects(project, some, rcv, config, 1, skip, both_kinds)
         for label, cutout in _cut(known)
     ]
     done = 0
-    for number, known in enumerate(known_objects(project, some, rcv, config, 1, skip), start=1):
+    for number, known in enumerate(known_objects(project, some, rcv, config, 1, skip, both_kinds), start=1):
         target = _target(known, material)
         fitting = [s for s in sources if s.frame_id != known.stored.id and can_paste(s.cutout, target)]
         until = round(count * number / len(chosen))
@@ -165,8 +170,7 @@ def pasted_frames(
 
 def _only(material: Material, frame_ids: list[int]) -> Material:
     """What is known of some frames with reviewed 3D labels."""
-    of_kind = material.labels_of_kind
-    labels = {frame_id: of_kind[frame_id] for frame_id in frame_ids}
+    labels = {frame_id: material.labels[frame_id] for frame_id in frame_ids}
     views = tuple(view for view in material.views if view.frame_id in labels)
     return Material({}, views, labels, material.kind, material.open)
 
@@ -179,8 +183,13 @@ def _cut(known: KnownObjects) -> Iterator[tuple[Label, Cutout]]:
 
 
 def _target(known: KnownObjects, material: Material) -> Target:
-    doubtful = tuple(label.box for label in material.open.get(known.stored.id, ()))
+    doubtful = tuple(_doubtful(known, material))
     return Target(known.frame, tuple(known.objects), doubtful, known.up, SightGrid.of(known.frame))
+
+
+def _doubtful(known: KnownObjects, material: Material) -> list[OrientedBox]:
+    """The boxes of objects that are not taught, and of those that nobody has reviewed."""
+    return [label.box for label in (*material.open.get(known.stored.id, ()), *known.untaught)]
 
 
 def _tried(sources: list[_Source], target: Target, rng: np.random.Generator) -> tuple[PastedFrame, _Source] | None:
@@ -197,5 +206,5 @@ def _views(pasted: Pasted, material: Material, agnostic: bool) -> list[TaughtVie
     last = [len(shown.objects) - 1]
     if agnostic:
         return teach_agnostic_views(shown.frame, shown.objects, last, DRAWS, known.rcv, known.up, known.rng)
-    doubtful = [label.box for label in material.open.get(known.stored.id, ())]
+    doubtful = _doubtful(known, material)
     return teach_views(shown.frame, shown.objects, material.kind, DRAWS, known.rcv, known.up, known.rng, doubtful, last)

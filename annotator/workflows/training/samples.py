@@ -79,11 +79,23 @@ class Material:
     @property
     def labels_of_kind(self) -> dict[int, tuple[Label, ...]]:
         """The reviewed labels whose boxes enclose what the view detector's boxes will measure, by frame."""
-        of_kind = {
-            frame: tuple(label for label in labels if label.box_kind is self.kind)
-            for frame, labels in self.labels.items()
+        return self._labels_of({self.kind})
+
+    def taught(self, both_kinds: bool = False) -> dict[int, tuple[Label, ...]]:
+        """The reviewed labels whose boxes give what a view detector learns, by frame.
+
+        Whole boxes also give silhouettes: those of the points in them. Boxes around what is seen give no whole ones.
+
+        Args:
+            both_kinds: for class-agnostic detectors, which learn the whole and what is seen.
+        """
+        return self._labels_of({self.kind, BoxKind.BOX} if not both_kinds else {BoxKind.BOX})
+
+    def _labels_of(self, kinds: Container[BoxKind]) -> dict[int, tuple[Label, ...]]:
+        of_kinds = {
+            frame: tuple(label for label in labels if label.box_kind in kinds) for frame, labels in self.labels.items()
         }
-        return {frame: labels for frame, labels in of_kind.items() if labels}
+        return {frame: labels for frame, labels in of_kinds.items() if labels}
 
     @property
     def unreviewed_images(self) -> int:
@@ -234,16 +246,15 @@ def known_objects(
         both_kinds: for class-agnostic detectors, which learn the whole and what is seen: `labels` are the objects whose
             whole box is known.
     """
-    taught_kinds = set(BoxKind) if material.kind is BoxKind.SILHOUETTE and not both_kinds else {BoxKind.BOX}
+    taught = material.taught(both_kinds)
     drags = drawn_objects(material.views) if both_kinds or material.kind is BoxKind.SILHOUETTE else {}
-    total = sum(map(len, material.labels.values())) + sum(map(len, drags.values()))
+    total = sum(map(len, taught.values())) + sum(map(len, drags.values()))
     if total == 0:
         return
     draws = int(np.clip(round(config.views / (2 * total)), 1, most_draws))
     for stored, frame in labelled_frames(project, sorted({*material.labels, *drags}), skip):
-        reviewed = material.labels.get(stored.id, ())
-        labels = tuple(label for label in reviewed if label.box_kind in taught_kinds)
-        untaught = tuple(label for label in reviewed if label.box_kind not in taught_kinds)
+        labels = taught.get(stored.id, ())
+        untaught = tuple(label for label in material.labels.get(stored.id, ()) if label not in labels)
         cuts = [cut for views in drags.get(stored.id, ()) if (cut := taught_by_drags(frame, views)) is not None]
         objects = [_with_drawn_points(frame, label, cuts) for label in labels]
         objects += [cut for cut in cuts if not is_labelled(frame, cut, labels)]

@@ -193,7 +193,8 @@ class _ViewTraining:
         """Trains all parts; the result is the detector that the project uses now, or else the last one."""
         begin = time.perf_counter()
         project, plan = self.project, self.plan
-        held_out = HeldOut(project, self.material.labels_of_kind if plan.decides else {}, self._check_stop)
+        labels = self.material.labels_of_kind if plan.decides else {}
+        held_out = HeldOut(project, labels, self._check_stop, self.material.kind)
         start = choose_start(project, held_out, plan.view, plan.decides)
         other_kind = len(self.material.views) - len(self.material.views_of_kind)
         if other_kind and (start.model is None or not start.model.class_agnostic):

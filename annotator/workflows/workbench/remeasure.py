@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from annotator.geometry.oriented_box import same_box
 from annotator.project.event_types import ImageBoxesSet, LabelEdited
 from annotator.project.overview import FramePage
 from annotator.project.records import BoxRecord
@@ -13,9 +14,6 @@ from annotator.workflows.views.follow_image_boxes import changes_kind
 from annotator.workflows.workbench.drawing_steps import MAX_BOXES, VIEWS_PER_STEP, label_steps
 from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
 from annotator.workflows.workbench.open_frame import OpenFrame
-
-# Tolerance for 3D boxes from the same drawn boxes: metres, and entries of the rotation matrix.
-SAME_BOX = 1e-9
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
@@ -47,6 +45,7 @@ def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: 
                 box=BoxRecord.of(now),
                 track_id=label.track_id,
                 image_box=item.image_box,
+                suggestion=label.suggestion,  # nobody has corrected it
                 box_kind=on_image.box_kind,
             )
         )
@@ -60,11 +59,3 @@ def _measured(opened: OpenFrame, item: ShownObject, config: RcvConfig, kind: Box
     boxes, geometry = [view.boxes[0] for view in item.views], item.views[VIEWS_PER_STEP].geometry
     axes = None if geometry is None else np.array(geometry.axes)
     return label_steps(opened, item.image_box, boxes, config, kind, axes=axes).box
-
-
-def same_box(a: OrientedBox, b: OrientedBox) -> bool:
-    """Returns True if two boxes have the same centre, axes and size."""
-    return bool(
-        np.allclose(a.T_camera_box.as_matrix(), b.T_camera_box.as_matrix(), atol=SAME_BOX)
-        and np.allclose(a.size_m, b.size_m, atol=SAME_BOX)
-    )

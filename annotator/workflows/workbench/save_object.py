@@ -6,6 +6,7 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, Receipt, StoredLabel, ViewBoxes, WriteContext
 from annotator.project.efforts import draft_id
 from annotator.project.event_types import (
@@ -25,7 +26,7 @@ from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Boxes, L
 from annotator.workflows.workbench.frame_state import present_page
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.remeasure import remeasured, same_box
+from annotator.workflows.workbench.remeasure import remeasured
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,8 @@ def _label_change(
         is_kept = measured is None or _are_drawn(page, view_boxes)
         box = present.label.box if is_kept or measured is None else measured
         suggestion = None if is_kept else drawn.suggestion
-        if present.image_box == drawn.image_box and present.label.label == name and same_box(present.label.box, box):
+        is_same = same_box(present.label.box, box) and (is_kept or present.label.box_kind is kind)
+        if is_same and present.image_box == drawn.image_box and present.label.label == name:
             return None
         track = present.label.track_id
         return LabelEdited(

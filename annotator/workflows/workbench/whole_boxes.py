@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 
-from annotator.project import Project, StoredFrame, ViewBoxes
+from annotator.project import BoxRotation, Project, StoredFrame, ViewBoxes
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.whole_box import Offered, SeenObject, whole_boxes
 from annotator.types import Box2D, BoxKind, Frame
@@ -27,7 +27,7 @@ class WholeBoxes:
         self.project = project
         self._frames = FrameSource(project)
         self._lock = threading.Lock()
-        self._seen: OrderedDict[tuple[int, tuple[int, ...]], list[SeenObject]] = OrderedDict()
+        self._seen: OrderedDict[tuple[int, BoxRotation, tuple[int, ...]], list[SeenObject]] = OrderedDict()
 
     def of(self, frame: Frame, stored: StoredFrame, image_box: Box2D, detector: ReadyDetector | None) -> list[Offered]:
         """Returns the boxes that a drawn object may have, best first; none while its silhouettes are not all drawn.
@@ -72,7 +72,8 @@ class WholeBoxes:
     def _objects(self, stored: StoredFrame, frame: Frame | None = None) -> list[SeenObject]:
         """The drawn objects of a frame; none if it cannot be read."""
         drawn = self._drawn(stored.id)
-        key = stored.id, tuple(view.event_id for views in drawn for view in views)
+        rotation = self.project.config.settings.rotation
+        key = stored.id, rotation, tuple(view.event_id for views in drawn for view in views)
         if not drawn:
             return []
         if key not in self._seen:

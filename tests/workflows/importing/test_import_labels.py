@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from annotator.project import NewLabel, Project, WriteContext
-from annotator.types import Frame, OrientedBox, ReviewState, Source, Truth
+from annotator.types import BoxKind, Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
-from annotator.workflows.exporting import ExportFilter, Split, SplitBy, export_project
+from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project
 from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
 from annotator.workflows.importing.boxes_3d import AUTHOR, create_if_unlabelled
 from annotator.workflows.importing.label_set import LeftOut
@@ -73,6 +73,19 @@ def test_an_rcv_export_can_be_imported(
         for a, b in zip(kept, back, strict=True):
             np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
             np.testing.assert_allclose(a.box.size_m, b.box.size_m)
+
+
+@pytest.mark.parametrize("name", ["rcv", "openlabel"])
+def test_boxes_around_what_is_seen_stay_such(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, name: str
+) -> None:
+    new = [NewLabel("person", BOX, box_kind=kind) for kind in (BoxKind.SILHOUETTE, BoxKind.BOX)]
+    people.labels.create(people.frames.of()[0].id, new, WriteContext(0, "me", Source.MANUAL))
+    export_project(people, tmp_path / "out", ExportFormat(name))
+    other = make_project(generated / "people")
+    import_labels(other, read_labels(BoxFormat(name), tmp_path / "out"))
+    imported = other.labels.of_frame(other.frames.of()[0].id)
+    assert sorted(label.box_kind for label in imported) == [BoxKind.BOX, BoxKind.SILHOUETTE]
 
 
 def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: Project) -> None:

@@ -16,13 +16,14 @@ from annotator.project.schema import recordings
 from annotator.rcv.config import RcvConfig
 from annotator.tracking.relabel import relabelled
 from annotator.tracking.smooth import FLIP
-from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
+from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.fit_boxes import box_fitter
+from annotator.workflows.tracks.follow_recording import follow_recording
 from annotator.workflows.tracks.interpolate import interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
 from annotator.workflows.tracks.previous_boxes import seeds_of
@@ -236,6 +237,29 @@ def test_a_copied_box_without_a_track_gets_one_with_one_undo(people: Project, tr
     people.history.undo(ANN)
     assert people.labels.get(uid).label.track_id is None
     assert people.labels.of_frame(frames[1].id) == ()
+
+
+@pytest.mark.parametrize("kind", BoxKind)
+def test_boxes_carried_to_other_frames_enclose_what_the_reviewed_one_does(
+    people: Project, truths: list[list[Truth]], knowing: Callable[..., Detectors], kind: BoxKind
+) -> None:
+    frames, view = people.frames.of(), knowing("people").view
+    for n in (0, 3):
+        new = NewLabel("person", truths[n][0].box, track_id=3, box_kind=kind)
+        (uid,) = people.labels.create(frames[n].id, [new], by_hand(people, frames[n])).uids
+    interpolate(people, people.recordings.all()[0].id, 3, ANN)
+    copy_next(people, frames[3].id, uid, people.frames.get(frames[3].id).revision, ANN)
+    assert [people.labels.of_frame(frame.id)[0].box_kind for frame in frames] == [kind] * 5
+    for _ in range(2):
+        people.history.undo(ANN)
+    follow_recording(people, people.recordings.all()[0].id, ReadyDetector(view, BoxKind.BOX, Lock()), ANN)
+    labels = [people.labels.of_frame(frame.id)[0] for frame in frames]
+    assert [label.box_kind for label in labels] == [kind] * 5
+    # the detector measures whole boxes only
+    sizes = [label.box.size_m for label in labels if label.state is ReviewState.PROPOSED]
+    reviewed = [truths[n][0].box.size_m for n in (0, 3)]
+    carried = [any(np.allclose(size, each) for each in reviewed) for size in sizes]
+    assert all(carried) if kind is BoxKind.SILHOUETTE else not any(carried)
 
 
 def test_what_cannot_be_copied_is_refused(people: Project, truths: list[list[Truth]]) -> None:

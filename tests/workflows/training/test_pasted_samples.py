@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,14 +13,17 @@ from annotator.detection import base_detector
 from annotator.detection.dataset import TrainingSample
 from annotator.detection.manifest import read_manifest
 from annotator.detection.progress import TrainingStoppedError
+from annotator.geometry.iou import iou_3d
 from annotator.project import Project, StoredFrame, WriteContext
+from annotator.project.event_types import LabelEdited
+from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import FrameError
 from annotator.workflows.detectors import AGNOSTIC
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.own_labels import import_own_labels
-from annotator.workflows.training import held_out, run
+from annotator.workflows.training import held_out, pasted_samples, run
 from annotator.workflows.training.pasted_samples import (
     PASTED,
     pasted_frames,
@@ -114,6 +118,64 @@ def test_camera_images_get_the_pasted_object_and_its_box(labelled: Project) -> N
         assert changed.sum() > 20
         assert added.x_min - 4 <= columns.min() < columns.max() <= added.x_max + 4
         assert added.y_min - 4 <= rows.min() < rows.max() <= added.y_max + 4
+
+
+def with_boxes_around_what_is_seen(labelled: Project, key: str) -> set[str]:
+    """Says of a frame's boxes that they enclose only what is seen; returns their uids."""
+    stored = next(one for one in labelled.frames.of() if one.key == key)
+    known = labelled.labels.of_frame(stored.id)
+    edits = [
+        LabelEdited(uid=one.uid, label=one.label, box=BoxRecord.of(one.box), box_kind=BoxKind.SILHOUETTE)
+        for one in known
+    ]
+    labelled.log.append(stored.id, edits, WriteContext(stored.revision, "me"))
+    return {one.uid for one in known}
+
+
+@pytest.mark.parametrize("agnostic", [True, False])
+def test_objects_whose_boxes_are_of_the_other_kind_are_not_pasted_but_not_background_either(
+    labelled: Project, agnostic: bool
+) -> None:
+    untaught = with_boxes_around_what_is_seen(labelled, "000002")
+    material = gather(labelled)
+    assert (material.kind, len(material.labels), len(material.labels_of_kind)) == (BoxKind.BOX, 5, 4)
+    found = list(
+        pasted_frames(
+            labelled, material, RCV, SampleConfig(), 20, groups(labelled), never, with_images=True, both_kinds=agnostic
+        )
+    )
+    assert found and not {pasted.label.uid for pasted in found} & untaught
+    among = [pasted for pasted in found if pasted.known.stored.key == "000002"]
+    assert among and all({label.uid for label in pasted.known.untaught} == untaught for pasted in among)
+    boxes = [label.box for label in among[0].known.untaught]
+    assert all(iou_3d(box, pasted.frame.objects[-1].box) < 0.2 for pasted in among for box in boxes)
+    config = SampleConfig(views=240, pasted=0.5)
+    samples = list(pasted_view_samples(labelled, material, RCV, config, 60, groups(labelled), agnostic, never))
+    assert samples and not {uid for sample in samples for uid in sample.label_uids} & untaught
+
+
+def test_images_of_a_project_with_both_kinds_of_boxes_are_pasted_into_only_if_asked_for(labelled: Project) -> None:
+    with_boxes_around_what_is_seen(labelled, "000002")
+    material = gather(labelled)
+    with_images = SampleConfig(pasted_images=0.8)
+    assert list(pasted_image_samples(labelled, material, RCV, SampleConfig(), groups(labelled), never)) == []
+    samples = list(pasted_image_samples(labelled, material, RCV, with_images, groups(labelled), never))
+    assert samples and {sample.origin for sample in samples} == {PASTED}
+
+
+def test_views_of_pasted_objects_leave_out_those_that_show_an_object_of_the_other_kind(
+    labelled: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_boxes_around_what_is_seen(labelled, "000002")
+    doubted: dict[str, int] = {}
+
+    def teach(frame: Frame, *args: Any) -> list[Any]:
+        doubted[frame.key] = len(args[6])
+        return []
+
+    monkeypatch.setattr(pasted_samples, "teach_views", teach)
+    views(labelled, agnostic=False)
+    assert doubted["000002"] == 3 and not any(count for key, count in doubted.items() if key != "000002")
 
 
 def test_the_command_line_trains_both_detectors_on_pasted_objects(

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.project import NewLabel, Origin, Project, StoredModel, WriteContext
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image
 from annotator.workflows.detectors import (
     AGNOSTIC,
     Detectors,
@@ -154,6 +155,23 @@ def test_the_reviewed_objects_of_held_out_frames_are_measured(
         results[name] = measured.mean_iou(model)
     # without any detection, objects are still placed by the size of the reviewed boxes
     assert results["perfect"] > 0.7 > results["blind"]
+
+
+@pytest.mark.parametrize("class_agnostic", [True, False])
+def test_a_class_agnostic_detector_is_measured_at_what_the_reviewed_boxes_enclose(
+    labelled: Project, monkeypatch: pytest.MonkeyPatch, class_agnostic: bool
+) -> None:
+    kinds = set()
+
+    def lifted(frame: Frame, image_boxes: Sequence[Box2D], detector: Detector, config: RcvConfig, *rest: Any) -> Any:
+        kinds.add(config.box_kind)
+        return [None] * len(image_boxes)
+
+    monkeypatch.setattr(held_out, "lifted", lifted)
+    monkeypatch.setattr(held_out, "load_detector", lambda path: Fixed())
+    measured = HeldOut(labelled, gather(labelled).labels, kind=BoxKind.SILHOUETTE)
+    measured.mean_iou(UsedModel(write_model(labelled.models_folder / "m"), BoxKind.BOX, class_agnostic, "f"))
+    assert kinds == {BoxKind.SILHOUETTE if class_agnostic else BoxKind.BOX}
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:

@@ -357,6 +357,8 @@ def test_views_of_an_object_of_which_only_the_seen_part_is_known_do_not_teach_wh
     material = replace(gather(people), kind=BoxKind.BOX)
     known = list(known_objects(people, material, CONFIG, SampleConfig(views=24), 5, never))
     assert [(len(one.labels), len(one.untaught), len(one.objects)) for one in known] == [(0, 1, 0), (3, 0, 3)]
+    # 24 views of the 3 objects that are taught
+    assert {one.draws for one in known} == {4}
 
 
 def test_an_object_without_points_in_its_drawn_boxes_is_left_out(people: Project) -> None:

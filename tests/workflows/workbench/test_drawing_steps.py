@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from annotator.geometry.iou import iou_3d
+from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
 from annotator.project.efforts import draft_id
 from annotator.project.events import Effort
@@ -18,7 +19,7 @@ from annotator.rcv.cross_view import box_iou
 from annotator.rcv.operator import Span, draw_object
 from annotator.rcv.teach import TaughtObject
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView, ReviewState, Source, Suggestion
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.simulate import _draw, image_box_of, visible_objects
 from annotator.workflows.training.samples import gather
@@ -35,7 +36,6 @@ from annotator.workflows.workbench.frame_state import show_frame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import FoundBox
-from annotator.workflows.workbench.remeasure import same_box
 from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
 
 
@@ -363,14 +363,21 @@ def test_effort_is_kept_when_the_image_box_of_a_draft_changes(desk: Desk) -> Non
 
 def test_changing_the_kind_of_boxes_applies_to_the_views_of_all_objects(desk: Desk) -> None:
     objects = [desk.object(desk.image_box(number), desk.four(number)) for number in range(2)]
+    given = Suggestion("base detector", "f00d")
+    objects = [replace(drawn, suggestion=given) for drawn in objects]
     image_boxes = [drawn.image_box for drawn in objects]
     for drawn in objects:
         desk.save(image_boxes, drawn)
+    before = [stored.label for stored in desk.project.labels.select()]
     desk.kind = BoxKind.BOX
     desk.save(image_boxes, objects[0])
     assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.BOX] * 8
     material = gather(desk.project)
     assert material.views_of_kind == material.views
+    now = [stored.label for stored in desk.project.labels.select()]
+    assert [label.box_kind for label in now] == [BoxKind.BOX] * 2
+    assert not same_box(before[1].box, now[1].box)
+    assert [label.suggestion for label in now] == [given] * 2, "measured anew, not corrected"
     desk.project.history.undo("ann")
     assert [view.box_kind for view in desk.project.boxes.on_views()] == [BoxKind.SILHOUETTE] * 8
 
