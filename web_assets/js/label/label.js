@@ -217,8 +217,8 @@ export function mount(root, app) {
   }
 
   /**
-   * Accepts the object's suggestions, its whole box, or else the next suggestion on the image; false if none. A key that
-   * is held down accepts only once.
+   * Accepts the object's suggestions, its whole box, or else the next suggestion on the image; false if none. A key
+   * that is held down accepts only once.
    *
    * @param {KeyboardEvent} [event]
    */

@@ -229,7 +229,7 @@ function described({ name, images, unmatched, unmatched_names, ambiguous, boxes,
     lines.push(h("p", { "data-testid": "boxes-replaced" }, text));
   }
   if (renamed) {
-    const text = `The project has no recording ${renamed}, which the file names. Taken for it: ${taken_for.join(", ")}.`;
+    const text = `The file names a recording ${renamed}, taken for ${taken_for.join(", ")}.`;
     lines.push(h("p", { "data-testid": "boxes-renamed" }, text));
   }
   if (unmatched) {
