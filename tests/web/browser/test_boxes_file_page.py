@@ -136,7 +136,7 @@ def test_a_file_that_is_still_read(start: Page, live: Live, generated: Path, tmp
     start.get_by_test_id("boxes-file").set_input_files(tmp_path / "boxes.json")
     until(start, lambda: waiting)
     start.get_by_test_id("dialog-import").click()
-    expect(dialog).to_contain_text("The file is still being read")
+    expect(dialog).to_contain_text("The file was still being read")
     # another recording, chosen before the answer
     start.get_by_test_id("boxes-recording").select_option(label=first.name)
     waiting[0].continue_()

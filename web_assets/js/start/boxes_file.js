@@ -147,7 +147,7 @@ export async function importBoxes(app, name) {
   }
 
   async function start() {
-    if (isReading) throw new Error("The file is still being read. Then look at what it has.");
+    if (isReading) throw new Error("The file was still being read. Check what it has, then import it.");
     if (!sent) throw new Error("Choose a file with 2D boxes first.");
     if (sent.ambiguous) throw new Error("Choose the recording of the images: several have frames of these names.");
     const labels = Object.keys(sent.boxes);
