@@ -11,22 +11,24 @@ import re
 import shutil
 import uuid
 import zipfile
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from annotator.files import is_within
+from annotator.files import ARCHIVE_ERRORS, is_within
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES
 from annotator.project import Project
 from annotator.types.errors import FormatError, NotFoundError
+from annotator.web.security import UPLOAD_LIMIT
 from annotator.workflows.importing import FlatFormat
 
 FOLDER = ".uploads"
 # Number of uploads kept per project: those that nobody has imported.
 MOST_KEPT = 5
-# Limits of a packed dataset: files, and bytes of its text files.
-MOST_FILES, MOST_BYTES = 200_000, 1 << 30
+# Limits of a packed dataset: files, and bytes of its text files, which are read into some ten times as much memory.
+MOST_FILES, MOST_BYTES = 200_000, UPLOAD_LIMIT
 TEXTS = (".json", ".txt", ".yaml", ".csv")
 _NAME = re.compile(r"[^\w.-]+")
 
@@ -40,11 +42,12 @@ class Upload:
     format: FlatFormat
 
 
-def add_upload(project: Project, name: str, content: bytes) -> Upload:
+def add_upload(project: Project, name: str, content: bytes, in_use: Collection[str] = ()) -> Upload:
     """Stores a file, and unpacks it if it is a `.zip`; removes the oldest uploads.
 
     Args:
         name: the file's name on the operator's computer.
+        in_use: ids of uploads that are not removed.
 
     Raises:
         FormatError: it is neither JSON nor a `.zip`, or the `.zip` is damaged, too large or without a dataset.
@@ -64,10 +67,17 @@ def add_upload(project: Project, name: str, content: bytes) -> Upload:
     except BaseException:
         remove_upload(project, place.name)
         raise
-    by_age = sorted(uploads.iterdir(), key=lambda folder: folder.stat().st_mtime_ns)
-    for old in by_age[:-MOST_KEPT]:
+    for old in sorted((folder for folder in uploads.iterdir() if folder.name not in in_use), key=_age)[:-MOST_KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     return upload
+
+
+def _age(folder: Path) -> int:
+    """When an upload was stored; 0 if it was removed in the meantime."""
+    try:
+        return folder.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
 
 
 def find_upload(project: Project, upload_id: str) -> Upload:
@@ -102,7 +112,7 @@ def remove_upload(project: Project, upload_id: str) -> None:
 def _unpack(file: Path, content: bytes, folder: Path) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as packed:
-            texts = [entry for entry in packed.infolist() if PurePosixPath(entry.filename).suffix.lower() in TEXTS]
+            texts = [entry for entry in packed.infolist() if _is_wanted(PurePosixPath(entry.filename))]
             if len(texts) > MOST_FILES or sum(entry.file_size for entry in texts) > MOST_BYTES:
                 raise FormatError(
                     file, f"has more than {MOST_FILES} files or {MOST_BYTES >> 20} MiB of text; divide it"
@@ -112,8 +122,13 @@ def _unpack(file: Path, content: bytes, folder: Path) -> None:
                 if not is_within(folder, entry.filename):
                     raise FormatError(file, f"contains {entry.filename[:60]!r}, which leads out of its folder")
                 packed.extract(entry, folder)
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, RuntimeError, OSError, EOFError) as error:
+    except ARCHIVE_ERRORS as error:
         raise FormatError(file, f"cannot be unpacked: {error}; pack the folder again, without a password") from error
+
+
+def _is_wanted(entry: PurePosixPath) -> bool:
+    """False for other files than texts, and for the hidden ones that macOS adds to each file."""
+    return entry.suffix.lower() in TEXTS and not entry.name.startswith(".") and "__MACOSX" not in entry.parts
 
 
 def _dataset(folder: Path) -> tuple[Path, FlatFormat]:

@@ -204,7 +204,7 @@ interface EditorOptions {
   /** Called while dragging, before the change is finished. */
   onDrag?: (boxes: EditorBox[], index: number) => unknown;
   /** Replaces the effect of Enter, which accepts the selected suggestion; true if it did something. */
-  onEnter?: () => boolean;
+  onEnter?: (event: KeyboardEvent) => boolean;
   /** Called with the index of the selected box; -1: none. */
   onSelect?: (index: number) => unknown;
   /** Called by the rotation handle; a positive angle turns x towards y. The editor shows the turn until setBoxes. */
@@ -295,8 +295,8 @@ type Draft = {
   problem: string | null;
   /** The reason why it suggests nothing. */
   note: string | null;
-  /** Whole boxes that are offered for the object as it was after so many changes, and which one is shown. */
-  whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number } | null;
+  /** Whole boxes that are offered for the object as it was after so many changes, which one is shown, since when. */
+  whole: { boxes: Api.WholeBoxJson[]; shown: number; changes: number; since: number } | null;
 };
 
 /** A dashed box on the image. */

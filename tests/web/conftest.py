@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,6 +28,13 @@ __all__ = ["OPERATOR", "Live", "running"]
 def wait_for() -> Callable[[Callable[[], Any]], None]:
     """`wait_for(condition)`: fails unless the condition becomes true within a generous time."""
     return wait_until
+
+
+@pytest.fixture
+def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worker processes can import `fake_jobs` and `knowing_jobs`."""
+    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from annotator.project import WriteContext
 from annotator.types import Source
 from annotator.types.errors import DetectionError
 from annotator.web.jobs.job_context import JobContext, Outcome
-from annotator.web.jobs.records import CurvePoint, ProposeRequest, TrainRequest
+from annotator.web.jobs.records import LIFT_STAGE, BoxesRequest, CurvePoint, ProposeRequest, TrainRequest
 
 QUICK, REFUSED, BUG, KILLED, LONG, DEAF, EDITS = range(1, 8)
 
@@ -42,6 +42,15 @@ def work(job: JobContext, request: ProposeRequest) -> Outcome:
     job.progress("count", 2, 2)
     (job.folder / "left.txt").write_text("x")
     return Outcome("counted to 2", {"nice": os.nice(0), "omp": os.environ["OMP_WAIT_POLICY"]})
+
+
+def boxes(job: JobContext, request: BoxesRequest) -> Outcome:
+    """Is at each stage of an import until a file `go_on` appears in the project's folder, or until it is stopped."""
+    for stage in ("store the 2D boxes", LIFT_STAGE):
+        while stage == LIFT_STAGE or not (job.project.path / "go_on").exists():
+            job.progress(stage)
+            time.sleep(0.01)
+    return Outcome("imported", {})
 
 
 def train(job: JobContext, request: TrainRequest) -> Outcome:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from coco_sample import coco
+from live_server import PATIENCE_S, ended, look
 from room_api import ROOM
 
 from annotator.project import Project, WriteContext
@@ -22,7 +24,7 @@ from annotator.types.errors import FormatError, NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
 from annotator.web.jobs.job_context import JobContext
-from annotator.web.jobs.records import BoxesRequest
+from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
@@ -32,6 +34,16 @@ if TYPE_CHECKING:
     from annotator.workflows.detectors import Detectors
 
 FILES = f"{ROOM}/boxes-files"
+# Two images of one frame.
+TWICE = json.dumps(
+    {
+        "images": [
+            {"id": i, "file_name": f"{part}/000000.jpg", "width": 320, "height": 240} for i, part in enumerate("ab")
+        ],
+        "annotations": [],
+        "categories": [{"id": 1, "name": "person"}],
+    }
+).encode()
 
 
 def packed(texts: dict[str, str]) -> bytes:
@@ -41,6 +53,16 @@ def packed(texts: dict[str, str]) -> bytes:
         for name, text in texts.items():
             archive.writestr(name, text)
     return content.getvalue()
+
+
+def damaged() -> bytes:
+    """A .zip whose compressed data are damaged."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.json", json.dumps(list(range(1000))))
+    changed = bytearray(content.getvalue())
+    changed[60:100] = b"\xff" * 40
+    return bytes(changed)
 
 
 def send(live: Live, name: str, content: bytes, status: int = 201) -> dict[str, Any]:
@@ -69,6 +91,9 @@ def test_a_coco_file_is_described_before_it_is_imported(live: Live, generated: P
         "unmatched_names": ["elsewhere.jpg"],
         "ambiguous": 0,
         "boxes": {"Person": people, "dog": 1},
+        "replaced": 0,
+        "renamed": None,
+        "taken_for": [],
     }
     assert live.client.get(f"{FILES}/{sent['id']}").json() == sent
     assert project.boxes.on_images() == (), "nothing is stored yet"
@@ -89,7 +114,9 @@ def test_an_import_is_undone_as_one_action(live: Live, generated: Path, tmp_path
     drawn = ImageBoxesSet(boxes=(Box2D("person", 1.0, 2.0, 30.0, 40.0),), box_kind=BoxKind.SILHOUETTE)
     project.log.append(second.id, [drawn], WriteContext(second.revision, "Bob"))
     sent = send(live, "boxes.json", json.dumps(coco(generated, "person")).encode())
-    run(project, tmp_path, upload=sent["id"])
+    assert sent["replaced"] == 1
+    done = run(project, tmp_path, upload=sent["id"])
+    assert "the drawn boxes on 1 images replaced" in done.message and done.result["replaced"] == 1
     undo, _ = project.history.next("Ada")
     assert undo == f"import 2D boxes (frames {first.key} to {second.key})"
     project.history.undo("Ada")
@@ -98,6 +125,37 @@ def test_an_import_is_undone_as_one_action(live: Live, generated: Path, tmp_path
     project.history.redo("Ada")
     assert {boxes.author for boxes in project.boxes.on_images()} == {"Ada"}
     assert project.history.next("Bob")[0] is not None, "what another operator drew is not part of it"
+
+
+@pytest.mark.usefixtures("jobs_on_path")
+def test_nothing_is_undone_while_an_import_stores_its_boxes(
+    live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What an import stores after the undo of its action could not be undone."""
+    monkeypatch.setitem(WORK, "boxes", "fake_jobs:boxes")
+    project = live.context.project("room")
+    sent = send(live, "boxes.json", json.dumps(coco(generated, "person")).encode())
+    job = live.client.post(f"{ROOM}/jobs", json={"kind": "boxes", "upload": sent["id"]}).json()
+    wait_for(live, job, "store the 2D boxes")
+    assert live.context.jobs.uploads_in_use(project.path) == {sent["id"]}
+    for step in ("undo", "redo"):
+        refused = live.client.post(f"{ROOM}/{step}", json={})
+        assert refused.status_code == 409
+        assert "your import of 2D boxes is still running" in refused.json()["error"]["message"]
+    assert not live.context.jobs.stores_boxes("room", "Bob"), "other operators can undo what is theirs"
+    (project.path / "go_on").touch()
+    wait_for(live, job, LIFT_STAGE)
+    assert "still running" not in live.client.post(f"{ROOM}/undo", json={}).json()["error"]["message"]
+    live.client.post(f"/api/jobs/{job['id']}/cancel")
+    ended(live, job)
+    assert live.context.jobs.uploads_in_use(project.path) == set()
+
+
+def wait_for(live: Live, job: dict[str, Any], stage: str) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while (now := look(live, job["id"]))["stage"] != stage:
+        assert time.monotonic() < end and now["state"] in ("queued", "running"), now
+        time.sleep(0.05)
 
 
 def test_3d_boxes_are_proposed_from_the_file(
@@ -126,6 +184,27 @@ def test_a_packed_yolo_folder(live: Live, tmp_path: Path) -> None:
     assert [box.label for box in drawn.boxes] == ["person"]
 
 
+def test_a_zip_of_macos_with_labels_beside_the_images(live: Live, tmp_path: Path) -> None:
+    project = live.context.project("room")
+    key = project.frames.of()[0].key
+    files = {"set/classes.txt": "person\n", f"set/{key}.txt": "0 0.5 0.5 0.2 0.4\n"}
+    hidden = {"__MACOSX/set/._classes.txt": "\x00\x05", f"__MACOSX/set/{key}.txt": "\x00", f"set/._{key}.txt": "\x00"}
+    sent = send(live, "set.zip", packed(files | hidden))
+    assert sent["boxes"] == {"person": 1}
+    assert run(project, tmp_path, upload=sent["id"]).result["boxes"] == 1
+
+
+def test_a_recording_of_another_name_is_shown(live: Live, tmp_path: Path) -> None:
+    project = live.context.project("room")
+    key, name = project.frames.of()[0].key, project.recordings.all()[0].name
+    files = {"classes.txt": "person\n", "0.txt": "0 0.5 0.5 0.2 0.4\n"}
+    files["frames.csv"] = f"id,recording,key,split\n0,other,{key},\n"
+    sent = send(live, "set.zip", packed(files))
+    assert (sent["renamed"], sent["taken_for"]) == ("other", [name])
+    done = run(project, tmp_path, upload=sent["id"])
+    assert f"recording other of the file taken for {name}" in done.message
+
+
 def test_images_of_several_recordings_need_a_choice(live: Live, generated: Path) -> None:
     project = live.context.project("room")
     register_recording(project, open_recording(generated / "hands"))
@@ -143,6 +222,8 @@ def test_images_of_several_recordings_need_a_choice(live: Live, generated: Path)
         ("boxes.json", b"{", "boxes.json"),
         ("boxes.json", b'{"images": [], "annotations": [], "categories": []}', "none of the dataset's images"),
         ("set.zip", b"PK no zip", "cannot be unpacked"),
+        ("set.zip", damaged(), "cannot be unpacked"),
+        ("boxes.json", TWICE, "a/000000.jpg and b/000000.jpg both match frame 000000; keep one of them"),
         ("set.zip", packed({"a.png": "x"}), "contains no dataset of 2D boxes"),
         ("set.zip", packed({"../../../out.json": "{}"}), "leads out of its folder"),
         ("set.zip", packed({"classes.txt": "person\n", "1.txt": "0 0.5\n"}), "1.txt"),
@@ -158,6 +239,7 @@ def test_files_that_cannot_be_imported_say_why_and_are_not_kept(
 
 
 def test_a_packed_dataset_is_bounded(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert uploads.MOST_BYTES <= security.UPLOAD_LIMIT
     monkeypatch.setattr(uploads, "MOST_BYTES", 10)
     message = send(live, "set.zip", packed({"classes.txt": "person and more\n"}), 400)["error"]["message"]
     assert "divide it" in message
@@ -169,6 +251,11 @@ def test_only_the_latest_files_are_kept(live: Live, generated: Path) -> None:
     with pytest.raises(NotFoundError, match="choose it again"):
         uploads.find_upload(project, ids[0])
     assert uploads.find_upload(project, ids[-1]).path.name == "boxes.json"
+    for _ in range(uploads.MOST_KEPT + 1):
+        uploads.add_upload(project, "boxes.json", content, in_use={ids[1]})
+    assert uploads.find_upload(project, ids[1]), "a job still has to read it"
+    with pytest.raises(NotFoundError):
+        uploads.find_upload(project, ids[2])
 
 
 def test_a_file_may_be_larger_than_other_requests(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:

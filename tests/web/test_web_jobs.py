@@ -37,11 +37,9 @@ ENDS = ("done", "failed", "cancelled")
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> None:
+def fake(jobs_on_path: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Proposing is replaced by the work of `fake_jobs`."""
     monkeypatch.setitem(WORK, "propose", "fake_jobs:work")
-    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
 @pytest.fixture

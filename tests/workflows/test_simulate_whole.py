@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 import pytest
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import BoxRotation, Origin, Project
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind
 from annotator.workflows import simulate_whole
@@ -17,6 +20,7 @@ from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.simulate_whole import FITS_IOU, confirm_whole_boxes
 from annotator.workflows.training.samples import gather
+from annotator.workflows.workbench import whole_boxes as workbench
 from annotator.workflows.workbench.whole_boxes import WholeBoxes
 
 
@@ -72,3 +76,26 @@ def test_another_setting_for_the_rotation_applies_at_once(drawn: Project) -> Non
     expected = WholeBoxes(drawn).of(frame, stored, image_box, None)
     assert [one.box.size_m.tolist() for one in free] == [one.box.size_m.tolist() for one in expected]
     assert [one.box.size_m.tolist() for one in free] != [one.box.size_m.tolist() for one in upright]
+
+
+def test_a_long_search_does_not_block_another_operators(drawn: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored = drawn.frames.of()[0]
+    one, other = drawn.boxes.on_image(stored.id).boxes[:2]
+    offers, frame = WholeBoxes(drawn), FrameSource(drawn).read(stored)
+    searching, go_on = Event(), Event()
+
+    def search(seen: SeenObject, *_: object) -> list[Offered]:
+        if seen.image_box == one:
+            searching.set()
+            assert go_on.wait(60)
+        return []
+
+    monkeypatch.setattr(workbench, "whole_boxes", search)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(offers.of, frame, stored, one, None)
+        try:
+            assert searching.wait(60)
+            assert pool.submit(offers.of, frame, stored, other, None).result(60) == []
+        finally:
+            go_on.set()
+        assert first.result(60) == []

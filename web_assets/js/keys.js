@@ -79,7 +79,7 @@ export const KEYS = [
   {
     id: "next-whole-box",
     keys: ["W"],
-    label: "Another whole box (dashed) of a finished object",
+    label: "Show another whole box (dashed) for a finished object",
     modes: ["label"],
     group: "Label",
   },

@@ -139,6 +139,9 @@ def in_background(request: JobRequest) -> bool:
     return isinstance(request, TrainRequest) and request.background
 
 
+# Stage of a job that proposes 3D boxes from 2D boxes.
+LIFT_STAGE = "propose 3D boxes"
+
 # Kind of job -> "module:function" of the work, which takes a `JobContext` and the request. A string, so that the server
 # does not import the work.
 WORK: dict[str, str] = {

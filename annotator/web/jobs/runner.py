@@ -18,7 +18,7 @@ from annotator.web.errors import INTERNAL
 from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, write_journal
 from annotator.web.jobs.messages import Failed, Finished, Measured, Order, Progress, Stopped, WorkerMessage
 from annotator.web.jobs.process import GRACE_S, WorkerProcess
-from annotator.web.jobs.records import WORK, Job, JobRequest, JobState, in_background
+from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, Job, JobRequest, JobState, in_background
 
 LOG = logging.getLogger("annotator.web")
 
@@ -53,6 +53,7 @@ class JobRunner:
         self._lock = threading.Condition()
         self._jobs: dict[str, Job] = {job.id: job for job in read_journal(folder)}
         self._waiting: list[tuple[str, Path, JobRequest]] = []
+        self._current: list[tuple[str, Path, JobRequest]] = []
         self._worker: WorkerProcess | None = None
         self._stopping: str | None = None
         self._closed = False
@@ -99,6 +100,21 @@ class JobRunner:
         with self._lock:
             job = self._jobs.get(job_id)
             return job_id in self._stepped_aside and job is not None and job.state is JobState.CANCELLED
+
+    def stores_boxes(self, project: str, operator: str) -> bool:
+        """True while a job stores the 2D boxes of a file as an action of this operator."""
+        with self._lock:
+            job = self._running()
+            is_theirs = job is not None and (job.project, job.operator, job.kind) == (project, operator, "boxes")
+            return is_theirs and job is not None and job.stage != LIFT_STAGE
+
+    def uploads_in_use(self, path: Path) -> set[str]:
+        """Ids of the files with 2D boxes that jobs of the project in the folder `path` still have to read."""
+        with self._lock:
+            orders = [(folder, request) for _, folder, request in (*self._waiting, *self._current)]
+            return {
+                request.upload for folder, request in orders if folder == path and isinstance(request, BoxesRequest)
+            }
 
     def is_idle(self) -> bool:
         """True if no job runs or waits."""
@@ -211,6 +227,8 @@ class JobRunner:
             except Exception:  # a job that cannot be started must not block the next ones
                 LOG.exception("job %s failed", job_id)
                 self._update(job_id, state=JobState.FAILED, message=INTERNAL)
+            with self._lock:
+                self._current = []
             self._tidy()
 
     def _next(self) -> tuple[str, Path, JobRequest] | None:
@@ -221,6 +239,7 @@ class JobRunner:
                 return None
             entry = next((entry for entry in self._waiting if not in_background(entry[2])), self._waiting[0])
             self._waiting.remove(entry)
+            self._current = [entry]
             self._jobs[entry[0]] = self._jobs[entry[0]].model_copy(update={"state": JobState.RUNNING})
             self._stopping = None
             return entry

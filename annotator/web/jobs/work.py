@@ -16,6 +16,7 @@ from annotator.project import new_action
 from annotator.types import DetectorKind
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import (
+    LIFT_STAGE,
     BoxesRequest,
     CurvePoint,
     ExportRequest,
@@ -163,7 +164,7 @@ def lift_work(job: JobContext, request: LiftRequest) -> Outcome:
     """Proposes 3D boxes from the 2D boxes on the images, without any training."""
     job.progress("load the view detector")
     boxes, view = drawn_boxes(job.project, only_without_labels=True), require_view(job.project)
-    done = lift(job.project, boxes, view, rcv_config(job.project), job.counter("propose 3D boxes"))
+    done = lift(job.project, boxes, view, rcv_config(job.project), job.counter(LIFT_STAGE))
     return _proposed(done, f", measured by: {view.title}")
 
 
@@ -189,8 +190,10 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
     )
     message, result = _imported(done)
     if view is not None:
+        # from here on, the import can be undone
+        job.progress(LIFT_STAGE)
         lifted = _proposed(
-            lift(project, given, view, rcv_config(project), job.counter("propose 3D boxes")),
+            lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE)),
             f", measured by: {view.title}",
         )
         message, result = f"{message}; {lifted.message}", result | lifted.result
@@ -200,8 +203,11 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
 
 def _imported(done: Imported) -> tuple[str, dict[str, object]]:
     left_out = sum(done.other_classes.values())
+    renamed = done.renamed
     parts = [
         f"{done.boxes} 2D boxes on {done.pictures} images imported",
+        f"the drawn boxes on {done.replaced} images replaced" if done.replaced else "",
+        f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
         f"{left_out} boxes of other classes left out ({', '.join(sorted(done.other_classes))})" if left_out else "",
         f"{len(done.unmatched)} images without a frame left out" if done.unmatched else "",
         f"{done.finalised} finalised frames left as they are" if done.finalised else "",
@@ -210,6 +216,7 @@ def _imported(done: Imported) -> tuple[str, dict[str, object]]:
     result: dict[str, object] = {
         "images": done.pictures,
         "boxes": done.boxes,
+        "replaced": done.replaced,
         "left_out": done.other_classes,
         "unmatched": done.unmatched[:MOST_FAILURES],
         "unreadable": done.unreadable[:MOST_FAILURES],

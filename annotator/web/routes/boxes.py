@@ -30,6 +30,8 @@ class BoxesFile(BaseModel):
         unmatched: number of those without a frame in the project; `unmatched_names` are some of them.
         ambiguous: number of those that fit frames of several recordings: one of these must be chosen.
         boxes: number of boxes on the others, by class name.
+        replaced: number of images with boxes drawn in the project, which the import replaces.
+        renamed: the file's recording, if the project has none of this name; `taken_for` are those it was matched with.
     """
 
     id: str
@@ -40,13 +42,16 @@ class BoxesFile(BaseModel):
     unmatched_names: list[str]
     ambiguous: int
     boxes: dict[str, int]
+    replaced: int
+    renamed: str | None
+    taken_for: list[str]
 
 
 @router.post("", status_code=201)
 def upload(project: str, name: FileName, content: Content, ctx: Ctx, operator: Operator) -> BoxesFile:
     """Send a COCO file, or a packed YOLO or COCO folder. Nothing is imported."""
     opened = ctx.project(project)
-    stored = add_upload(opened, name, content)
+    stored = add_upload(opened, name, content, ctx.jobs.uploads_in_use(opened.path))
     try:
         return _described(opened, stored, None)
     except BaseException:
@@ -73,4 +78,7 @@ def _described(project: Project, upload: Upload, recording: int | None) -> Boxes
         unmatched_names=list(found.unmatched[:SHOWN]),
         ambiguous=found.ambiguous,
         boxes=found.boxes,
+        replaced=found.replaced,
+        renamed=None if found.renamed is None else found.renamed.named,
+        taken_for=[] if found.renamed is None else list(found.renamed.taken_for),
     )

@@ -77,7 +77,10 @@ def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Chan
 
 @router.post("/api/projects/{name}/undo", response_model=StepOut, responses=STALE)
 def undo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSONResponse:
-    """Undo the operator's last action, on whichever frame. A run that follows objects is stopped first."""
+    """Undo the operator's last action, on whichever frame. A run that follows objects is stopped first.
+
+    Refused while 2D boxes of a file are being stored for this operator.
+    """
     return _step(ctx, operator, name, body, lambda project: project.history.undo)
 
 
@@ -91,6 +94,9 @@ def _step(
     ctx: Context, operator: str, name: str, body: StepIn, method: Callable[[Project], Callable[..., Reverted]]
 ) -> StepOut | JSONResponse:
     effort = None if body.effort is None else body.effort.stored()
+    if ctx.jobs.stores_boxes(name, operator):
+        # the import is one action: what it stores after its undo could not be undone
+        raise HistoryError("your import of 2D boxes is still running; stop it or wait, then undo it as a whole")
     ctx.follow_runs.stop(name, operator)
     try:
         reverted = method(ctx.project(name))(operator, skip=body.skip, effort=effort)

@@ -123,13 +123,13 @@ def _matched(
         key, fitting = frames_of(dataset, picture, frames)
         if len(fitting) > 1:
             raise FormatError(
-                path, f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; choose one with --recording"
+                path,
+                f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; choose one of these",
             )
         if not fitting:
             unmatched.append(picture.file_name)
         elif fitting[0].id in matched:
-            other = matched[fitting[0].id][0].file_name
-            raise FormatError(path, f"{other} and {picture.file_name} both match frame {key}; keep one of them")
+            raise same_frame(path, matched[fitting[0].id][0].file_name, picture.file_name, key)
         else:
             matched[fitting[0].id] = (picture, fitting[0])
     if not matched:
@@ -143,6 +143,11 @@ def frames_of(dataset: PictureSet, picture: PictureLabels, frames: FrameFinder) 
     origin = dataset.origins.get(picture.stem)
     key = picture.stem if origin is None else origin.key
     return key, frames.find(None if origin is None else origin.recording, key)
+
+
+def same_frame(path: Path, file_name: str, other: str, key: str) -> FormatError:
+    """The error for two images of one frame."""
+    return FormatError(path, f"{file_name} and {other} both match frame {key}; keep one of them")
 
 
 def no_frame(path: Path) -> FormatError:

@@ -63,7 +63,8 @@ class PictureLabels:
                 path,
                 f"{self.file_name[:SHOWN]!r} leads out of the image folder or is not a valid name; use names within it",
             )
-        return file if file.is_file() else None
+        # labels without an image have the name of their label file, which may be in this folder
+        return file if file.is_file() and file.suffix.lower() != ".txt" else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,10 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.project import Project
-from annotator.workflows.importing.frame_finder import FrameFinder
-from annotator.workflows.importing.image_boxes import frames_of, no_frame
+from annotator.project import Project, StoredFrame
+from annotator.types import Source
+from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
+from annotator.workflows.importing.image_boxes import frames_of, no_frame, same_frame
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
 
 
@@ -21,12 +22,16 @@ class Preview:
         unmatched: names of those without a frame in the project.
         ambiguous: number of those that fit frames of several recordings.
         boxes: number of boxes on the others, by class name.
+        replaced: number of images with boxes drawn in the project, which the import replaces.
+        renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
     images: int
     unmatched: tuple[str, ...]
     ambiguous: int
     boxes: dict[str, int]
+    replaced: int
+    renamed: Renamed | None
 
 
 def preview(project: Project, path: Path, format: FlatFormat, recording: str | None) -> Preview:
@@ -36,19 +41,37 @@ def preview(project: Project, path: Path, format: FlatFormat, recording: str | N
         recording: name of the only recording to search; None = all.
 
     Raises:
-        FormatError: not in this format, or no image has a frame in the project.
+        FormatError: not in this format, an image occurs twice, or no image has a frame in the project.
         NotFoundError: no such recording.
     """
     dataset = read_pictures(format, path)
     frames = FrameFinder(project, recording, {origin.recording for origin in dataset.origins.values()})
     boxes, unmatched, ambiguous = Counter[str](), list[str](), 0
+    matched: dict[int, tuple[str, StoredFrame]] = {}
+    named: list[StoredFrame] = []
     for picture in dataset.pictures:
-        _, fitting = frames_of(dataset, picture, frames)
-        if fitting:
-            boxes.update(picture.labels)
-            ambiguous += len(fitting) > 1
-        else:
+        key, fitting = frames_of(dataset, picture, frames)
+        if not fitting:
             unmatched.append(picture.file_name)
+            continue
+        boxes.update(picture.labels)
+        named += fitting if picture.stem in dataset.origins else []
+        if len(fitting) > 1:
+            ambiguous += 1
+            continue
+        (frame,) = fitting
+        if frame.id in matched:
+            raise same_frame(path, matched[frame.id][0], picture.file_name, key)
+        matched[frame.id] = (picture.file_name, frame)
     if len(unmatched) == len(dataset.pictures):
         raise no_frame(path)
-    return Preview(len(dataset.pictures), tuple(unmatched), ambiguous, dict(sorted(boxes.items())))
+    drawn = {one.frame_id for one in project.boxes.on_images() if one.boxes and one.source is not Source.IMPORTED}
+    replaced = sum(frame.id in drawn and not frame.finalised for _, frame in matched.values())
+    return Preview(
+        len(dataset.pictures),
+        tuple(unmatched),
+        ambiguous,
+        dict(sorted(boxes.items())),
+        replaced,
+        frames.renamed(named),
+    )

@@ -95,7 +95,7 @@ def boxes_of_file(
         raise FormatError(
             path,
             f"has no box of the classes {', '.join(project.config.classes)}, only {_listed(chosen.other_classes)}; "
-            "map its classes with --rename",
+            "map its classes to those of the project",
         )
     return replace(
         chosen,

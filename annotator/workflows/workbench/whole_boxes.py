@@ -37,17 +37,16 @@ class WholeBoxes:
             image_box: drawn on the camera image.
             detector: for pseudo-views; used if it knows whole boxes.
         """
-        with self._lock:
-            views = [one for one in self._drawn(stored.id) if _image_box(one) == image_box]
-            cut = taught_by_drags(frame, views[0]) if views else None
-            seen = next((one for one in self._objects(stored, frame) if one.image_box == image_box), None)
-            if cut is None or cut.points is None or seen is None:
-                return []
-            config = frame_config(self.project, frame, detector, BoxKind.BOX)
-            view = detector if config.box_kind is BoxKind.BOX else None
-            cloud = frame.cloud.select(cut.points)
-            before, after = self._others(stored, image_box.label)
-            return whole_boxes(seen, cloud, before, after, view, config)
+        views = [one for one in self._drawn(stored.id) if _image_box(one) == image_box]
+        cut = taught_by_drags(frame, views[0]) if views else None
+        seen = next((one for one in self._objects(stored, frame) if one.image_box == image_box), None)
+        if cut is None or cut.points is None or seen is None:
+            return []
+        config = frame_config(self.project, frame, detector, BoxKind.BOX)
+        view = detector if config.box_kind is BoxKind.BOX else None
+        cloud = frame.cloud.select(cut.points)
+        before, after = self._others(stored, image_box.label)
+        return whole_boxes(seen, cloud, before, after, view, config)
 
     def _others(self, stored: StoredFrame, label: str) -> tuple[Iterator[list[SeenObject]], Iterator[list[SeenObject]]]:
         """The drawn objects of a class in the frames before and after, the nearest first, read one by one."""
@@ -76,15 +75,17 @@ class WholeBoxes:
         key = stored.id, rotation, tuple(view.event_id for views in drawn for view in views)
         if not drawn:
             return []
-        if key not in self._seen:
-            try:
-                self._seen[key] = self._read(self._frames.read(stored) if frame is None else frame, drawn)
-            except FrameError:
-                return []  # another frame; the operator sees the problem when it is opened
-            while len(self._seen) > MOST_FRAMES:
-                self._seen.popitem(last=False)
-        self._seen.move_to_end(key)
-        return self._seen[key]
+        # one frame at a time: reading takes 0.1 s, and recordings need not be thread-safe
+        with self._lock:
+            if key not in self._seen:
+                try:
+                    self._seen[key] = self._read(self._frames.read(stored) if frame is None else frame, drawn)
+                except FrameError:
+                    return []  # another frame; the operator sees the problem when it is opened
+                while len(self._seen) > MOST_FRAMES:
+                    self._seen.popitem(last=False)
+            self._seen.move_to_end(key)
+            return self._seen[key]
 
     def _read(self, frame: Frame, drawn: Sequence[tuple[ViewBoxes, ...]]) -> list[SeenObject]:
         up = held_direction(frame.up, frame_config(self.project, frame))

@@ -19,7 +19,6 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-import knowing_jobs
 import pytest
 from browser_page import sign_in
 from drawing import Scene
@@ -220,13 +219,6 @@ def teach(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         bench.page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
 
     return taught
-
-
-@pytest.fixture
-def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Worker processes can import `knowing_jobs`."""
-    paths = [str(Path(knowing_jobs.__file__).parent), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
 def _shared(shop: Shop, browser: Browser, request: pytest.FixtureRequest, with_3d: bool) -> Iterator[Page]:

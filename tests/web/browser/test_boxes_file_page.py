@@ -8,12 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from browser_page import refuse, until
 from coco_sample import coco
 
 from annotator.detection import base_detector
 from annotator.detection.base_detector import TITLE
-from annotator.types import ReviewState
+from annotator.project import WriteContext
+from annotator.project.event_types import ImageBoxesSet
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, ReviewState
 from annotator.web.jobs.records import WORK
+from annotator.workflows.add_recordings import register_recording
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
@@ -55,6 +60,7 @@ def test_a_coco_file_becomes_proposals(
         expect(dialog).to_contain_text("Choose a file with 2D boxes first")
         start.get_by_test_id("boxes-file").set_input_files(tmp_path / "boxes.json")
         expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{people + 1} boxes on 2 images")
+        expect(start.get_by_test_id("boxes-replaced")).to_have_count(0)
         expect(dialog).to_contain_text("Left out: 1 image without a frame of the same name, such as elsewhere.jpg")
         # a class of the same name in other letters is offered; another one is left out, or added
         expect(start.get_by_test_id("boxes-class-Person")).to_have_value("person")
@@ -102,8 +108,48 @@ def test_bad_files_say_why_and_a_class_can_be_added(start: Page, live: Live, gen
     start.get_by_test_id("dialog-import").click()
     expect(start.get_by_test_id("boxes-dialog")).to_contain_text("All classes are left out")
     start.get_by_test_id("boxes-class-dog").select_option(label="add the class dog")
+    # a class that an earlier try has added is not added again
+    refuse(start, "projects/room/jobs")
+    start.get_by_test_id("dialog-import").click()
+    expect(start.get_by_test_id("boxes-dialog").get_by_role("alert")).not_to_be_empty()
+    until(start, lambda: project.config.classes == ("person", "dog"))
+    start.unroute("**/projects/room/jobs")
     start.get_by_test_id("dialog-import").click()
     expect(start.get_by_test_id("job-boxes-text")).to_contain_text("1 2D boxes on 2 images imported")
     assert project.config.classes == ("person", "dog")
     assert sum(len(boxes.boxes) for boxes in project.boxes.on_images()) == 1
     expect(start.get_by_test_id("lift")).to_contain_text("1 frame has 2D boxes on the image, but no 3D boxes")
+
+
+def test_a_file_that_is_still_read(start: Page, live: Live, generated: Path, tmp_path: Path) -> None:
+    project, waiting = live.context.project("room"), []
+    register_recording(project, open_recording(generated / "hands"))
+    first = project.recordings.all()[0]
+    frame = project.frames.of([first.id])[0]
+    drawn = ImageBoxesSet(boxes=(Box2D("person", 1.0, 2.0, 30.0, 40.0),), box_kind=BoxKind.SILHOUETTE)
+    project.log.append(frame.id, [drawn], WriteContext(frame.revision, "Bob"))
+    (tmp_path / "boxes.json").write_text(json.dumps(coco(generated, "person")))
+    start.goto("/#/room/train")
+    start.get_by_test_id("import-boxes").click()
+    dialog, found = start.get_by_test_id("boxes-dialog"), start.get_by_test_id("boxes-found")
+    start.route("**/boxes-files?name=*", lambda route: waiting.append(route))
+    start.get_by_test_id("boxes-file").set_input_files(tmp_path / "boxes.json")
+    until(start, lambda: waiting)
+    start.get_by_test_id("dialog-import").click()
+    expect(dialog).to_contain_text("The file was still being read")
+    # another recording, chosen before the answer
+    start.get_by_test_id("boxes-recording").select_option(label=first.name)
+    waiting[0].continue_()
+    expect(found).to_contain_text("on 2 images")
+    expect(dialog).not_to_contain_text("could be of several recordings")
+    expect(start.get_by_test_id("boxes-replaced")).to_contain_text("replaces the boxes drawn on 1 image.")
+    # a look that fails leaves nothing to import
+    refuse(start, f"boxes-files/*?recording={first.id}")
+    start.get_by_test_id("boxes-recording").select_option(label="any recording")
+    expect(dialog).to_contain_text("could be of several recordings")
+    start.get_by_test_id("boxes-recording").select_option(label=first.name)
+    expect(found).to_have_count(0)
+    expect(start.get_by_test_id("boxes-about").get_by_role("alert")).not_to_be_empty()
+    start.get_by_test_id("dialog-import").click()
+    expect(dialog).to_contain_text("Choose a file with 2D boxes first")
+    assert len(project.boxes.on_images()) == 1

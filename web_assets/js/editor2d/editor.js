@@ -211,7 +211,7 @@ export function createEditor(host, options = {}) {
       return true;
     }
     if (event.key === "Delete" || event.key === "Backspace") return editor.deleteSelected();
-    if (event.key === "Enter") return options.onEnter ? options.onEnter() : editor.acceptSuggestion();
+    if (event.key === "Enter") return options.onEnter ? options.onEnter(event) : editor.acceptSuggestion();
     const arrow = ARROWS[event.key];
     if (!arrow || event.ctrlKey || event.metaKey || isReadonly || !boxes[selected] || boxes[selected].readonly)
       return false;

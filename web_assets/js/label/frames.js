@@ -13,11 +13,12 @@ const BUSY_WAIT_MS = 300;
 /**
  * @param {ModeApp} app
  * @param {Work} work
- * @param {{ order: Order, saver: Saver, suggester: Suggester, prefetch: Prefetch, objects: Objects, editors: Editor[],
- *     image: Editor, imageHost: HTMLElement, page: HTMLElement, hint: HTMLElement, show: () => void }} parts
+ * @param {{ order: Order, saver: Saver, suggester: Suggester, whole: WholeBoxes, prefetch: Prefetch, objects: Objects,
+ *     editors: Editor[], image: Editor, imageHost: HTMLElement, page: HTMLElement, hint: HTMLElement,
+ *     show: () => void }} parts
  */
 export function createFrames(app, work, parts) {
-  const { order, saver, suggester, prefetch, objects, editors, image, imageHost, page, hint, show } = parts;
+  const { order, saver, suggester, whole, prefetch, objects, editors, image, imageHost, page, hint, show } = parts;
 
   let isFirst = true;
   /**
@@ -167,6 +168,8 @@ export function createFrames(app, work, parts) {
     if (!work.draft) return;
     work.draft.item.uid = work.items[index].uid;
     work.items[index] = work.draft.item;
+    // the confirmation of its whole box may have been undone
+    void whole.follow(work.draft);
   }
 
   /** @param {FrameState} state */

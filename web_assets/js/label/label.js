@@ -127,6 +127,7 @@ export function mount(root, app) {
     order,
     saver,
     suggester,
+    whole,
     prefetch,
     objects,
     editors,
@@ -215,9 +216,14 @@ export function mount(root, app) {
     if (app.state.frame) saver.save(finality(!work.isReadonly));
   }
 
-  /** Accepts the object's suggestions, its whole box, or else the next suggestion on the image; false if none. */
-  function acceptNext() {
-    return objects.acceptAll() || whole.confirm() || image.acceptSuggestion();
+  /**
+   * Accepts the object's suggestions, its whole box, or else the next suggestion on the image; false if none. A key
+   * that is held down accepts only once.
+   *
+   * @param {KeyboardEvent} [event]
+   */
+  function acceptNext(event) {
+    return event?.repeat || objects.acceptAll() || whole.confirm() || image.acceptSuggestion();
   }
 
   function cancel() {

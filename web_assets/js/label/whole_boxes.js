@@ -6,6 +6,9 @@
 import { isAborted } from "../errors.js";
 import { plainBox } from "./items.js";
 
+/** Enter confirms a box only after this time on the screen: before it, the key was meant for something else. */
+const SEEN_MS = 300;
+
 /**
  * @param {ModeApp} app
  * @param {Work} work
@@ -39,7 +42,7 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
     request = own;
     try {
       await saver.idle();
-      if (own.signal.aborted || draft.whole || !seenLabel(draft)) return;
+      if (own.signal.aborted || draft.whole?.changes === draft.changes || !seenLabel(draft)) return;
       const { changes } = draft;
       const path = app.path("frames", draft.frame, "label", "whole");
       /** @type {Api.WholeOut} */
@@ -49,7 +52,7 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
         { signal: own.signal },
       );
       if (own.signal.aborted || draft.changes !== changes) return;
-      draft.whole = { boxes, shown: 0, changes };
+      draft.whole = { boxes, shown: 0, changes, since: performance.now() };
       onOffered();
     } catch (error) {
       // the object is labelled without it
@@ -82,12 +85,12 @@ export function createWholeBoxes(app, work, { saver, onOffered }) {
     return true;
   }
 
-  /** Confirms the offered box; false if there is none. */
+  /** Confirms the offered box; false if there is none, or not long enough to be seen. */
   function confirm() {
     const { draft } = work;
     const whole = offered();
     const label = draft && seenLabel(draft);
-    if (!draft || !whole || !label) return false;
+    if (!draft?.whole || !whole || !label || performance.now() - draft.whole.since < SEEN_MS) return false;
     app.effort.action();
     draft.whole = null;
     const { uid, label: name, track_id } = label;

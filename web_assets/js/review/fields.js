@@ -290,7 +290,7 @@ function describe(label) {
   const wide = [];
   if (measured) wide.push(["Measured by", measured]);
   if (suggestion)
-    wide.push(["Suggested by", `${suggestion.detector}${suggestion.corrected ? " (corrected since)" : ""}`]);
+    wide.push(["Suggested by", `${suggestion.detector}${suggestion.corrected ? " (partly drawn or corrected)" : ""}`]);
   return [...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who))), ...facts];
 }
 

@@ -29,7 +29,14 @@ export async function importBoxes(app, name) {
   const project = await app.api.get(projectPath(name));
   /** @type {Api.BoxesFile | null} */
   let sent = null;
+  /**
+   * The answer to the file that was sent last.
+   *
+   * @type {Promise<Api.BoxesFile | null>}
+   */
+  let upload = Promise.resolve(null);
   let asked = 0;
+  let isReading = false;
   /** @type {Map<string, HTMLSelectElement>} */
   const choices = new Map();
 
@@ -38,11 +45,14 @@ export async function importBoxes(app, name) {
     accept: ".json,.zip",
     autofocus: true,
     "data-testid": "boxes-file",
-    onchange: () => void show(send),
+    onchange() {
+      upload = send();
+      void show();
+    },
   });
   const recording = h(
     "select",
-    { "data-testid": "boxes-recording", onchange: () => void show(look) },
+    { "data-testid": "boxes-recording", onchange: () => void show() },
     h("option", { value: "" }, "any recording"),
     project.recordings.map((one) => h("option", { value: String(one.id) }, one.name)),
   );
@@ -63,25 +73,26 @@ export async function importBoxes(app, name) {
 
   async function send() {
     const [chosen] = file.files ?? [];
-    sent = null;
     if (!chosen) return null;
     if (chosen.size > MOST_BYTES) throw new Error("The file has more than 64 MiB. Use `annotator import` instead.");
     return app.api.upload(`${projectPath(name, "boxes-files")}?name=${encodeURIComponent(chosen.name)}`, chosen);
   }
 
+  /** The file, matched with the chosen recording. */
   async function look() {
-    if (!sent) return null;
-    const which = recording.value ? `?recording=${recording.value}` : "";
-    return app.api.get(projectPath(name, "boxes-files", sent.id) + which);
+    const found = await upload;
+    if (!found || !recording.value) return found;
+    return app.api.get(`${projectPath(name, "boxes-files", found.id)}?recording=${recording.value}`);
   }
 
-  /** @param {() => Promise<Api.BoxesFile | null>} read */
-  async function show(read) {
+  async function show() {
     asked += 1;
     const own = asked;
+    sent = null;
+    isReading = true;
     about.replaceChildren("Reading …");
     try {
-      const answer = await read();
+      const answer = await look();
       if (own !== asked) return;
       sent = answer;
       about.replaceChildren(...(sent ? described(sent) : []));
@@ -89,6 +100,7 @@ export async function importBoxes(app, name) {
       if (own !== asked) return;
       about.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
     }
+    isReading = false;
     showClasses();
   }
 
@@ -121,7 +133,21 @@ export async function importBoxes(app, name) {
     );
   }
 
+  /**
+   * Adds the classes that the project lacks by now: an earlier try may have added some.
+   *
+   * @param {string[]} labels
+   */
+  async function addClasses(labels) {
+    if (!labels.length) return;
+    /** @type {Api.ProjectInfo} */
+    const present = await app.api.get(projectPath(name));
+    const added = labels.filter((label) => !present.classes.includes(label));
+    if (added.length) await app.api.patch(projectPath(name), { classes: [...present.classes, ...added] });
+  }
+
   async function start() {
+    if (isReading) throw new Error("The file was still being read. Check what it has, then import it.");
     if (!sent) throw new Error("Choose a file with 2D boxes first.");
     if (sent.ambiguous) throw new Error("Choose the recording of the images: several have frames of these names.");
     const labels = Object.keys(sent.boxes);
@@ -130,9 +156,7 @@ export async function importBoxes(app, name) {
       return value === LEAVE_OUT ? [] : [{ label, to: value === ADD ? label : value, isNew: value === ADD }];
     });
     if (labels.length && !chosen.length) throw new Error("All classes are left out. Choose one of the project's.");
-    const added = chosen.filter(({ isNew }) => isNew).map(({ label }) => label);
-    if (added.length) await app.api.patch(projectPath(name), { classes: [...project.classes, ...added] });
-    project.classes.push(...added);
+    await addClasses(chosen.filter(({ isNew }) => isNew).map(({ label }) => label));
     /** @type {Api.Job} */
     const job = await app.api.post(projectPath(name, "jobs"), {
       kind: "boxes",
@@ -191,7 +215,7 @@ export async function importBoxes(app, name) {
  *
  * @param {Api.BoxesFile} file
  */
-function described({ name, images, unmatched, unmatched_names, ambiguous, boxes }) {
+function described({ name, images, unmatched, unmatched_names, ambiguous, boxes, replaced, renamed, taken_for }) {
   const total = Object.values(boxes).reduce((sum, number) => sum + number, 0);
   const lines = [
     h(
@@ -200,6 +224,14 @@ function described({ name, images, unmatched, unmatched_names, ambiguous, boxes 
       `${name}: ${count(total, "box", "boxes")} on ${count(images - unmatched, "image")} of this project's frames.`,
     ),
   ];
+  if (replaced) {
+    const text = `The import replaces the boxes drawn on ${count(replaced, "image")}.`;
+    lines.push(h("p", { "data-testid": "boxes-replaced" }, text));
+  }
+  if (renamed) {
+    const text = `The file names a recording ${renamed}, taken for ${taken_for.join(", ")}.`;
+    lines.push(h("p", { "data-testid": "boxes-renamed" }, text));
+  }
   if (unmatched) {
     const names = unmatched_names.join(", ");
     const left = `Left out: ${count(unmatched, "image")} without a frame of the same name, such as ${names}.`;

@@ -5,9 +5,9 @@
 
 import { isActive } from "../jobs.js";
 
-/** Reading boxes takes between a moment and minutes, so the interval between requests grows. */
 /** @type {Api.Job["kind"][]} */
 const KINDS = ["import", "boxes"];
+/** Reading boxes takes between a moment and minutes, so the interval between requests grows. */
 const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
 
 /** @param {Api.Job} job */
