@@ -1,7 +1,7 @@
 """3D boxes of objects whose class was never seen, or of which a few were taught, from 2D boxes on the image.
 
     python -m benchmarks.cold_start DIR [--taught 0 1 5 20] [--upright | --free] [--image-box projected|label]
-        [--minutes 3 | --epochs N] [--seed N] [--json]
+        [--minutes 3 | --epochs N | --untrained] [--no-sizes] [--seed N] [--json]
 
 With `--taught 0` alone, the base detector is tried on all frames. Otherwise the first half of the recording teaches and
 the second half is tried, the same for every number. For each number of taught objects of each class, a project with
@@ -79,6 +79,8 @@ class Arguments:
     """Share of generated views in each training."""
     pasted: float = SampleConfig().pasted
     """Share of views of pasted objects among those of the project."""
+    untrained: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Train nothing: taught objects only give the typical sizes of their classes to the base detector."""
     min_points: int = 20
     """Objects with fewer points are skipped."""
     every: int = 1
@@ -282,6 +284,11 @@ def after(
 ) -> tuple[dict[str, list[float]], float]:
     """The IoU of each object of the taught classes by class, and the seconds of training."""
     with taught_project(recording, chosen, args) as project:
+        if args.untrained:
+            base = BaseDetector.load(args.base, args.backend, args.upright, args.free)
+            config = rcv_config(project, view_px=base.size_px).for_detector(BoxKind.BOX, True)
+            ious = tried(recording, indices, base.detector, config, args)
+            return {label: ious[label] for label in chosen}, 0.0
         plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
         plan = replace(
             plan,

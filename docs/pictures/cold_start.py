@@ -82,7 +82,17 @@ def measure(recording: Path, options: tuple[str, ...], taught: tuple[int, ...], 
     if out.exists():
         return
     numbers = [str(number) for number in taught]
-    command = [sys.executable, "-m", "benchmarks.cold_start", str(recording.resolve()), *options, "--taught", *numbers]
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.cold_start",
+        str(recording.resolve()),
+        *options,
+        "--minutes",
+        "1.5",
+        "--taught",
+        *numbers,
+    ]
     ran = subprocess.run([*command, "--json"], cwd=ROOT, stdout=subprocess.PIPE, check=True)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(out, ran.stdout.splitlines()[-1] + b"\n")
