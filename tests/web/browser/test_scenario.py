@@ -125,13 +125,14 @@ class Operator:
         self.page.get_by_test_id("curves-losses").locator(".plot-container").wait_for(timeout=TRAINED_WITHIN_MS)
         self.page.get_by_test_id("curves-quality").locator(".main-svg").first.wait_for(timeout=TRAINED_WITHIN_MS)
         self.finish_job("train")
-        expect(self.page.locator('[data-testid="model-row"][data-active="true"]')).to_have_count(2)
+        # with so few objects on held-out frames, the base detector stays in place of the new view detector
+        expect(self.page.locator('[data-testid="model-row"][data-active="true"]')).to_have_count(1)
         expect(self.page.get_by_test_id("material-image")).not_to_contain_text("nothing yet")
 
     def propose_with_trained_detectors(self) -> None:
         """Checks that the trained detectors run; they are not expected to find anything."""
         models = self.live.client.get("/api/projects/crowd/models").json()["models"]
-        assert [(model["role"], model["active"]) for model in models] == [("image", True), ("view", True)]
+        assert [(model["role"], model["active"]) for model in models] == [("image", True), ("view", False)]
         for model in models:
             assert model["boxes"] > 0
             assert model["curves"][0]["epoch"] == 1
