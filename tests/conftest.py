@@ -60,7 +60,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _without_base_detector(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Tests give the same result whether or not this checkout has the weights of the base detector."""
+    """In the process of the tests, the package has no base detector. Jobs of a server and commands have it."""
     from annotator.detection import base_detector
 
     with pytest.MonkeyPatch.context() as patch:

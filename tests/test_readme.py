@@ -95,10 +95,7 @@ def as_run(command: str, shared: Path) -> list[str] | None:
 
 
 def page_commands(page: Path) -> list[str]:
-    text = page.read_text(encoding="utf-8")
-    if not text.strip():
-        pytest.skip(f"{page.name} is empty")
-    return commands(text)
+    return commands(page.read_text(encoding="utf-8"))
 
 
 TEXT = """
@@ -153,7 +150,6 @@ def test_all_replacements_are_used() -> None:
 
 
 def test_the_readme_mentions_every_command() -> None:
-    page_commands(README)
     text = README.read_text(encoding="utf-8")
     missing = [name for name in COMMANDS if not re.search(rf"(`|^)annotator {name}\b", text, re.MULTILINE)]
     assert not missing, f"README.md does not mention: {', '.join(missing)}"

@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.rcv.config import Orientation, RcvConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose, propose_from_boxes
+from annotator.rcv.typical_size.sizes import TypicalSize
 from annotator.rcv.warm_start import WarmStart
 from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, Truth
 
@@ -23,26 +24,36 @@ BOX = OrientedBox.from_parts(np.array([0.05, 0.0, 1.5]), np.eye(3), np.array([0.
 
 
 def warm_up() -> list[FrameProposals]:
-    """Proposes boxes on a synthetic frame with a perfect detector: free and upright, without and with a warm start."""
+    """Proposes boxes on a synthetic frame with perfect detectors.
+
+    Free and upright, without and with a warm start; then with a class-agnostic detector, as the base detector is.
+    """
     frame = _frame()
     detector = PerfectDetector.for_frame(frame, [Truth("thing", BOX)])
+    agnostic = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], BOX)])
     configs = [RcvConfig(orientation=orientation) for orientation in (Orientation.FREE, Orientation.UPRIGHT)]
     seeds: tuple[list[WarmStart], ...] = ([], [WarmStart("thing", BOX)])
-    return [
+    of_class = [
         proposals
         for config in configs
         for frame_seeds in seeds
         for proposals in propose([frame], detector, detector, config, [frame_seeds])
     ]
+    return of_class + warm_up_with(agnostic, BoxKind.BOX, class_agnostic=True)
 
 
 def warm_up_with(detector: Detector, kind: BoxKind, class_agnostic: bool) -> list[FrameProposals]:
-    """Proposes boxes on the synthetic frame with a view detector, whose first calls are slow."""
+    """Proposes boxes on the synthetic frame with a view detector, whose first calls are slow.
+
+    A class-agnostic one measures an object without and with a typical size.
+    """
     frame = _frame()
     on_image = Box2D(detector.labels[0], 52.0, 38.0, 118.0, 82.0)
+    typical = TypicalSize(label=on_image.label, size_m=(0.4, 0.3, 0.2), spread=(0.1, 0.1, 0.1))
     configs = [
-        RcvConfig(orientation=orientation).for_detector(kind, class_agnostic)
+        RcvConfig(orientation=orientation, typical_sizes=sizes).for_detector(kind, class_agnostic)
         for orientation in (Orientation.FREE, Orientation.UPRIGHT)
+        for sizes in ([(), (typical,)] if class_agnostic else [()])
     ]
     return [
         proposals for config in configs for proposals in propose_from_boxes([frame], [[on_image]], detector, config)

@@ -7,9 +7,10 @@ The best candidates are then moved, turned and resized at random, in two rounds.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import qmc
 
 from annotator.geometry.iou import iou_3d
 from annotator.rcv.rotation_search import free_grid, rotation_matrices, yaw_grid
@@ -95,9 +96,16 @@ def _grid(evidence: Evidence) -> Candidates:
 
 def _samples(evidence: Evidence, count: int) -> Float64[np.ndarray, "k 3"]:
     """The typical sides, and evenly spread samples around them, metres."""
-    spread = qmc.MultivariateNormalQMC(np.zeros(3), rng=0).random(8)[: count - 1]
-    offsets = np.concatenate([np.zeros((1, 3)), spread * np.array(evidence.typical.spread)])
+    offsets = np.concatenate([np.zeros((1, 3)), _spread_normals()[: count - 1] * np.array(evidence.typical.spread)])
     return np.asarray(np.array(evidence.typical.size_m) * np.exp(offsets))
+
+
+@lru_cache(maxsize=1)
+def _spread_normals() -> Float64[np.ndarray, "8 3"]:
+    """Evenly spread samples of a standard normal distribution."""
+    from scipy.stats import qmc  # takes a third of a second, and most commands place nothing
+
+    return np.asarray(qmc.MultivariateNormalQMC(np.zeros(3), rng=0).random(8))
 
 
 def _centred(evidence: Evidence, boxes: Candidates) -> Candidates:

@@ -119,6 +119,18 @@ def page(open_page: Callable[..., Page]) -> Page:
     return open_page()
 
 
+@pytest.fixture
+def start(open_page: Callable[..., Page]) -> Page:
+    """The start page without the 3D view; Grace has signed in through its dialog."""
+    page = open_page()
+    page.add_init_script(NO_WEBGL)
+    page.goto("/")
+    page.get_by_test_id("operator-name").fill("Grace")
+    page.keyboard.press("Enter")
+    page.get_by_test_id("operator").get_by_text("Grace", exact=True).wait_for()
+    return page
+
+
 @dataclass(eq=False)
 class Shop:
     """The server of a test file, and its pages, keyed by whether they have the 3D view."""

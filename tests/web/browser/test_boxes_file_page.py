@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,20 +24,6 @@ expect = pytest.importorskip("playwright.sync_api").expect
 if TYPE_CHECKING:
     from live_server import Live
     from playwright.sync_api import Page
-
-NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
-
-
-@pytest.fixture
-def start(open_page: Callable[..., Page]) -> Page:
-    """The start page; Grace is signed in."""
-    page = open_page()
-    page.add_init_script(NO_WEBGL)
-    page.goto("/")
-    page.get_by_test_id("operator-name").fill("Grace")
-    page.keyboard.press("Enter")
-    expect(page.get_by_test_id("operator")).to_have_text("Grace")
-    return page
 
 
 @pytest.mark.usefixtures("jobs_on_path")

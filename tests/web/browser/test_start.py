@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,20 +13,6 @@ expect = pytest.importorskip("playwright.sync_api").expect
 if TYPE_CHECKING:
     from live_server import Live
     from playwright.sync_api import Page
-
-NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
-
-
-@pytest.fixture
-def start(open_page: Callable[..., Page]) -> Page:
-    """The start page, signed in through its dialog."""
-    page = open_page()
-    page.add_init_script(NO_WEBGL)
-    page.goto("/")
-    page.get_by_test_id("operator-name").fill("Grace")
-    page.keyboard.press("Enter")
-    expect(page.get_by_test_id("operator")).to_have_text("Grace")
-    return page
 
 
 def test_a_new_project_can_be_created_filled_and_opened(start: Page, live: Live) -> None:
