@@ -1,0 +1,163 @@
+"""Pictures from messages: `Image`, `CompressedImage`, and the forms of Foxglove.
+
+Encodings: `sensor_msgs/image_encodings.hpp`; `compressedDepth`: `compressed_depth_image_transport` (a header of twelve
+bytes, then PNG; floats are quantised inverse depths).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from annotator.image_bytes import MOST_PIXELS, decode_image
+from annotator.recordings.ros.decode import byte_array
+
+# bytes per value and channels of the encodings without colour conversion
+PLAIN: dict[str, tuple[str, int]] = {
+    "rgb8": ("u1", 3), "bgr8": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4), "mono8": ("u1", 1),
+    "8UC1": ("u1", 1), "8UC3": ("u1", 3), "8UC4": ("u1", 4), "mono16": ("u2", 1), "16UC1": ("u2", 1),
+    "rgb16": ("u2", 3), "bgr16": ("u2", 3), "32FC1": ("f4", 1),
+}  # fmt: skip
+# OpenCV names a Bayer pattern by its second row, ROS by its first.
+BAYER = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
+YUV422 = {"yuv422": "UYVY", "uyvy": "UYVY", "yuv422_uyvy": "UYVY", "yuv422_yuy2": "YUY2", "yuyv": "YUY2", "yuy2": "YUY2"}
+DEPTH_ENCODINGS = ("16UC1", "32FC1", "mono16")
+MILLIMETRE = 0.001
+COMPRESSED_DEPTH = "compressedDepth"
+DEPTH_HEAD = struct.Struct("<iff")
+PNG = b"\x89PNG"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What an image message says about itself.
+
+    Attributes:
+        encoding: of its pixels; for compressed ones as the format names it ("" if it does not).
+        width_px, height_px: 0 if only the compressed bytes know it.
+        is_depth: the pixels are depths.
+    """
+
+    encoding: str
+    width_px: int
+    height_px: int
+    is_depth: bool
+
+
+def describe(content: Any, topic: str) -> Picture:
+    """Describes an image message; 16-bit grey is depth if its topic says so."""
+    if not hasattr(content, "encoding"):
+        encoding = str(content.format).partition(";")[0].strip()
+        return Picture(encoding, 0, 0, COMPRESSED_DEPTH in str(content.format) or encoding in DEPTH_ENCODINGS[:2])
+    encoding, name = str(content.encoding), topic.lower()
+    is_depth = encoding == "32FC1" or (encoding == "16UC1" and "infra" not in name and "/ir" not in name)
+    is_depth = is_depth or (encoding == "mono16" and "depth" in name)
+    return Picture(encoding, int(content.width), int(content.height), is_depth)
+
+
+def color_image(content: Any) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the picture of an image message, RGB order; 16-bit grey is stretched to 8 bits.
+
+    Raises:
+        ValueError: it is damaged, contradicts itself, or has an unknown encoding.
+    """
+    import cv2
+
+    if not hasattr(content, "encoding"):
+        bgr = decode_image(byte_array(content.data).tobytes(), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        return np.ascontiguousarray(bgr[:, :, ::-1])
+    encoding = str(content.encoding)
+    if encoding.startswith("bayer_"):
+        depth = "u2" if encoding.endswith("16") else "u1"
+        pattern = BAYER.get(encoding[6:10])
+        if pattern is None:
+            raise ValueError(f"has the unknown encoding {encoding!r}")
+        values = _eight_bits(_values(content, depth, 1)[:, :, 0])
+        return np.asarray(cv2.cvtColor(values, getattr(cv2, f"COLOR_Bayer{pattern}2RGB")))
+    if encoding.lower() in YUV422:
+        values = np.ascontiguousarray(_values(content, "u1", 2))
+        return np.asarray(cv2.cvtColor(values, getattr(cv2, f"COLOR_YUV2RGB_{YUV422[encoding.lower()]}")))
+    if encoding not in PLAIN or encoding == "32FC1":
+        known = ", ".join([*PLAIN, *(f"bayer_{pattern}8" for pattern in BAYER), *YUV422])
+        raise ValueError(f"has the encoding {encoding!r}, which is not a picture's; known are {known}")
+    values = _values(content, *PLAIN[encoding])
+    values = _stretched(values) if encoding in ("mono16", "16UC1") else _eight_bits(values)
+    if values.shape[2] == 1:
+        values = np.repeat(values, 3, axis=2)
+    is_bgr = encoding.startswith(("bgr", "8UC"))
+    return np.ascontiguousarray(values[:, :, 2::-1] if is_bgr else values[:, :, :3])
+
+
+def depth_image(content: Any, unit_m: float = MILLIMETRE) -> Float32[np.ndarray, "h w"]:
+    """Returns the depths of an image message, metres; 0 = none.
+
+    Args:
+        unit_m: metres of one unit of whole numbers.
+
+    Raises:
+        ValueError: it is damaged, contradicts itself, or is not depth.
+    """
+    if hasattr(content, "encoding"):
+        encoding = str(content.encoding)
+        if encoding not in DEPTH_ENCODINGS:
+            raise ValueError(f"has the encoding {encoding!r}, which is not depth (16UC1, mono16 or 32FC1)")
+        values = _values(content, *PLAIN[encoding])[:, :, 0]
+    else:
+        values = _compressed_depth(str(content.format), byte_array(content.data).tobytes())
+    if values.dtype.kind == "f":
+        return np.where(np.isfinite(values) & (values > 0), values, 0).astype(np.float32)
+    return values.astype(np.float32) * np.float32(unit_m)
+
+
+def _compressed_depth(form: str, data: bytes) -> np.ndarray:
+    import cv2
+
+    start = 0
+    if COMPRESSED_DEPTH in form:
+        start = DEPTH_HEAD.size
+        if "rvl" in form:
+            raise ValueError("its depth is compressed as RVL; play the bag with the png transport and record it again")
+        if len(data) < start + len(PNG) or not data[start:].startswith(PNG):
+            raise ValueError("its compressed depth is not PNG")
+    values = decode_image(data[start:], cv2.IMREAD_UNCHANGED)
+    if values.ndim != 2 or values.dtype != np.uint16:
+        raise ValueError("its picture has no 16-bit depths")
+    if not form.startswith("32FC1"):
+        return values
+    _, quantum, offset = DEPTH_HEAD.unpack_from(data)
+    with np.errstate(all="ignore"):
+        inverse = np.float32(quantum) / (values.astype(np.float32) - np.float32(offset))
+    return np.where(values > 0, inverse, np.float32(0))
+
+
+def _values(content: Any, kind: str, channels: int) -> np.ndarray:
+    """Returns the pixels, (h, w, channels), without the padding of the rows."""
+    width, height, step = int(content.width), int(content.height), int(content.step)
+    size = np.dtype(kind).itemsize * channels
+    data = byte_array(content.data)
+    if not 0 < width * height <= MOST_PIXELS:
+        raise ValueError(f"declares {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")
+    step = step or width * size
+    if step < width * size or len(data) < step * (height - 1) + width * size:
+        raise ValueError(
+            f"contradicts itself: {width} x {height} pixels of {content.encoding} in rows of {step} bytes do not fit "
+            f"its {len(data)} bytes"
+        )
+    rows = np.lib.stride_tricks.as_strided(data, (height, width * size), (step, 1), writeable=False)
+    order = ">" if getattr(content, "is_bigendian", 0) else "<"
+    values = np.ascontiguousarray(rows).view(np.dtype(kind).newbyteorder(order))
+    return values.reshape(height, width, channels).astype(np.dtype(kind), copy=False)
+
+
+def _eight_bits(values: np.ndarray) -> np.ndarray:
+    return (values >> 8).astype(np.uint8) if values.dtype == np.uint16 else values
+
+
+def _stretched(values: np.ndarray) -> UInt8[np.ndarray, "h w c"]:
+    """Returns 16-bit grey as 8 bits: from the darkest to the brightest hundredth."""
+    low, high = np.percentile(values, (1, 99))
+    return np.clip((values - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8)

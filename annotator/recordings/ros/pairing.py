@@ -1,0 +1,106 @@
+"""Pairs the images of a bag with its clouds by time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Int64
+
+from annotator.recordings.ros.bag import Topic
+from annotator.recordings.ros.decode import SECOND, quick_stamp_ns
+
+Clock = Literal["header", "log"]
+# Topics whose stamps are further apart than this, measured against the log, have different clocks.
+MOST_APART_NS = SECOND
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Images and their clouds.
+
+    Attributes:
+        image, cloud: (n,) message numbers, sorted by the image's time.
+        time_ns, cloud_time_ns: (n,) their times.
+        notes: what has no partner, and what is wrong with the times.
+    """
+
+    image: Int64[np.ndarray, "n"]
+    cloud: Int64[np.ndarray, "n"]
+    time_ns: Int64[np.ndarray, "n"]
+    cloud_time_ns: Int64[np.ndarray, "n"]
+    notes: tuple[str, ...]
+
+
+def pair(images: Topic, clouds: Topic, tolerance_s: float) -> Pairs:
+    """Pairs each image with a cloud: both are each other's nearest, and within the tolerance.
+
+    Times are those of the messages' headers, unless these are not set or the topics have different clocks.
+    """
+    notes: list[str] = []
+    image_ns, cloud_ns = _times(images, clouds, notes)
+    for topic, times in ((images, image_ns), (clouds, cloud_ns)):
+        backward = int((np.diff(times) < 0).sum())
+        if backward:
+            notes.append(f"the times of {topic.name} run backward {backward} times; its messages are sorted")
+    image, cloud = _mutual_nearest(image_ns, cloud_ns)
+    apart_ns = np.abs(image_ns[image] - cloud_ns[cloud])
+    near = apart_ns <= round(tolerance_s * SECOND)
+    lonely_images, lonely_clouds = len(images) - int(near.sum()), len(clouds) - int(near.sum())
+    if lonely_images:
+        notes.append(
+            f"{lonely_images} of {len(images)} images of {images.name} have no partner of their own in {clouds.name} "
+            f"within {tolerance_s:g} s"
+        )
+    if lonely_clouds:
+        notes.append(f"{lonely_clouds} of {len(clouds)} messages of {clouds.name} have no image of their own")
+    if len(image) and not near.any():
+        notes.append(f"the nearest pair is {apart_ns.min() / SECOND:.3f} s apart; give --tolerance")
+    image, cloud = image[near], cloud[near]
+    order = np.argsort(image_ns[image], kind="stable")
+    image, cloud = image[order], cloud[order]
+    return Pairs(image, cloud, image_ns[image], cloud_ns[cloud], tuple(notes))
+
+
+def stamps_ns(topic: Topic) -> Int64[np.ndarray, "n"]:
+    """Returns the times in the headers of a topic's messages; 0 = not set or damaged."""
+    return np.array([quick_stamp_ns(topic, i) or 0 for i in range(len(topic))], np.int64)
+
+
+def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the times of both topics, by the same clock."""
+    stamps = stamps_ns(images), stamps_ns(clouds)
+    for topic, times in zip((images, clouds), stamps, strict=True):
+        unset = int((times <= 0).sum())
+        if unset:
+            notes.append(f"{unset} messages of {topic.name} have no time in their headers; log times are used")
+            return images.log_ns, clouds.log_ns
+    late = [float(np.median(topic.log_ns - times)) for topic, times in zip((images, clouds), stamps, strict=True)]
+    if abs(late[0] - late[1]) > MOST_APART_NS:
+        notes.append(
+            f"the header times of {images.name} and {clouds.name} are from clocks "
+            f"{abs(late[0] - late[1]) / SECOND:.1f} s apart; log times are used"
+        )
+        return images.log_ns, clouds.log_ns
+    return stamps
+
+
+def _mutual_nearest(a_ns: np.ndarray, b_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the numbers of those that are each other's nearest."""
+    if not len(a_ns) or not len(b_ns):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    to_b, to_a = _nearest(a_ns, b_ns), _nearest(b_ns, a_ns)
+    mutual = np.flatnonzero(to_a[to_b] == np.arange(len(a_ns)))
+    return mutual, to_b[mutual]
+
+
+def _nearest(of_ns: np.ndarray, among_ns: np.ndarray) -> np.ndarray:
+    """Returns for each time the number of the nearest of `among_ns`; the earlier one of two."""
+    order = np.argsort(among_ns, kind="stable")
+    ordered = among_ns[order]
+    after = np.clip(np.searchsorted(ordered, of_ns), 1, max(len(ordered) - 1, 1))
+    if len(ordered) == 1:
+        return np.zeros(len(of_ns), np.int64)
+    is_before = of_ns - ordered[after - 1] <= ordered[after] - of_ns
+    return order[np.where(is_before, after - 1, after)]

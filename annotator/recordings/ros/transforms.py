@@ -1,0 +1,205 @@
+"""The tree of frames that tf messages describe (`tf2_msgs/TFMessage`, `foxglove.FrameTransform`).
+
+A link is the pose of a frame in its parent; it is interpolated between the messages before and after a time, as tf2
+does. Links of `/tf_static` hold at all times. Only messages near a time are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.recordings.plausible import are_plausible
+from annotator.recordings.ros.bag import Bag, Topic
+from annotator.recordings.ros.decode import SECOND, message, stamp_ns
+
+TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage", "foxglove/FrameTransform", "foxglove/FrameTransforms")
+STATIC = "static"
+# Messages within these distances of a time are read, the next larger one if the first does not suffice.
+WINDOWS_NS = (SECOND // 10, SECOND, 10 * SECOND)
+# A link that was last known this long ago is taken as it was.
+LONGEST_GAP_NS = SECOND // 10
+MOST_MESSAGES = 50_000
+
+
+class LinkMissingError(Exception):
+    """No chain of links leads from one frame to another at a time; the message names the gap."""
+
+
+@dataclass(eq=False)
+class Links:
+    """The links known around a time.
+
+    Attributes:
+        parents: child -> parent.
+        poses: child -> poses in its parent by time; a static link has the time None.
+    """
+
+    parents: dict[str, str] = field(default_factory=dict)
+    poses: dict[str, dict[int | None, tuple[np.ndarray, np.ndarray]]] = field(default_factory=dict)
+
+    def add(self, parent: str, child: str, time_ns: int | None, place_m: np.ndarray, quaternion: np.ndarray) -> None:
+        """Adds a pose; damaged ones are left out."""
+        length = float(np.linalg.norm(quaternion))
+        if not (are_plausible(place_m) and abs(length - 1) < 0.1) or parent == child:
+            return
+        if self.parents.get(child, parent) != parent:
+            # a frame with another parent now: its former poses do not hold
+            self.poses.pop(child, None)
+        self.parents[child] = parent
+        poses = self.poses.setdefault(child, {})
+        if None not in poses:
+            poses[time_ns] = (place_m, quaternion)
+
+    def transform(self, target: str, source: str, time_ns: int) -> RigidTransform:
+        """Returns `T_target_source` at a time.
+
+        Raises:
+            LinkMissingError: there is no such chain, or a link of it is not known at that time.
+        """
+        if target == source:
+            return RigidTransform.identity()
+        above_source, above_target = list(self._ancestors(source)), list(self._ancestors(target))
+        common = next((name for name in above_source if name in above_target), None)
+        if common is None:
+            raise LinkMissingError(self._gap(target, source, above_target[-1], above_source[-1]))
+        T_common_source = self._chain(above_source[: above_source.index(common)], time_ns)
+        T_common_target = self._chain(above_target[: above_target.index(common)], time_ns)
+        return T_common_target.inv() * T_common_source
+
+    def has(self, *names: str) -> bool:
+        """True if each of these is a known frame."""
+        known = self.parents.keys() | set(self.parents.values())
+        return all(name in known for name in names)
+
+    def _ancestors(self, name: str) -> Iterator[str]:
+        seen: set[str] = set()
+        while name not in seen:
+            yield name
+            seen.add(name)
+            name = self.parents.get(name, name)
+
+    def _chain(self, names: Sequence[str], time_ns: int) -> RigidTransform:
+        """Returns the transform from the first of `names` to the parent of the last."""
+        T = RigidTransform.identity()
+        for name in names:
+            T = self._pose(name, time_ns) * T
+        return T
+
+    def _pose(self, child: str, time_ns: int) -> RigidTransform:
+        poses = self.poses[child]
+        if None in poses:
+            return _rigid(*poses[None])
+        times = sorted(time for time in poses if time is not None)
+        after = int(np.searchsorted(times, time_ns))
+        if after < len(times) and times[after] == time_ns:
+            return _rigid(*poses[times[after]])
+        if 0 < after < len(times):
+            before_ns, after_ns = times[after - 1], times[after]
+            return _between(poses[before_ns], poses[after_ns], (time_ns - before_ns) / (after_ns - before_ns))
+        nearest = times[min(after, len(times) - 1)]
+        if abs(nearest - time_ns) > LONGEST_GAP_NS:
+            gap_s = abs(nearest - time_ns) / SECOND
+            raise LinkMissingError(
+                f"the transform from {child} to {self.parents[child]} is not known at this time; "
+                f"the nearest is {gap_s:.2f} s away"
+            )
+        return _rigid(*poses[nearest])
+
+    def _gap(self, target: str, source: str, top_target: str, top_source: str) -> str:
+        if not self.parents:
+            return f"the transform from {source} to {target} is missing: the bag has no tf"
+        if not self.has(target) or not self.has(source):
+            known = ", ".join(sorted(self.parents.keys() | set(self.parents.values()))[:12])
+            lost = target if not self.has(target) else source
+            return f"the transform from {source} to {target} is missing: tf does not know {lost} (it has {known})"
+        return (
+            f"the transform from {source} to {target} is missing: {source} hangs from {top_source}, "
+            f"{target} from {top_target}, and no link joins these two"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TransformReader:
+    """Reads the links of a bag around a time.
+
+    Attributes:
+        static, moving: topics.
+        fixed: links that hold at all times.
+    """
+
+    static: tuple[Topic, ...]
+    moving: tuple[Topic, ...]
+
+    @staticmethod
+    def of(bag: Bag) -> TransformReader:
+        """Returns the reader of a bag's tf topics."""
+        topics = bag.of_type(*TYPES)
+        static = tuple(topic for topic in topics if STATIC in topic.name)
+        return TransformReader(static, tuple(topic for topic in topics if topic not in static))
+
+    def windows(self, log_ns: int) -> Iterator[Links]:
+        """Yields the links known around a log time, each time with more messages, until all have been read.
+
+        Raises:
+            OSError: a file cannot be read.
+        """
+        read = -1
+        last = max((len(topic) for topic in self.moving), default=0)
+        for window_ns in (*WINDOWS_NS, None):
+            ranges = [
+                range(last if window_ns is None else 0, len(topic)) if window_ns is None
+                else topic.between(log_ns - window_ns, log_ns + window_ns)
+                for topic in self.moving
+            ]  # fmt: skip
+            if window_ns is None:
+                ranges = [range(len(topic)) for topic in self.moving]
+                if sum(map(len, ranges)) > MOST_MESSAGES:
+                    return
+            count = sum(map(len, ranges))
+            if count == read:
+                continue
+            read = count
+            links = Links()
+            for topic, numbers in zip(self.moving, ranges, strict=True):
+                for i in numbers:
+                    _add_message(links, topic, i, is_static=False)
+            for topic in self.static:
+                for i in range(min(len(topic), MOST_MESSAGES)):
+                    _add_message(links, topic, i, is_static=True)
+            yield links
+
+
+def _add_message(links: Links, topic: Topic, i: int, *, is_static: bool) -> None:
+    try:
+        content = message(topic, i)
+    except ValueError:  # a link that is needed is reported as missing
+        return
+    for link in getattr(content, "transforms", None) or [content]:
+        parent, child, time_ns, place, turn = _parts(link)
+        links.add(
+            parent.lstrip("/"), child.lstrip("/"), None if is_static else time_ns,
+            np.array([place.x, place.y, place.z], float), np.array([turn.x, turn.y, turn.z, turn.w], float),
+        )  # fmt: skip
+
+
+def _parts(link: Any) -> tuple[str, str, int, Any, Any]:
+    if hasattr(link, "transform"):
+        inner = link.transform
+        return link.header.frame_id, link.child_frame_id, stamp_ns(link), inner.translation, inner.rotation
+    return link.parent_frame_id, link.child_frame_id, stamp_ns(link), link.translation, link.rotation
+
+
+def _rigid(place_m: np.ndarray, quaternion: np.ndarray) -> RigidTransform:
+    return RigidTransform.from_components(place_m, Rotation.from_quat(quaternion))
+
+
+def _between(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], share: float) -> RigidTransform:
+    """Returns the pose between two: places linearly, rotations along the shortest arc."""
+    start, end = Rotation.from_quat(first[1]), Rotation.from_quat(second[1])
+    turn = start * Rotation.from_rotvec((start.inv() * end).as_rotvec() * share)
+    return RigidTransform.from_components(first[0] + (second[0] - first[0]) * share, turn)
