@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from annotator.cli.options import AsJson
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
-from annotator.types.errors import RecordingError
-from annotator.workflows.inspect import FrameReport, RecordingReport, inspect_recording
+from annotator.types.errors import InputError, RecordingError
+from annotator.workflows.inspect import FrameReport, RecordingReport, TopicReport, bag_topics, inspect_recording
 
 
 def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = False) -> None:
-    """Show what a recording contains: format, frames, camera, points, labels.
+    """Show what a recording contains: format, frames, camera, points, labels; of a bag, its topics.
 
     Args:
         path: file or folder of the recording.
     """
-    report = inspect_recording(path, reading.options())
+    options = reading.options()
+    try:
+        report = inspect_recording(path, options)
+    except InputError:
+        # the topics of a bag among which the error asks to choose
+        if not as_json:
+            print_facts(_topic_rows(bag_topics(path)))
+        raise
     if as_json:
         print_json(report)
     else:
@@ -34,10 +41,18 @@ def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
     yield "frames", f"{report.frames} ({report.first_key} to {report.last_key}), {order}"
     for note in report.notes:
         yield "note", note
+    yield from _topic_rows(report.topics)
     for key, problem in report.broken.items():
         yield f"frame {key}", f"cannot be read: {problem}"
     if report.frame is not None:
         yield from _frame_rows(report.frame)
+
+
+def _topic_rows(topics: Sequence[TopicReport]) -> Iterator[tuple[str, object]]:
+    for topic in topics:
+        rate = "" if topic.rate_hz is None else f", {topic.rate_hz:.3g} Hz"
+        use = f": {topic.use}" if topic.use else ""
+        yield "topic", f"{topic.name} ({topic.type}, {topic.messages} messages{rate}){use}"
 
 
 def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:

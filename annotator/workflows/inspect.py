@@ -7,6 +7,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from annotator.recordings import ReaderOptions, Recording, open_recording
+from annotator.recordings.listing import path_errors
+from annotator.recordings.ros.topics import list_topics
 from annotator.types import Frame
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
@@ -38,6 +40,23 @@ class FrameReport(BaseModel):
     has_mask: bool
 
 
+class TopicReport(BaseModel):
+    """A topic of a bag.
+
+    Attributes:
+        rate_hz: messages per second; None for fewer than two.
+        use: what it is used for; where the choice is not clear, the option that can name it; "" = not used.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
+
+    name: str
+    type: str
+    messages: int
+    rate_hz: float | None
+    use: str
+
+
 class RecordingReport(BaseModel):
     """The content of a recording.
 
@@ -46,6 +65,7 @@ class RecordingReport(BaseModel):
         frame: the first readable frame.
         broken: the errors of the frames before it, by key.
         notes: what the reader says about it.
+        topics: of a bag; empty for other formats.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -61,6 +81,7 @@ class RecordingReport(BaseModel):
     frame: FrameReport | None
     broken: dict[str, str]
     notes: tuple[str, ...]
+    topics: tuple[TopicReport, ...]
 
 
 # If this many frames at the beginning are unreadable, the others are not tried.
@@ -92,7 +113,18 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
         frame=None if frame is None else _report(recording, index, frame),
         broken=broken,
         notes=recording.notes,
+        topics=bag_topics(path, options),
     )
+
+
+def bag_topics(path: Path, options: ReaderOptions = NO_OPTIONS) -> tuple[TopicReport, ...]:
+    """Returns the topics of a bag, for which they need not be chosen yet; none for other formats.
+
+    Raises:
+        RecordingError: the bag cannot be read.
+    """
+    with path_errors(path):
+        return tuple(TopicReport.model_validate(topic) for topic in list_topics(path, options) or ())
 
 
 def _first_frame(recording: Recording) -> tuple[int, Frame | None, dict[str, str]]:

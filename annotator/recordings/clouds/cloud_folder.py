@@ -126,7 +126,7 @@ class CloudFolder(KeyedFrames):
             image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
             rgb = read_rgb(image_path)
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
-            cloud = _seen(source.camera, source.to_camera(raw), rgb)
+            cloud = cloud_in_image(source.camera, source.to_camera(raw), rgb)
             if len(cloud) == 0:
                 raise FrameError(
                     cloud_path,
@@ -225,7 +225,7 @@ def _pose(path: Path, rows: tuple[Four, ...] | None) -> RigidTransform:
     return RigidTransform.from_matrix(matrix)
 
 
-def _seen(camera: Camera, cloud: PointCloud, rgb: np.ndarray) -> PointCloud:
+def cloud_in_image(camera: Camera, cloud: PointCloud, rgb: np.ndarray) -> PointCloud:
     """Returns the points that project inside the image; without colours of its own, the cloud gets the image's."""
     px = project(camera, cloud.xyz_m)
     inside = np.flatnonzero(inside_image(camera, px) & (cloud.xyz_m[:, 2] > NEAREST_Z_M))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int64
@@ -41,6 +41,7 @@ class Channel:
     offset: Int64[np.ndarray, "n"]
 
 
+@runtime_checkable
 class BagFile(Protocol):
     """One file of a bag.
 

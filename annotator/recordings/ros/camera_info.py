@@ -4,8 +4,8 @@ K, D, R, P, binning and region of interest have the meaning of the comments in `
 and region are related as in `image_geometry::PinholeCameraModel`: K and P are of the full sensor, of which the image is
 a region, binned. A rectified image (by its topic's name) has the camera P, without distortion, turned by R.
 
-Fisheye images (`equidistant`) are undistorted, because a `Camera` is a pinhole camera. RealSense's inverse Brown-Conrady
-model, which maps distorted to undistorted points, is replaced by the nearest one of OpenCV's form.
+Fisheye images (`equidistant`) are undistorted, because a `Camera` is a pinhole camera. RealSense's inverse
+Brown-Conrady model maps distorted to undistorted points; it is replaced by the nearest model of OpenCV's form.
 """
 
 from __future__ import annotations
@@ -53,17 +53,25 @@ class BagCamera:
         """
         import cv2
 
-        size = (self.camera.width_px, self.camera.height_px)
-        if rgb.shape[1::-1] != size:
-            raise ValueError(
-                f"has {rgb.shape[1]} x {rgb.shape[0]} pixels, but its camera has {size[0]} x {size[1]}; "
-                "name its calibration with --camera-info"
-            )
+        self.require_size(rgb.shape)
         if self.fisheye is None:
             return rgb
         K, D = self.fisheye
+        size = (self.camera.width_px, self.camera.height_px)
         maps = cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), self.camera.matrix, size, cv2.CV_32FC1)
         return np.asarray(cv2.remap(rgb, *maps, cv2.INTER_LINEAR))
+
+    def require_size(self, shape: tuple[int, ...]) -> None:
+        """
+        Raises:
+            ValueError: an image of this shape is not of this camera.
+        """
+        size = (self.camera.width_px, self.camera.height_px)
+        if shape[1::-1] != size:
+            raise ValueError(
+                f"has {shape[1]} x {shape[0]} pixels, but its camera has {size[0]} x {size[1]}; "
+                "name its calibration with --camera-info"
+            )
 
 
 def read_camera_info(content: Any, is_rectified: bool) -> BagCamera:
@@ -128,7 +136,8 @@ def _field(content: Any, name: str) -> Float64[np.ndarray, "n"]:
 
 
 def _camera(width: int, height: int, K: np.ndarray, distortion: tuple[float, ...] = ()) -> Camera:
-    return Camera(width, height, *(float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))), distortion)
+    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(width, height, fx, fy, cx, cy, distortion)
 
 
 def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCamera:
@@ -153,9 +162,7 @@ def _inverted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> tuple[fl
     seen = np.stack([(columns.ravel() - K[0, 2]) / K[0, 0], (rows.ravel() - K[1, 2]) / K[1, 1]], axis=1)
     coefficients = np.concatenate([D, np.zeros(5)])[:5]
     ideal = seen + (_brown_conrady(seen) @ coefficients)
-    solution, *_ = np.linalg.lstsq(
-        _brown_conrady(ideal).reshape(-1, 5), (seen - ideal).reshape(-1), rcond=None
-    )
+    solution, *_ = np.linalg.lstsq(_brown_conrady(ideal).reshape(-1, 5), (seen - ideal).reshape(-1), rcond=None)
     return tuple(solution.tolist())
 
 
@@ -163,5 +170,8 @@ def _brown_conrady(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2 5
     """Returns by how much each coefficient (k1 k2 p1 p2 k3) moves normalised points."""
     x, y = xy.T
     r2 = (xy**2).sum(axis=1)[:, None]
-    tangential = [np.stack([2 * x * y, r2[:, 0] + 2 * y * y], axis=1), np.stack([r2[:, 0] + 2 * x * x, 2 * x * y], axis=1)]
+    tangential = [
+        np.stack([2 * x * y, r2[:, 0] + 2 * y * y], axis=1),
+        np.stack([r2[:, 0] + 2 * x * x, 2 * x * y], axis=1),
+    ]
     return np.stack([xy * r2, xy * r2**2, *tangential, xy * r2**3], axis=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -139,7 +140,11 @@ def _decompressor(compression: str) -> Any:
 
             return LZ4FrameDecompressor()
         if compression == "zstd":
-            from backports.zstd import ZstdDecompressor
+            # the standard library's, if this Python has it
+            if sys.version_info >= (3, 14):
+                from compression.zstd import ZstdDecompressor
+            else:
+                from backports.zstd import ZstdDecompressor
 
             return ZstdDecompressor()
     except ImportError as error:

@@ -24,9 +24,15 @@ PLAIN: dict[str, tuple[str, int]] = {
 }  # fmt: skip
 # OpenCV names a Bayer pattern by its second row, ROS by its first.
 BAYER = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
-YUV422 = {"yuv422": "UYVY", "uyvy": "UYVY", "yuv422_uyvy": "UYVY", "yuv422_yuy2": "YUY2", "yuyv": "YUY2", "yuy2": "YUY2"}
+YUV422 = {
+    "yuv422": "UYVY",
+    "uyvy": "UYVY",
+    "yuv422_uyvy": "UYVY",
+    "yuv422_yuy2": "YUY2",
+    "yuyv": "YUY2",
+    "yuy2": "YUY2",
+}
 DEPTH_ENCODINGS = ("16UC1", "32FC1", "mono16")
-MILLIMETRE = 0.001
 COMPRESSED_DEPTH = "compressedDepth"
 DEPTH_HEAD = struct.Struct("<iff")
 PNG = b"\x89PNG"
@@ -92,11 +98,11 @@ def color_image(content: Any) -> UInt8[np.ndarray, "h w 3"]:
     return np.ascontiguousarray(values[:, :, 2::-1] if is_bgr else values[:, :, :3])
 
 
-def depth_image(content: Any, unit_m: float = MILLIMETRE) -> Float32[np.ndarray, "h w"]:
+def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray, "h w"]:
     """Returns the depths of an image message, metres; 0 = none.
 
     Args:
-        unit_m: metres of one unit of whole numbers.
+        unit_m: metres of one unit of whole numbers; None = millimetres.
 
     Raises:
         ValueError: it is damaged, contradicts itself, or is not depth.
@@ -110,7 +116,8 @@ def depth_image(content: Any, unit_m: float = MILLIMETRE) -> Float32[np.ndarray,
         values = _compressed_depth(str(content.format), byte_array(content.data).tobytes())
     if values.dtype.kind == "f":
         return np.where(np.isfinite(values) & (values > 0), values, 0).astype(np.float32)
-    return values.astype(np.float32) * np.float32(unit_m)
+    metres = values.astype(np.float32)
+    return metres / np.float32(1000) if unit_m is None else metres * np.float32(unit_m)
 
 
 def _compressed_depth(form: str, data: bytes) -> np.ndarray:
@@ -149,7 +156,7 @@ def _values(content: Any, kind: str, channels: int) -> np.ndarray:
         )
     rows = np.lib.stride_tricks.as_strided(data, (height, width * size), (step, 1), writeable=False)
     order = ">" if getattr(content, "is_bigendian", 0) else "<"
-    values = np.ascontiguousarray(rows).view(np.dtype(kind).newbyteorder(order))
+    values = np.ascontiguousarray(rows).view(np.dtype(order + kind))
     return values.reshape(height, width, channels).astype(np.dtype(kind), copy=False)
 
 

@@ -54,10 +54,12 @@ class SqliteFile:
                     str(name): (str(encoding), str(text).encode())
                     for name, encoding, text in connection.execute(f"SELECT {columns} FROM message_definitions")
                 }
-            topics = connection.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id").fetchall()
+            topics = connection.execute(
+                "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+            ).fetchall()
             problem = self._list_messages(connection)
-        self.notes = (f"{path.name} {problem}",) if problem else ()
-        self.channels = tuple(
+        self.notes: tuple[str, ...] = (f"{path.name} {problem}",) if problem else ()
+        self.channels: tuple[Channel, ...] = tuple(
             Channel(
                 str(name), str(kind), str(encoding), *definitions.get(kind, ("", b"")), "", int(number),
                 *self._messages.arrays(int(number)),

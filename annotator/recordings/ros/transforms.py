@@ -71,10 +71,9 @@ class Links:
         T_common_target = self._chain(above_target[: above_target.index(common)], time_ns)
         return T_common_target.inv() * T_common_source
 
-    def has(self, *names: str) -> bool:
-        """True if each of these is a known frame."""
-        known = self.parents.keys() | set(self.parents.values())
-        return all(name in known for name in names)
+    def is_below(self, name: str, above: str) -> bool:
+        """True if a chain of links leads up from one frame to another."""
+        return above in self._ancestors(name)
 
     def _ancestors(self, name: str) -> Iterator[str]:
         seen: set[str] = set()
@@ -113,10 +112,11 @@ class Links:
     def _gap(self, target: str, source: str, top_target: str, top_source: str) -> str:
         if not self.parents:
             return f"the transform from {source} to {target} is missing: the bag has no tf"
-        if not self.has(target) or not self.has(source):
-            known = ", ".join(sorted(self.parents.keys() | set(self.parents.values()))[:12])
-            lost = target if not self.has(target) else source
-            return f"the transform from {source} to {target} is missing: tf does not know {lost} (it has {known})"
+        known = self.parents.keys() | set(self.parents.values())
+        lost = next((name for name in (target, source) if name not in known), None)
+        if lost is not None:
+            listed = ", ".join(sorted(known)[:12])
+            return f"the transform from {source} to {target} is missing: tf does not know {lost!r} (it has {listed})"
         return (
             f"the transform from {source} to {target} is missing: {source} hangs from {top_source}, "
             f"{target} from {top_target}, and no link joins these two"
@@ -149,19 +149,13 @@ class TransformReader:
             OSError: a file cannot be read.
         """
         read = -1
-        last = max((len(topic) for topic in self.moving), default=0)
         for window_ns in (*WINDOWS_NS, None):
             ranges = [
-                range(last if window_ns is None else 0, len(topic)) if window_ns is None
-                else topic.between(log_ns - window_ns, log_ns + window_ns)
+                range(len(topic)) if window_ns is None else topic.between(log_ns - window_ns, log_ns + window_ns)
                 for topic in self.moving
-            ]  # fmt: skip
-            if window_ns is None:
-                ranges = [range(len(topic)) for topic in self.moving]
-                if sum(map(len, ranges)) > MOST_MESSAGES:
-                    return
+            ]
             count = sum(map(len, ranges))
-            if count == read:
+            if count == read or count > MOST_MESSAGES:
                 continue
             read = count
             links = Links()
@@ -198,7 +192,9 @@ def _rigid(place_m: np.ndarray, quaternion: np.ndarray) -> RigidTransform:
     return RigidTransform.from_components(place_m, Rotation.from_quat(quaternion))
 
 
-def _between(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], share: float) -> RigidTransform:
+def _between(
+    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], share: float
+) -> RigidTransform:
     """Returns the pose between two: places linearly, rotations along the shortest arc."""
     start, end = Rotation.from_quat(first[1]), Rotation.from_quat(second[1])
     turn = start * Rotation.from_rotvec((start.inv() * end).as_rotvec() * share)

@@ -1,0 +1,87 @@
+"""RealSense's own recordings: ROS 1 bags of librealsense with topics of its own.
+
+/device_N/sensor_N/STREAM_N/image/data         images; depth is mono16
+/device_N/sensor_N/STREAM_N/info               StreamInfo: fps
+/device_N/sensor_N/STREAM_N/info/camera_info   intrinsics
+/device_N/sensor_N/STREAM_N/tf/N               pose relative to the other streams of the same number
+/device_N/sensor_N/option/Depth Units/value    metres of a unit of depth
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.recordings.plausible import are_plausible
+from annotator.recordings.ros.bag import Bag, Topic
+from annotator.recordings.ros.roles import Chosen, first_message
+from annotator.types.errors import RecordingError
+
+DEPTH = re.compile(r"(/device_\d+/sensor_\d+)(/Depth_\d+)/image/data")
+STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/\w+/data")
+UNIT = "/option/Depth Units/value"
+DEFAULT_FPS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class RealSense:
+    """What a recording says about its depth camera.
+
+    Attributes:
+        unit_m: metres of a unit of depth.
+        T_color_depth: from the depth camera to the colour camera.
+        period_s: between two depth images.
+    """
+
+    unit_m: float
+    T_color_depth: RigidTransform
+    period_s: float
+
+
+def realsense_of(bag: Bag, chosen: Chosen) -> RealSense | None:
+    """Returns what a RealSense recording says; None for other bags.
+
+    Raises:
+        RecordingError: the unit or a pose is missing or implausible.
+    """
+    if chosen.depth is None or chosen.image is None:
+        return None
+    depth = DEPTH.fullmatch(chosen.depth.topic.name)
+    if depth is None:
+        return None
+    unit = _first(bag, depth[1] + UNIT)
+    if unit is None or not 0 < float(unit.data) < 1:
+        raise RecordingError(f"{bag.path}: the unit of its depth is missing or implausible ({depth[1] + UNIT})")
+    fps = int(getattr(_first(bag, depth[1] + depth[2] + "/info"), "fps", 0)) or DEFAULT_FPS
+    return RealSense(float(unit.data), between_streams(bag, chosen.image.topic, chosen.depth.topic), 1 / max(fps, 1))
+
+
+def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
+    """Returns `T_target_source` of two streams.
+
+    Raises:
+        RecordingError: their poses are missing or damaged.
+    """
+    return _pose(bag, target) * _pose(bag, source).inv()
+
+
+def _pose(bag: Bag, topic: Topic) -> RigidTransform:
+    """Returns the transform from the reference of a stream's group to the stream."""
+    stream = STREAM.fullmatch(topic.name)
+    content = None if stream is None else _first(bag, stream[1] + "/tf/0")
+    if content is None:
+        raise RecordingError(f"{bag.path}: the pose of {topic.name} is missing (tf/0 of its stream)")
+    place = np.array([getattr(content.translation, axis) for axis in "xyz"])
+    turn = np.array([getattr(content.rotation, axis) for axis in "xyzw"])
+    if not are_plausible(place) or not abs(np.linalg.norm(turn) - 1) < 1e-2:
+        raise RecordingError(f"{bag.path}: the pose of {topic.name} is not a rotation and a translation")
+    return RigidTransform.from_components(place, Rotation.from_quat(turn))
+
+
+def _first(bag: Bag, name: str) -> Any:
+    topic = bag.topics.get(name)
+    return None if topic is None or not len(topic) else first_message(topic)

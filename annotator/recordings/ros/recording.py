@@ -1,0 +1,318 @@
+"""Bags as recordings: an image topic with a cloud or depth topic, or a topic of clouds alone.
+
+Frames are pairs of messages; their keys are the numbers of the images on their topic (without images, of the clouds).
+A frame's cloud holds the points that its camera sees, in the camera's frame, by the tf messages of the bag. Where tf
+knows how the rig moves (`odom`, `map` or `world`), a cloud is moved from its own time to that of the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.geometry.projection import unproject_depth
+from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
+from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.kitti.frame import UP
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.ros.bag import Bag, Topic
+from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
+from annotator.recordings.ros.decode import frame_id, message
+from annotator.recordings.ros.files import LOOKED_FOR, open_bag
+from annotator.recordings.ros.gravity import up_near
+from annotator.recordings.ros.images import color_image, depth_image
+from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
+from annotator.recordings.ros.point_clouds import read_cloud
+from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
+from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose
+from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
+from annotator.recordings.ros.video import video_image
+from annotator.recordings.two_cameras import registered
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError, GeometryError, RecordingError
+
+TOLERANCE_S = 0.05
+# Frames that do not move with the rig (REP 105).
+FIXED_FRAMES = ("odom", "map", "world")
+REMEDY = "record it again, or use the other frames"
+SAME_K_PX = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class RosBag(KeyedFrames):
+    """A `Recording` of a bag.
+
+    Attributes:
+        bag: the open bag.
+        chosen: the topics that are used.
+        pairs: their messages.
+        tf: reads the bag's transforms.
+        camera_frame: tf frame of the camera; "" = that of its images.
+        fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
+        realsense: what RealSense's own topics say; None for other bags.
+        told: the recording's notes.
+    """
+
+    bag: Bag
+    chosen: Chosen
+    pairs: Pairs
+    tf: TransformReader
+    camera_frame: str
+    fixed_frame: str | None
+    realsense: RealSense | None
+    told: tuple[str, ...]
+    format: ClassVar[str] = "ros_bag"
+    is_sequence: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        path = self.path.resolve()
+        return path.stem if path.is_file() else path.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return self.told
+
+    @property
+    def times_ns(self) -> tuple[int, ...]:
+        """The frames' times."""
+        return tuple(self.pairs.time_ns.tolist())
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; from depth images, with `depth_m`.
+
+        Raises:
+            FrameError: a message is damaged or contradicts another one, a transform is missing, or no point is seen.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        try:
+            if self.chosen.image is None:
+                return self._cloud_frame(key, i)
+            return self._image_frame(key, i, self.chosen.image)
+        except OSError as error:
+            raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
+        except (ValueError, AttributeError, LinkMissingError, GeometryError) as error:
+            raise FrameError(self.path, f"frame {key}: {error}", REMEDY) from error
+
+    def _cloud_frame(self, key: str, i: int) -> Frame:
+        content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
+        raw = read_cloud(self.path, content)
+        cloud = PointCloud(T_CAMERA_LIDAR.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
+        rgb = virtual_image(VIRTUAL_CAMERA, cloud)
+        time_ns = int(self.pairs.time_ns[i])
+        return Frame(key, i, VIRTUAL_CAMERA, rgb, cloud, None, UP, T_CAMERA_LIDAR, time_ns)
+
+    def _image_frame(self, key: str, i: int, image: ImageTopic) -> Frame:
+        number = int(self.pairs.image[i])
+        log_ns, time_ns = int(image.topic.log_ns[number]), int(self.pairs.time_ns[i])
+        content = _content(image.topic, number)
+        camera = self.camera(log_ns)
+        rgb = _picture(image.topic, number, content, camera)
+        camera_frame = self.camera_frame or frame_id(content)
+        partner = _content(self.chosen.partner, int(self.pairs.cloud[i]))
+        depth_m = None
+        if self.chosen.depth is not None:
+            T = self._T_color_depth(i, camera, camera_frame, frame_id(partner), log_ns)
+            cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera.camera, log_ns)
+        else:
+            raw = read_cloud(self.path, partner)
+            T = _turned(camera) * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
+            cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
+            cloud = cloud_in_image(camera.camera, cloud, rgb)
+        if len(cloud) == 0:
+            raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
+        up = self._up(camera, camera_frame, time_ns, log_ns)
+        return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns)
+
+    def camera(self, log_ns: int) -> BagCamera:
+        """Returns the camera of the images, as calibrated at a log time.
+
+        Raises:
+            ValueError: it is not calibrated, or the message is damaged.
+            OSError: the file cannot be read.
+        """
+        assert self.chosen.info is not None and self.chosen.image is not None
+        return _camera(self.chosen.info, self.chosen.image, log_ns)
+
+    def _from_depth(
+        self, content: Any, depth: ImageTopic, T: RigidTransform, rgb: np.ndarray, camera: Camera, log_ns: int
+    ) -> tuple[PointCloud, np.ndarray]:
+        """Returns the cloud of a depth image and the depth in the pixels of the image."""
+        assert self.chosen.depth_info is not None
+        unit_m = None if self.realsense is None else self.realsense.unit_m
+        with _naming(depth.topic):
+            depth_m = depth_image(content, unit_m)
+        source = _camera(self.chosen.depth_info, depth, log_ns)
+        if source.fisheye is not None:
+            raise ValueError(f"{depth.topic.name}: depth of a fisheye camera is not supported")
+        with _naming(depth.topic):
+            source.require_size(depth_m.shape)
+        if _are_equal(source.camera, camera) and np.allclose(T.as_matrix(), np.eye(4)):
+            xyz_m, pixel = unproject_depth(camera, depth_m)
+            return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel), depth_m
+        return registered(depth_m, source.camera, T, rgb, camera)
+
+    def _T_color_depth(
+        self, i: int, camera: BagCamera, camera_frame: str, depth_frame: str, log_ns: int
+    ) -> RigidTransform:
+        assert self.chosen.depth is not None and self.chosen.depth_info is not None
+        if self.realsense is not None:
+            return self.realsense.T_color_depth
+        source = _camera(self.chosen.depth_info, self.chosen.depth, log_ns)
+        between = self._T_camera_cloud(i, camera_frame, depth_frame, log_ns)
+        return _turned(camera) * between * _turned(source).inv()
+
+    def _T_camera_cloud(self, i: int, camera: str, cloud: str, log_ns: int) -> RigidTransform:
+        """Returns the transform of a pair: the cloud at its own time, the camera at that of the image.
+
+        Raises:
+            LinkMissingError: tf does not know it.
+            OSError: the file cannot be read.
+        """
+        time_ns, cloud_ns = int(self.pairs.time_ns[i]), int(self.pairs.cloud_time_ns[i])
+        fixed = self.fixed_frame if time_ns != cloud_ns else None
+        if camera == cloud and fixed is None:
+            return RigidTransform.identity()
+        problem, direct = (
+            LinkMissingError(f"the transform from {cloud} to {camera} is missing: the bag has no tf"),
+            None,
+        )
+        for links in self.tf.windows(log_ns):
+            try:
+                direct = links.transform(camera, cloud, time_ns)
+                if fixed is None:
+                    return direct
+                return links.transform(camera, fixed, time_ns) * links.transform(fixed, cloud, cloud_ns)
+            except LinkMissingError as error:
+                problem = error
+        if direct is None:
+            raise problem
+        return direct
+
+    def _up(self, camera: BagCamera, camera_frame: str, time_ns: int, log_ns: int) -> Float64[np.ndarray, "3"] | None:
+        for topic in self.bag.of_type(IMU_TYPE):
+            found = up_near(topic, log_ns)
+            if found is None:
+                continue
+            turn = self._imu_turn(topic, camera_frame, found[1], time_ns, log_ns)
+            if turn is not None:
+                return np.asarray((camera.R_camera_frame * turn).apply(found[0]))
+        return None
+
+    def _imu_turn(self, imu: Topic, camera_frame: str, frame: str, time_ns: int, log_ns: int) -> Rotation | None:
+        """Returns the rotation from an IMU's axes to those of the camera; None if it is not known."""
+        if self.realsense is not None and self.chosen.image is not None:
+            try:
+                return between_streams(self.bag, self.chosen.image.topic, imu).rotation
+            except RecordingError:
+                return None
+        for links in self.tf.windows(log_ns):
+            try:
+                return links.transform(camera_frame, frame, time_ns).rotation
+            except LinkMissingError:
+                continue
+        return None
+
+
+def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
+    """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one.
+
+    Raises:
+        ConfigError: an option names a topic that the bag does not have.
+        RecordingError: the topics are ambiguous or missing, no messages are partners, or a file cannot be used.
+    """
+    bag = open_bag(path)
+    if bag is None:
+        return NotFound(LOOKED_FOR)
+    chosen = choose(bag, options)
+    realsense = realsense_of(bag, chosen)
+    notes: tuple[str, ...] = ()
+    if chosen.image is None:
+        pairs = _alone(chosen.partner)
+        keys, notes = (
+            pairs.cloud,
+            ("has no images: a virtual camera looks forward from the LiDAR, which must be level",),
+        )
+    else:
+        tolerance_s = options.tolerance_s or (
+            TOLERANCE_S if realsense is None else max(realsense.period_s, TOLERANCE_S)
+        )
+        pairs = pair(chosen.image.topic, chosen.partner, tolerance_s)
+        keys = pairs.image
+    if not len(keys):
+        raise RecordingError(f"{path}: no frames; {'; '.join(pairs.notes)}")
+    tf = TransformReader.of(bag)
+    fixed = None if realsense or chosen.image is None else _fixed_frame(tf, bag, chosen, pairs, options.tf_frame or "")
+    if fixed is not None:
+        notes += (f"clouds are moved to the images' times by the motion of the rig in {fixed}",)
+    return RosBag(
+        path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, (options.tf_frame or "").lstrip("/"),
+        fixed, realsense, (*bag.notes, *pairs.notes, *notes),
+    )  # fmt: skip
+
+
+def _alone(clouds: Topic) -> Pairs:
+    """Returns the messages of a topic of clouds, without images."""
+    stamps = stamps_ns(clouds)
+    times = stamps if (stamps > 0).all() else clouds.log_ns
+    order = np.argsort(times, kind="stable")
+    return Pairs(order, order, times[order], times[order], ())
+
+
+def _fixed_frame(tf: TransformReader, bag: Bag, chosen: Chosen, pairs: Pairs, camera_frame: str) -> str | None:
+    """Returns the frame in which tf knows the motion of both camera and cloud; None without one."""
+    assert chosen.image is not None
+    try:
+        content = message(chosen.partner, int(pairs.cloud[0]))
+    except ValueError:
+        return None
+    camera, cloud = camera_frame or chosen.image.frame, frame_id(content)
+    for links in tf.windows(int(chosen.image.topic.log_ns[int(pairs.image[0])])):
+        for fixed in FIXED_FRAMES:
+            if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
+                return fixed
+    return None
+
+
+@contextmanager
+def _naming(topic: Topic) -> Iterator[None]:
+    """Puts a topic's name before a ValueError about its message."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{topic.name}: {error}") from error
+
+
+def _content(topic: Topic, number: int) -> Any:
+    with _naming(topic):
+        return message(topic, number)
+
+
+def _picture(topic: Topic, number: int, content: Any, camera: BagCamera) -> UInt8[np.ndarray, "h w 3"]:
+    with _naming(topic):
+        rgb = video_image(topic, number, content) if topic.type == VIDEO_TYPE else color_image(content)
+        return camera.picture(rgb)
+
+
+def _camera(info: Topic, image: ImageTopic, log_ns: int) -> BagCamera:
+    """Returns a camera as its calibration says that was logged nearest to a time."""
+    with _naming(info):
+        return read_camera_info(message(info, info.nearest(log_ns)), bool(RECTIFIED.search(image.base)))
+
+
+def _turned(camera: BagCamera) -> RigidTransform:
+    return RigidTransform.from_rotation(camera.R_camera_frame)
+
+
+def _are_equal(a: Camera, b: Camera) -> bool:
+    same_size = (a.width_px, a.height_px) == (b.width_px, b.height_px)
+    return same_size and float(np.abs(a.matrix - b.matrix).max()) < SAME_K_PX
