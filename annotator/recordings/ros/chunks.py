@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import bz2
 import sys
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from zlib import crc32
 
@@ -15,9 +16,11 @@ from annotator.types.errors import MissingExtraError
 
 # Limit of a chunk's content; recorders write some megabytes.
 MOST_BYTES = 1 << 29
-# Chunks kept decompressed: the messages of a frame are often in the same ones.
-MOST_KEPT = 2
-PIECE = 1 << 20
+# Contents that are kept: the messages of a frame are often in the same chunks.
+MOST_KEPT, MOST_KEPT_BYTES = 16, 1 << 26
+PIECE = 1 << 16
+# Compressed bytes of a message that contain its head: the largest block of zstd.
+HEAD_OF_MESSAGE = 1 << 18
 UNCOMPRESSED = ("", "none")
 
 
@@ -40,26 +43,31 @@ class Chunk:
 
 
 class Chunks:
-    """Reads the chunks of a file."""
+    """Reads the chunks of a file. A chunk is decompressed only as far as its messages are needed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.all: list[Chunk] = []
-        self._kept: Callable[[int], bytes] = lru_cache(maxsize=MOST_KEPT)(self._whole)
+        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._lock = Lock()
+
+    def __getstate__(self) -> tuple[Path, list[Chunk]]:
+        return self.path, self.all
+
+    def __setstate__(self, state: tuple[Path, list[Chunk]]) -> None:
+        self.__init__(state[0])  # type: ignore[misc]
+        self.all = state[1]
 
     def add(self, chunk: Chunk) -> int:
         """Adds a chunk and returns its number."""
         self.all.append(chunk)
         return len(self.all) - 1
 
-    def read(self, number: int, start: int, size: int, is_head: bool = False) -> bytes:
+    def read(self, number: int, start: int, size: int) -> bytes:
         """Reads `size` bytes of a chunk's content from `start`, or as far as it goes; chunk -1 is the file itself.
 
-        Args:
-            is_head: only the first bytes of messages are read, so a chunk is decompressed only as far as needed.
-
         Raises:
-            ValueError: the chunk is damaged.
+            ValueError: the chunk is damaged before their end.
             OSError: the file cannot be read.
         """
         if number < 0:
@@ -67,28 +75,45 @@ class Chunks:
         chunk = self.all[number]
         if chunk.compression in UNCOMPRESSED:
             return self._stored(chunk.at + start, min(size, chunk.size - start)) if start < chunk.size else b""
-        if is_head:
-            content, _ = unpack(chunk.compression, self._stored(chunk.at, chunk.size), start + size)
-        else:
-            content = self._kept(number)
+        end = min(start + size, chunk.full_size)
+        with self._lock:
+            content = self._kept.get(number, b"")
+        if len(content) < end:
+            # more than is asked for, so that a chunk of many messages is not decompressed for each of them
+            content = self._unpacked(chunk, end, min(max(end, 2 * len(content), PIECE), chunk.full_size))
+            self._keep(number, content)
         return content[start : start + size]
 
     def sound(self, number: int) -> bytes:
         """Returns a chunk's content as far as it can be read."""
         chunk = self.all[number]
-        stored = self._stored(chunk.at, chunk.size)
-        return unpack(chunk.compression, stored, min(chunk.full_size, MOST_BYTES))[0]
+        return unpack(chunk.compression, self._pieces(chunk), min(chunk.full_size, MOST_BYTES))[0]
 
-    def _whole(self, number: int) -> bytes:
-        chunk = self.all[number]
-        if chunk.full_size > MOST_BYTES:
+    def _unpacked(self, chunk: Chunk, least: int, most: int) -> bytes:
+        if most > MOST_BYTES:
             raise ValueError(f"a chunk declares {chunk.full_size} bytes; at most {MOST_BYTES} are supported")
-        content, problem = unpack(chunk.compression, self._stored(chunk.at, chunk.size), chunk.full_size)
-        if problem:
+        content, problem = unpack(chunk.compression, self._pieces(chunk), most)
+        if len(content) < least:
             raise ValueError(problem)
-        if chunk.checksum and crc32(content) != chunk.checksum:
+        if chunk.checksum and len(content) == chunk.full_size and crc32(content) != chunk.checksum:
             raise ValueError("the checksum of a chunk is wrong")
         return content
+
+    def _keep(self, number: int, content: bytes) -> None:
+        with self._lock:
+            self._kept[number] = content
+            self._kept.move_to_end(number)
+            total = sum(map(len, self._kept.values()))
+            while len(self._kept) > 1 and (len(self._kept) > MOST_KEPT or total > MOST_KEPT_BYTES):
+                total -= len(self._kept.popitem(last=False)[1])
+
+    def _pieces(self, chunk: Chunk) -> Iterator[bytes]:
+        with self.path.open("rb") as file:
+            file.seek(chunk.at)
+            left = chunk.size
+            while left > 0 and (piece := file.read(min(PIECE, left))):
+                left -= len(piece)
+                yield piece
 
     def _stored(self, at: int, size: int) -> bytes:
         with self.path.open("rb") as file:
@@ -96,18 +121,16 @@ class Chunks:
             return file.read(max(size, 0))
 
 
-def unpack(compression: str, data: bytes, most: int) -> tuple[bytes, str]:
+def unpack(compression: str, pieces: Iterable[bytes], most: int) -> tuple[bytes, str]:
     """Decompresses up to `most` bytes; returns what is sound, and what is wrong ("" if nothing).
 
     Raises:
         ValueError: an unknown compression.
     """
-    if compression in UNCOMPRESSED:
-        return data[:most], ""
     stream, parts, length = _decompressor(compression), [], 0
-    for start in range(0, len(data), PIECE):
+    for piece in pieces:
         try:
-            parts.append(stream.decompress(data[start : start + PIECE], most - length))
+            parts.append(stream.decompress(piece, most - length))
             length += len(parts[-1])
             while length < most and not stream.eof and not stream.needs_input:
                 parts.append(stream.decompress(b"", most - length))
@@ -119,19 +142,30 @@ def unpack(compression: str, data: bytes, most: int) -> tuple[bytes, str]:
     return b"".join(parts), "" if length >= most else f"a chunk ends after {length} of {most} bytes"
 
 
-def unpack_message(data: bytes) -> bytes:
-    """Decompresses a zstd message of a ROS 2 bag in compression mode "message".
+def unpack_message(data: bytes, most: int | None = None) -> bytes:
+    """Decompresses a zstd message of a ROS 2 bag in compression mode "message", or its first `most` bytes.
 
     Raises:
         ValueError: it is damaged.
     """
-    content, _ = unpack("zstd", data, MOST_BYTES)
-    if not content:
-        raise ValueError("a message is not compressed with zstd")
+    content, problem = unpack("zstd", [data], MOST_BYTES if most is None else most)
+    if not content or (most is None and "damaged" in problem):
+        raise ValueError("a message is not compressed with zstd, or damaged")
     return content
 
 
+class _Plain:
+    """What an uncompressed chunk is "decompressed" with."""
+
+    eof, needs_input = False, True
+
+    def decompress(self, data: bytes, most: int) -> bytes:
+        return data[:most]
+
+
 def _decompressor(compression: str) -> Any:
+    if compression in UNCOMPRESSED:
+        return _Plain()
     if compression == "bz2":
         return bz2.BZ2Decompressor()
     try:

@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from annotator.recordings.ros.bag import Channel, ChannelBuilder
-from annotator.recordings.ros.chunks import Chunk, Chunks, unpack_message
+from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, Chunk, Chunks, unpack_message
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, DATA_END = 1, 2, 3, 4, 5, 6, 7, 8, 15
@@ -57,21 +57,30 @@ class McapFile:
     def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
         """Reads message `i` of a channel, or its first `most` bytes."""
         chunk, at = int(channel.chunk[i]), int(channel.offset[i])
-        is_head = most is not None and not self._are_compressed
+        if most is not None and self._are_compressed:
+            return unpack_message(self._stored(channel, chunk, at, HEAD_OF_MESSAGE), most)
+        data = self._stored(channel, chunk, at, most)
+        return unpack_message(data) if self._are_compressed else data
+
+    def _stored(self, channel: Channel, chunk: int, at: int, most: int | None) -> bytes:
+        """Returns a message as it is stored, or its first `most` bytes."""
         before = RECORD.size + MESSAGE_HEAD.size
-        head = self._chunks.read(chunk, at, before + ((most or 0) if is_head else 0), is_head)
+        head = self._chunks.read(chunk, at, before + (most or 0))
         if len(head) < before:
             raise ValueError("a message's header is truncated")
         kind, size = RECORD.unpack_from(head)
         number = MESSAGE_HEAD.unpack_from(head, RECORD.size)[0]
         if kind != MESSAGE or size < MESSAGE_HEAD.size or number != channel.number:
             raise ValueError("the index points to something that is not this message")
-        size -= MESSAGE_HEAD.size
-        wanted = min(size, most) if is_head and most is not None else size
-        data = head[before : before + wanted] if is_head else self._chunks.read(chunk, at + before, wanted)
+        wanted = size - MESSAGE_HEAD.size
+        if most is None:
+            data = self._chunks.read(chunk, at + before, wanted)
+        else:
+            wanted = min(wanted, most)
+            data = head[before : before + wanted]
         if len(data) < wanted:
-            raise ValueError(f"a message ends after {len(data)} of {size} bytes")
-        return unpack_message(data) if self._are_compressed else data
+            raise ValueError(f"a message ends after {len(data)} of {wanted} bytes")
+        return data
 
     def _list_records(self) -> None:
         notes: list[str] = []

@@ -47,12 +47,11 @@ class Ros1File:
     def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
         """Reads message `i` of a channel, or its first `most` bytes."""
         chunk, at = int(channel.chunk[i]), int(channel.offset[i])
-        is_head = most is not None
         while True:
-            head = self._chunks.read(chunk, at, MESSAGE_HEADER + (most or 0), is_head)
+            head = self._chunks.read(chunk, at, MESSAGE_HEADER + (most or 0))
             length = _uint32(head)
             if length is not None and length + 8 > len(head):
-                head = self._chunks.read(chunk, at, min(length, LONGEST_HEADER) + 8 + (most or 0), is_head)
+                head = self._chunks.read(chunk, at, min(length, LONGEST_HEADER) + 8 + (most or 0))
             fields = None if length is None else _fields(head[4 : 4 + length])
             size = None if length is None else _uint32(head[4 + length :])
             if fields is None or size is None or length is None:
@@ -64,7 +63,7 @@ class Ros1File:
         if _op(fields) != MESSAGE or _uint32(fields.get(b"conn", b"")) != channel.number:
             raise ValueError("the index points to something that is not this message")
         wanted = size if most is None else min(size, most)
-        data = self._chunks.read(chunk, start, wanted, is_head)
+        data = self._chunks.read(chunk, start, wanted)
         if len(data) < wanted:
             raise ValueError(f"a message ends after {len(data)} of {size} bytes")
         return data

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from annotator.recordings.ros.bag import Channel, ChannelBuilder
-from annotator.recordings.ros.chunks import unpack_message
+from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, unpack_message
 
 if TYPE_CHECKING:
     import sqlite3
@@ -72,8 +72,9 @@ class SqliteFile:
         with self._connected() as connection:
             blob = connection.blobopen("messages", "data", int(channel.offset[i]), readonly=True)
             with blob:
-                data = blob.read(most if most is not None and not self._are_compressed else -1)
-        return unpack_message(data) if self._are_compressed else data
+                stored = HEAD_OF_MESSAGE if self._are_compressed else most
+                data = blob.read(-1 if most is None else stored)
+        return unpack_message(data, most) if self._are_compressed else data
 
     def _list_messages(self, connection: sqlite3.Connection) -> str:
         """Adds all messages; returns what is wrong with the file, "" if nothing."""

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import CONTAINERS, BagWriter, structured
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings import open_recording
@@ -15,6 +14,7 @@ from annotator.recordings.kitti.frame import read_scan
 from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.recording import RosBag, message
 from annotator.types import Camera
+from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
 
 START_NS = 1_317_000_000 * 10**9
 COMPRESSIONS = [("ros1", ""), ("ros1", "lz4"), ("ros1", "bz2"), ("sqlite3", ""), ("sqlite3", "message"), ("mcap", ""),
