@@ -1,0 +1,366 @@
+"""Bags as recordings: topics, pairs, transforms, gravity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros_takes import (
+    IMAGE,
+    MS,
+    POINTS_M,
+    SIZE,
+    START_NS,
+    T_CAMERA_LIDAR,
+    K,
+    seen_points,
+    write_camera,
+    write_mount,
+    write_scan,
+    write_take,
+)
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.recordings import ReaderOptions, detect_format, open_recording
+from annotator.recordings.ros.topics import list_topics
+from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
+from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_a_take_is_read_in_every_container(tmp_path: Path, container: str):
+    with BagWriter(tmp_path, container) as bag:
+        write_take(bag)
+    assert detect_format(bag.path) == "ros_bag"
+    recording = open_recording(bag.path)
+    assert (recording.keys, recording.notes) == (("000000", "000001", "000002"), ())
+    frame = recording.frame(1)
+    np.testing.assert_array_equal(frame.rgb, IMAGE)
+    np.testing.assert_allclose(frame.cloud.xyz_m, seen_points(), atol=1e-6)
+    assert frame.timestamp_ns == START_NS + 104 * MS
+    # a single file of a folder is the same recording
+    if container != "ros1":
+        single = next(file for file in bag.path.iterdir() if file.suffix in (".db3", ".mcap"))
+        assert open_recording(single).keys == recording.keys
+    with pytest.raises(IndexError):
+        recording.frame(3)
+
+
+def test_topics_are_listed_with_their_use(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_take(bag)
+        bag.imu("/imu", START_NS, (0.0, 0.0, 9.81))
+    listed = {topic.name: topic for topic in list_topics(bag.path, ReaderOptions()) or []}
+    assert {name: topic.use for name, topic in listed.items()} == {
+        "/cam/camera_info": "camera", "/cam/image_raw": "image", "/imu": "gravity", "/points": "points",
+        "/tf_static": "transforms",
+    }  # fmt: skip
+    image = listed["/cam/image_raw"]
+    assert (image.type, image.messages, image.rate_hz) == ("sensor_msgs/Image", 3, 10.0)
+
+
+def two_cameras(folder: Path) -> Path:
+    with BagWriter(folder, "sqlite3") as bag:
+        write_mount(bag)
+        write_scan(bag, START_NS)
+        write_scan(bag, START_NS, topic="/points_rear")
+        for name in ("left", "right"):
+            write_camera(bag, name, START_NS)
+    return bag.path
+
+
+def test_an_ambiguous_choice_names_the_options(tmp_path: Path):
+    path = two_cameras(tmp_path)
+    with pytest.raises(RecordingError, match=r"--image: /left/image_raw \(1 messages\), /right/image_raw"):
+        open_recording(path)
+    with pytest.raises(RecordingError, match=r"--points: /points \(1 messages\), /points_rear"):
+        open_recording(path, ReaderOptions(image="/left/image_raw"))
+    recording = open_recording(path, ReaderOptions(image="/left/image_raw", points="points"))
+    assert len(recording.frame(0).cloud)
+    uses = {topic.name: topic.use for topic in list_topics(path, ReaderOptions()) or []}
+    assert uses["/left/image_raw"] == "--image"
+    assert uses["/points_rear"] == "--points"
+
+
+WRONG_OPTIONS = [
+    ({"image": "/nowhere"}, "--image /nowhere: is not in the bag; possible are: /left/image_raw, /right/image_raw"),
+    ({"image": "/points"}, "--image /points: is a sensor_msgs/PointCloud2"),
+    ({"points": "/points", "depth": "/left/image_raw", "image": "/left/image_raw"}, "exclude each other"),
+    ({"image": "/left/image_raw", "points": "/points", "camera_info": "/points"}, "--camera-info /points: is a"),
+    ({"look_around": 4}, "not --look-around"),
+]
+
+
+@pytest.mark.parametrize(("options", "problem"), WRONG_OPTIONS)
+def test_options_that_do_not_fit_the_bag_are_errors(tmp_path: Path, options: dict[str, object], problem: str):
+    full = {"image": "/left/image_raw", "points": "/points"} | options if "look_around" in options else options
+    with pytest.raises(ConfigError, match=problem):
+        open_recording(two_cameras(tmp_path), ReaderOptions.model_validate(full))
+
+
+def test_the_raw_image_is_preferred_to_its_compressed_form_and_colour_to_infrared(tmp_path: Path):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag, 1)
+        bag.compressed("/cam/image_raw/compressed", START_NS, "jpeg", b"\xff\xd8 not read")
+        bag.image("/infra1/image_rect_raw", START_NS, IMAGE[:, :, :1], "mono8")
+    np.testing.assert_array_equal(open_recording(bag.path).frame(0).rgb, IMAGE)
+
+
+def test_partners_are_counted(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_mount(bag)
+        for i in range(6):
+            write_camera(bag, "cam", START_NS + i * 33 * MS)
+        for time in (30, 130, 900):
+            write_scan(bag, START_NS + time * MS)
+    recording = open_recording(bag.path)
+    # the images at 33 and 132 ms
+    assert recording.keys == ("000001", "000004")
+    assert recording.notes == (
+        "4 of 6 images of /cam/image_raw have no partner of their own in /points within 0.05 s",
+        "1 of 3 messages of /points have no image of their own",
+    )
+    assert open_recording(bag.path, ReaderOptions(tolerance_s=0.0025)).keys == ("000004",)
+    with pytest.raises(RecordingError, match=r"the nearest pair is 0\.002 s apart; give --tolerance"):
+        open_recording(bag.path, ReaderOptions(tolerance_s=0.001))
+
+
+def test_header_times_are_used_unless_the_clocks_differ(tmp_path: Path):
+    """Messages that are logged late have their partners by header; a LiDAR with a clock of its own, by log time."""
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_mount(bag)
+        for i in range(3):
+            write_scan(bag, START_NS + i * 100 * MS, log_ns=START_NS + (i * 100 + 80) * MS)
+            write_camera(bag, "cam", START_NS + i * 100 * MS, log_ns=START_NS + (i * 100 + 10) * MS)
+    recording = open_recording(bag.path)
+    assert (len(recording), recording.notes) == (3, ())
+    assert recording.frame(2).timestamp_ns == START_NS + 200 * MS
+    (tmp_path / "own").mkdir()
+    with BagWriter(tmp_path / "own", "ros1") as bag:
+        write_mount(bag)
+        for i in range(3):
+            write_scan(bag, (1000 + i * 100) * MS, log_ns=START_NS + (i * 100 + 8) * MS)
+            write_camera(bag, "cam", START_NS + i * 100 * MS, log_ns=START_NS + (i * 100 + 10) * MS)
+    recording = open_recording(bag.path)
+    assert len(recording) == 3
+    assert "are from clocks 1699999999.0 s apart; log times are used" in recording.notes[0]
+    assert recording.frame(2).timestamp_ns == START_NS + 210 * MS
+
+
+def test_times_that_are_not_set_or_run_backward_are_told(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_mount(bag)
+        for i, time in enumerate((0, 200, 100)):
+            write_scan(bag, START_NS + time * MS, log_ns=START_NS + i * 100 * MS)
+            write_camera(bag, "cam", START_NS + time * MS, log_ns=START_NS + i * 100 * MS)
+    recording = open_recording(bag.path)
+    assert recording.keys == ("000000", "000002", "000001")
+    assert "the times of /points run backward 1 times; its messages are sorted" in recording.notes
+    (tmp_path / "unset").mkdir()
+    with BagWriter(tmp_path / "unset", "mcap") as bag:
+        write_mount(bag)
+        write_scan(bag, 0, log_ns=START_NS)
+        write_camera(bag, "cam", 0, log_ns=START_NS + MS)
+    recording = open_recording(bag.path)
+    assert recording.frame(0).timestamp_ns == START_NS + MS
+    assert "1 messages of /cam/image_raw have no time in their headers; log times are used" in recording.notes
+
+
+def test_a_missing_link_is_named(tmp_path: Path):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+    with pytest.raises(FrameError, match="the transform from lidar to camera is missing: the bag has no tf"):
+        open_recording(bag.path).frame(0)
+    (tmp_path / "b").mkdir()
+    with BagWriter(tmp_path / "b", "ros1") as bag:
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+        bag.transform("/tf_static", START_NS, "rig", "camera", T_CAMERA_LIDAR)
+    with pytest.raises(FrameError, match=r"tf does not know 'lidar' \(it has camera, rig\)"):
+        open_recording(bag.path).frame(0)
+    (tmp_path / "c").mkdir()
+    with BagWriter(tmp_path / "c", "ros1") as bag:
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+        bag.transform("/tf_static", START_NS, "rig", "camera", T_CAMERA_LIDAR)
+        bag.transform("/tf_static", START_NS, "roof", "lidar", T_CAMERA_LIDAR)
+    with pytest.raises(FrameError, match="lidar hangs from roof, camera from rig, and no link joins these two"):
+        open_recording(bag.path).frame(0)
+
+
+def test_the_camera_frame_can_be_named(tmp_path: Path):
+    with BagWriter(tmp_path, "sqlite3") as bag:
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS, frame="nonsense")
+        write_mount(bag)
+    with pytest.raises(FrameError, match="'nonsense'"):
+        open_recording(bag.path).frame(0)
+    frame = open_recording(bag.path, ReaderOptions(tf_frame="camera")).frame(0)
+    np.testing.assert_allclose(frame.cloud.xyz_m, seen_points(), atol=1e-6)
+
+
+def pose(time_ns: int) -> RigidTransform:
+    """The rig's pose in odom: it drives and turns evenly."""
+    seconds = (time_ns - START_NS) / 1e9
+    return RigidTransform.from_components([3 * seconds, seconds, 0], Rotation.from_rotvec([0, 0, 0.8 * seconds]))
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_a_cloud_is_moved_to_the_time_of_the_image(tmp_path: Path, container: str):
+    scan_ns, image_ns = START_NS + 500 * MS, START_NS + 537 * MS
+    T_rig_camera = RigidTransform.from_components(
+        [0.5, 0, 1], Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    )
+    T_rig_lidar = RigidTransform.from_translation([0, 0, 2])
+    with BagWriter(tmp_path, container) as bag:
+        bag.transform("/tf_static", START_NS, "rig", "camera", T_rig_camera)
+        bag.transform("/tf_static", START_NS, "rig", "lidar", T_rig_lidar)
+        for ms in range(0, 1001, 20):
+            bag.transform("/tf", START_NS + ms * MS, "odom", "rig", pose(START_NS + ms * MS))
+        write_scan(bag, scan_ns)
+        write_camera(bag, "cam", image_ns)
+    recording = open_recording(bag.path)
+    assert recording.notes == ("clouds are moved to the images' times by the motion of the rig in odom",)
+    T = (pose(image_ns) * T_rig_camera).inv() * pose(scan_ns) * T_rig_lidar
+    expected = T.apply(POINTS_M.astype(np.float64))
+    found = recording.frame(0).cloud.xyz_m
+    distances = np.linalg.norm(found[:, None] - expected[None], axis=2).min(axis=1)
+    assert len(found) > 20
+    # the path between two poses is an arc, and interpolated as a line
+    assert distances.max() < 1e-3
+    still = (T_rig_camera.inv() * T_rig_lidar).apply(POINTS_M.astype(np.float64))
+    assert np.linalg.norm(found[:, None] - still[None], axis=2).min(axis=1).max() > 0.05
+
+
+def test_a_link_that_is_known_only_at_another_time_is_an_error(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_mount(bag, "/tf")
+        write_scan(bag, START_NS + 2000 * MS)
+        write_camera(bag, "cam", START_NS + 2000 * MS)
+    with pytest.raises(
+        FrameError, match=r"from lidar to camera is not known at this time; the nearest is 2\.00 s away"
+    ):
+        open_recording(bag.path).frame(0)
+
+
+def test_gravity_comes_from_an_imu_at_rest(tmp_path: Path):
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.1])
+    up_imu = np.array([0.2, 0.1, 9.78])
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag)
+        bag.transform("/tf_static", START_NS, "camera", "imu", RigidTransform.from_rotation(turn))
+        for i in range(30):
+            shake = 0.0 if i < 10 else 4.0 * (-1) ** i
+            bag.imu("/imu", START_NS + i * 100 * MS, (up_imu[0] + shake, up_imu[1], up_imu[2]))
+    expected = turn.apply(up_imu / np.linalg.norm(up_imu))
+    np.testing.assert_allclose(open_recording(bag.path).frame(1).up, expected, atol=1e-9)
+    (tmp_path / "moving").mkdir()
+    with BagWriter(tmp_path / "moving", "ros1") as bag:
+        write_take(bag)
+        for i in range(10):
+            bag.imu("/imu", START_NS + i * 20 * MS, (4.0 * (-1) ** i, 0.0, 9.8), "camera")
+    assert open_recording(bag.path).frame(1).up is None
+
+
+def test_depth_of_another_camera_is_registered(tmp_path: Path):
+    """A depth camera of another size, beside the colour camera."""
+    T_color_depth = RigidTransform.from_translation([0.05, 0, 0])
+    depth = np.full((12, 16), 2000, np.uint16)
+    small = np.array([[15.0, 0, 7.5], [0, 15.0, 5.5], [0, 0, 1]])
+    with BagWriter(tmp_path, "mcap") as bag:
+        bag.transform("/tf_static", START_NS, "color_optical", "depth_optical", T_color_depth)
+        write_camera(bag, "camera/color", START_NS, "color_optical")
+        bag.info("/camera/depth/camera_info", START_NS, (16, 12), small, frame="depth_optical")
+        bag.image("/camera/depth/image_rect_raw", START_NS, depth, "16UC1", "depth_optical")
+    frame = open_recording(bag.path).frame(0)
+    v, u = np.mgrid[:12, :16]
+    expected = np.stack([(u - 7.5) / 15 * 2 + 0.05, (v - 5.5) / 15 * 2, np.full_like(u, 2.0, float)], -1).reshape(-1, 3)
+    distances = np.linalg.norm(frame.cloud.xyz_m[:, None] - expected[None], axis=2)
+    assert distances.min(axis=1).max() < 1e-5
+    assert len(frame.cloud) > 150
+    assert frame.depth_m is not None and frame.depth_m.shape == IMAGE.shape[:2]
+
+
+def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
+    with BagWriter(tmp_path, "ros1") as bag:
+        for i in range(2):
+            write_scan(bag, START_NS + i * 100 * MS)
+    recording = open_recording(bag.path)
+    assert "a virtual camera" in recording.notes[0]
+    frame = recording.frame(1)
+    expected = POINTS_M.astype(np.float64) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]).T
+    np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
+
+
+def test_two_publishers_of_a_topic_are_told(tmp_path: Path):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag)
+        ext = [bag.writer.add_connection("/cam/image_raw", "sensor_msgs/msg/Image", typestore=bag.store, callerid=name)
+               for name in ("/a", "/b")]  # fmt: skip
+        assert ext
+        for connection, ms in zip(ext, (304, 404), strict=True):
+            bag._topics["/cam/image_raw"] = connection
+            bag.image("/cam/image_raw", START_NS + ms * MS, IMAGE, "rgb8")
+    recording = open_recording(bag.path)
+    assert any("/cam/image_raw has 3 publishers" in note for note in recording.notes)
+    assert len(recording) == 3
+
+
+def test_messages_of_two_types_on_a_topic_are_two_topics(tmp_path: Path):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag)
+        connection = bag.writer.add_connection("/points", "sensor_msgs/msg/Imu", typestore=bag.store)
+        bag._topics["/points"] = connection
+        bag.imu("/points", START_NS, (0.0, 0.0, 9.8))
+    recording = open_recording(bag.path)
+    assert (
+        "the topic /points has messages of several types: sensor_msgs/Imu, sensor_msgs/PointCloud2" in recording.notes
+    )
+    assert len(recording.frame(0).cloud)
+
+
+CONTRADICTIONS = [
+    ({"size": (64, 48)}, "/cam/image_raw: has 32 x 24 pixels, but its camera has 64 x 48"),
+    ({"K": np.zeros((3, 3))}, "/cam/camera_info: is not calibrated: K is zero"),
+]
+
+
+@pytest.mark.parametrize(("changed", "problem"), CONTRADICTIONS)
+def test_a_calibration_of_another_image_is_an_error(tmp_path: Path, changed: dict[str, object], problem: str):
+    fields = {"size": SIZE, "K": K} | changed
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_mount(bag)
+        write_scan(bag, START_NS)
+        bag.image("/cam/image_raw", START_NS, IMAGE, "rgb8")
+        bag.info("/cam/camera_info", START_NS, **fields)  # type: ignore[arg-type]
+    with pytest.raises(FrameError, match=problem):
+        open_recording(bag.path).frame(0)
+
+
+def test_a_broken_message_affects_only_its_frame(tmp_path: Path):
+    with BagWriter(tmp_path, "sqlite3") as bag:
+        write_take(bag)
+        bag.image("/cam/image_raw", START_NS + 304 * MS, IMAGE, "rgb8", height=900)
+        bag.cloud("/points", START_NS + 300 * MS, structured({"x": POINTS_M[:, 0]}))
+    recording = open_recording(bag.path)
+    assert len(recording) == 4
+    with pytest.raises(FrameError, match=r"frame 000003: /cam/image_raw: .*900 pixels of rgb8 .* do not fit"):
+        recording.frame(3)
+    assert len(recording.frame(2).cloud)
+
+
+@pytest.mark.parametrize("missing", ["image", "info", "partner"])
+def test_a_bag_without_a_part_says_so(tmp_path: Path, missing: str):
+    with BagWriter(tmp_path, "ros1") as bag:
+        bag.imu("/imu", START_NS, (0.0, 0.0, 9.8))
+        if missing == "partner":
+            write_camera(bag, "cam", START_NS)
+        if missing == "info":
+            bag.image("/cam/image_raw", START_NS, IMAGE, "rgb8")
+            write_scan(bag, START_NS)
+    problem = {"image": "neither images nor point clouds", "info": "no calibration of /cam/image_raw",
+               "partner": "neither point clouds"}[missing]  # fmt: skip
+    with pytest.raises(InputError, match=problem):
+        open_recording(bag.path)
