@@ -32,12 +32,11 @@ def decode(channel: Channel, data: bytes) -> Any:
         ValueError: it is damaged, or its encoding is unknown.
         MissingExtraError: rosbags or protobuf is not installed.
     """
-    decoder = _decoder(channel.encoding, channel.type, channel.schema_encoding, channel.schema)
     try:
-        return decoder(data)
+        return _decoder(channel.encoding, channel.type, channel.schema_encoding, channel.schema)(data)
     except MissingExtraError:
         raise
-    # for damaged messages, the decoders raise any exception
+    # for damaged messages and definitions, the libraries raise any exception
     except Exception as error:
         raise ValueError(f"is not a {short_type(channel.type)} ({str(error)[:120]})") from error
 
@@ -136,12 +135,10 @@ def _protobuf_decoder(kind: str, schema: bytes) -> Callable[[bytes], Any]:
     except ImportError as error:
         raise MissingExtraError("protobuf", "ros") from error
     pool = descriptor_pool.DescriptorPool()
-    try:
-        for file in descriptor_pb2.FileDescriptorSet.FromString(schema).file:
-            pool.Add(file)
-        return message_factory.GetMessageClass(pool.FindMessageTypeByName(kind)).FromString
-    except Exception as error:  # protobuf's errors have no common base
-        raise ValueError(f"has a damaged definition of {kind} ({str(error)[:100]})") from error
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema).file:
+        pool.Add(file)
+    parse: Callable[[bytes], Any] = message_factory.GetMessageClass(pool.FindMessageTypeByName(kind)).FromString
+    return parse
 
 
 def _from_json(data: bytes) -> Any:
