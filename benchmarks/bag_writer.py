@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
@@ -153,7 +153,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.write(topic, time_ns, content)
 
 
-def structured(columns: dict[str, np.ndarray], order: str = "<", padding: int = 0) -> np.ndarray:
+def structured(columns: dict[str, np.ndarray], order: Literal["<", ">"] = "<", padding: int = 0) -> np.ndarray:
     """Returns points with these columns, `padding` bytes between and after them, in a byte order."""
     offsets, at = [], 0
     formats = [values.dtype.newbyteorder(order) for values in columns.values()]

@@ -51,7 +51,7 @@ def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
 def _topic_rows(topics: Sequence[TopicReport]) -> Iterator[tuple[str, object]]:
     for topic in topics:
         rate = "" if topic.rate_hz is None else f", {topic.rate_hz:.3g} Hz"
-        use = f": {topic.use}" if topic.use else ""
+        use = f": {topic.use or topic.option}" if topic.use or topic.option else ""
         yield "topic", f"{topic.name} ({topic.type}, {topic.messages} messages{rate}){use}"
 
 

@@ -22,6 +22,7 @@ ROUTES: tuple[str, ...] = (
     "session",
     "projects",
     "recordings",
+    "bags",
     "boxes",
     "frames",
     "label",

@@ -45,7 +45,8 @@ class TopicReport(BaseModel):
 
     Attributes:
         rate_hz: messages per second; None for fewer than two.
-        use: what it is used for; where the choice is not clear, the option that can name it; "" = not used.
+        use: what it is used for; "" = not used, or not chosen yet.
+        option: that can name it, such as "--points"; "" = none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
@@ -55,6 +56,7 @@ class TopicReport(BaseModel):
     messages: int
     rate_hz: float | None
     use: str
+    option: str
 
 
 class RecordingReport(BaseModel):

@@ -112,14 +112,17 @@ def choose(bag: Bag, options: ReaderOptions) -> Chosen:
     return Chosen(image, info, points, depth, _info(bag, depth, images, None) if depth else None)
 
 
+def options_of(bag: Bag) -> dict[str, str]:
+    """Returns the option that can name each topic, by name; topics that none can name are left out."""
+    found = {image.topic.name: "--depth" if image.picture.is_depth else "--image" for image in image_topics(bag)}
+    found |= {topic.name: "--points" for topic in bag.of_type(*CLOUD_TYPES)}
+    return found | {topic.name: "--camera-info" for topic in bag.of_type(*INFO_TYPES)}
+
+
 def uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
-    """Returns what each topic is used for, or could be used for, by name."""
+    """Returns what each topic is used for, by name; topics that are not used are left out."""
     found: dict[str, str] = {}
-    if chosen is None:
-        found |= {image.topic.name: "--depth" if image.picture.is_depth else "--image" for image in image_topics(bag)}
-        found |= {topic.name: "--points" for topic in bag.of_type(*CLOUD_TYPES)}
-        found |= {topic.name: "--camera-info" for topic in bag.of_type(*INFO_TYPES)}
-    else:
+    if chosen is not None:
         image, depth = (None if one is None else one.topic for one in (chosen.image, chosen.depth))
         roles = (
             (chosen.depth_info, "camera of the depth"), (chosen.info, "camera"), (chosen.points, "points"),

@@ -72,8 +72,9 @@ class SqliteFile:
         with self._connected() as connection:
             blob = connection.blobopen("messages", "data", int(channel.offset[i]), readonly=True)
             with blob:
-                stored = HEAD_OF_MESSAGE if self._are_compressed else most
-                data = blob.read(-1 if most is None else stored)
+                # -1 = to the end
+                wanted = -1 if most is None else most
+                data = blob.read(HEAD_OF_MESSAGE if self._are_compressed and most is not None else wanted)
         return unpack_message(data, most) if self._are_compressed else data
 
     def _list_messages(self, connection: sqlite3.Connection) -> str:

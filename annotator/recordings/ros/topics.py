@@ -7,7 +7,7 @@ from pathlib import Path
 
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.ros.files import open_bag
-from annotator.recordings.ros.roles import choose, uses
+from annotator.recordings.ros.roles import choose, options_of, uses
 from annotator.types.errors import InputError
 
 
@@ -19,7 +19,8 @@ class TopicFacts:
         name, type: `package/Name` for all encodings.
         messages: their number.
         rate_hz: messages per second; None for fewer than two.
-        use: what it is used for; where the choice is not clear, the option that can name it; "" = not used.
+        use: what it is used for; "" = not used.
+        option: that can name it, such as "--points"; "" = none.
     """
 
     name: str
@@ -27,6 +28,7 @@ class TopicFacts:
     messages: int
     rate_hz: float | None
     use: str
+    option: str
 
 
 def list_topics(path: Path, options: ReaderOptions) -> list[TopicFacts] | None:
@@ -43,8 +45,8 @@ def list_topics(path: Path, options: ReaderOptions) -> list[TopicFacts] | None:
         chosen = choose(bag, options)
     except InputError:  # whoever opens the recording gets this error
         chosen = None
-    used = uses(bag, chosen)
+    used, options_by_name = uses(bag, chosen), options_of(bag)
     return [
-        TopicFacts(name, topic.type, len(topic), topic.rate_hz, used.get(name, ""))
+        TopicFacts(name, topic.type, len(topic), topic.rate_hz, used.get(name, ""), options_by_name.get(name, ""))
         for name, topic in sorted(bag.topics.items())
     ]

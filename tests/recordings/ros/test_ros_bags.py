@@ -78,9 +78,10 @@ def test_an_ambiguous_choice_names_the_options(tmp_path: Path):
         open_recording(path, ReaderOptions(image="/left/image_raw"))
     recording = open_recording(path, ReaderOptions(image="/left/image_raw", points="points"))
     assert len(recording.frame(0).cloud)
-    uses = {topic.name: topic.use for topic in list_topics(path, ReaderOptions()) or []}
-    assert uses["/left/image_raw"] == "--image"
-    assert uses["/points_rear"] == "--points"
+    facts = {topic.name: (topic.use, topic.option) for topic in list_topics(path, ReaderOptions()) or []}
+    assert facts["/left/image_raw"] == ("", "--image")
+    assert facts["/points_rear"] == ("", "--points")
+    assert facts["/tf_static"] == ("transforms", "")
 
 
 WRONG_OPTIONS = [

@@ -6,6 +6,7 @@ import { projectPath } from "../api.js";
 import { messageOf } from "../errors.js";
 import { createJobLine, takeJob } from "../jobs.js";
 import { createFolders } from "./folders.js";
+import { chooseTopics } from "./topics.js";
 
 /**
  * Shows the folders until it is closed, so that several recordings can be added.
@@ -43,6 +44,8 @@ export function addRecordings(app, project) {
  * @param {HTMLButtonElement} button
  */
 async function add(app, { project, done, labels }, entry, button) {
+  const topics = entry.recording === "ros_bag" ? await chooseTopics(app, entry) : {};
+  if (topics === null) return;
   button.disabled = true;
   button.textContent = "Adding …";
   try {
@@ -50,6 +53,7 @@ async function add(app, { project, done, labels }, entry, button) {
     const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
       path: entry.path,
       labels: labels.checked,
+      options: topics,
     });
     done.append(...added.map((one) => h("p", { "data-testid": "added-recording" }, glyph("check"), describe(one))));
     if (job) done.append(jobLine(app, job));

@@ -1,0 +1,74 @@
+"""Adding a bag whose topics must be chosen, in a real browser; and the route behind it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from ros_takes import START_NS, write_camera, write_mount, write_scan
+
+from annotator.recordings import open_recording
+from annotator.recordings.options import stored_options
+from benchmarks.bag_writer import BagWriter
+
+expect = pytest.importorskip("playwright.sync_api").expect
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from live_server import Live
+    from playwright.sync_api import Page
+
+
+@pytest.fixture
+def bag_path(live: Live, tmp_path: Path) -> Iterator[str]:
+    """A bag with two cameras and a LiDAR, in one of the server's folders."""
+    root = live.settings.folders[0]
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_mount(bag)
+        write_scan(bag, START_NS)
+        for name in ("left", "right"):
+            write_camera(bag, name, START_NS)
+    placed = root / "two_cameras.bag"
+    shutil.copy(bag.path, placed)
+    yield f"{root.name}/{placed.name}"
+    placed.unlink()
+
+
+def test_topics_are_chosen_with_a_preview(start: Page, live: Live, bag_path: str) -> None:
+    live.client.post("/api/projects", json={"name": "drive", "classes": ["car"]})
+    start.reload()
+    start.get_by_test_id("add-recording-drive").click()
+    start.get_by_test_id(f"folder-{live.settings.folders[0].name}").click()
+    start.get_by_test_id("add-two_cameras.bag").click()
+    dialog = start.get_by_test_id("topics-dialog")
+    expect(dialog.get_by_test_id("topics-problem")).to_contain_text("choose one of its topics with --image")
+    dialog.get_by_test_id("dialog-add").click()
+    expect(dialog).to_contain_text("Please choose topics that can be read first.")
+    dialog.get_by_test_id("topic-image").select_option("/right/image_raw")
+    picture = dialog.get_by_test_id("topics-preview")
+    expect(picture).to_be_visible()
+    assert picture.evaluate("image => image.naturalWidth") == 32
+    expect(dialog.get_by_test_id("topic-points")).to_contain_text("/points (chosen automatically)")
+    expect(dialog.get_by_test_id("topic-camera_info")).to_contain_text("/right/camera_info (chosen automatically)")
+    dialog.get_by_test_id("dialog-add").click()
+    expect(start.get_by_test_id("added-recording")).to_have_text("two_cameras: 1 frame")
+    (stored,) = live.context.project("drive").recordings.all()
+    assert stored.options == '{"image":"/right/image_raw"}'
+    assert len(open_recording(stored.path, stored_options(stored.options))) == 1
+
+
+def test_the_route_describes_a_bag(live: Live, bag_path: str) -> None:
+    answer = live.client.get("/api/bags", params={"path": bag_path}).json()
+    assert "--image: /left/image_raw (1 messages), /right/image_raw" in answer["problem"]
+    assert str(live.settings.folders[0]) not in answer["problem"]
+    assert (answer["frames"], answer["picture"]) == (0, "")
+    params = {"path": bag_path, "image": "/left/image_raw", "camera_info": "/right/camera_info"}
+    answer = live.client.get("/api/bags", params=params).json()
+    assert (answer["frames"], answer["problem"]) == (1, "")
+    assert answer["picture"].startswith("data:image/jpeg;base64,")
+    assert {topic["name"]: topic["use"] for topic in answer["topics"]}["/right/camera_info"] == "camera"
+    missing = live.client.get("/api/bags", params={"path": f"{bag_path}x"})
+    assert missing.status_code == 404

@@ -1,0 +1,114 @@
+/** The topics of a bag that is to be added: chosen by the server where that is clear, else by the operator. */
+
+import { openDialog } from "../dialogs.js";
+import { count, h } from "../dom.js";
+import { messageOf } from "../errors.js";
+
+/**
+ * What can be chosen: its name, the options of the topics that can be named, and what a topic is used as.
+ *
+ * @type {{ id: string, label: string, options: string[], uses: string[] }[]}
+ */
+const CHOICES = [
+  { id: "image", label: "Images", options: ["--image"], uses: ["image"] },
+  { id: "points", label: "Points or depth", options: ["--points", "--depth"], uses: ["points", "depth"] },
+  { id: "camera_info", label: "Calibration", options: ["--camera-info"], uses: ["camera"] },
+];
+
+/**
+ * Shows the topics with a preview of the first frame. Returns the reader's options, or null if it was cancelled.
+ *
+ * @param {App} app
+ * @param {Api.FolderEntry} entry
+ * @returns {Promise<Record<string, string> | null>}
+ */
+export async function chooseTopics(app, entry) {
+  const selects = CHOICES.map(({ id }) => h("select", { "data-testid": `topic-${id}`, onchange: () => void show() }));
+  const rows = CHOICES.map(({ label }, index) => h("label", { class: "row" }, h("span", {}, label), selects[index]));
+  const preview = h("figure", { class: "bag-preview", role: "status" });
+  /** @type {Api.BagChoice | null} */
+  let bag = null;
+  let asked = 0;
+
+  /** The options that the operator has chosen; what is not chosen is left to the server. */
+  function options() {
+    /** @type {Record<string, string>} */
+    const chosen = {};
+    for (const [index, { id }] of CHOICES.entries()) {
+      const name = selects[index].value;
+      const isDepth = bag?.topics.some((topic) => topic.name === name && topic.option === "--depth");
+      if (name) chosen[id === "points" && isDepth ? "depth" : id] = name;
+    }
+    return chosen;
+  }
+
+  async function show() {
+    const chosen = options();
+    asked += 1;
+    const mine = asked;
+    preview.replaceChildren(h("figcaption", { class: "muted" }, "Reading the first frame …"));
+    try {
+      const query = new URLSearchParams({ path: entry.path, ...chosen });
+      /** @type {Api.BagChoice} */
+      const answer = await app.api.get(`/api/bags?${query}`);
+      if (mine !== asked) return;
+      bag = answer;
+      fill(answer, Object.values(chosen));
+      preview.replaceChildren(...describe(answer));
+    } catch (error) {
+      if (mine !== asked) return;
+      preview.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+    }
+  }
+
+  /**
+   * @param {Api.BagChoice} answer
+   * @param {string[]} names those that the operator has chosen.
+   */
+  function fill({ topics }, names) {
+    for (const [index, { options: flags, uses }] of CHOICES.entries()) {
+      const candidates = topics.filter(({ option }) => flags.includes(option));
+      const used = candidates.find(({ use }) => uses.includes(use));
+      const automatic = used ? `${used.name} (chosen automatically)` : "please choose";
+      const chosen = candidates.find(({ name }) => names.includes(name));
+      selects[index].replaceChildren(
+        h("option", { value: "" }, chosen ? "choose automatically" : automatic),
+        ...candidates.map((topic) => h("option", { value: topic.name }, nameOf(topic))),
+      );
+      selects[index].value = chosen?.name ?? "";
+    }
+  }
+
+  void show();
+  return openDialog({
+    title: `Topics of ${entry.name}`,
+    testid: "topics-dialog",
+    wide: true,
+    content: [...rows, preview],
+    actions: [
+      { label: "Cancel", value: "cancel" },
+      { label: "Add", value: "add" },
+    ],
+    submit(value) {
+      if (value === "cancel") return null;
+      if (!bag?.frames) throw new Error("Please choose topics that can be read first.");
+      return options();
+    },
+  });
+}
+
+/** @param {Api.TopicReport} topic */
+function nameOf({ name, type, messages, rate_hz }) {
+  const rate = rate_hz === null ? "" : `, ${rate_hz.toPrecision(3)} Hz`;
+  return `${name} (${type}, ${count(messages, "message")}${rate})`;
+}
+
+/** @param {Api.BagChoice} answer */
+function describe({ frames, notes, problem, picture }) {
+  if (problem) return [h("p", { class: "error-box", role: "alert", "data-testid": "topics-problem" }, problem)];
+  return [
+    h("img", { src: picture, alt: "The first frame with its points, near ones red", "data-testid": "topics-preview" }),
+    h("figcaption", {}, `${count(frames, "frame")}. The first one, with its points: near ones red, far ones blue.`),
+    ...notes.map((note) => h("p", { class: "help" }, note)),
+  ];
+}
