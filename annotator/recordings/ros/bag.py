@@ -109,10 +109,11 @@ class Topic:
 
     @property
     def rate_hz(self) -> float | None:
-        """Messages per second, by the median of their distances; None for fewer than two."""
+        """Messages per second, by the median of their distances, or their mean if several have the same time."""
         if len(self) < 2:
             return None
-        period_ns = float(np.median(np.diff(self.log_ns)))
+        distances = np.diff(self.log_ns)
+        period_ns = float(np.median(distances)) or float(np.mean(distances))
         return 1e9 / period_ns if period_ns > 0 else None
 
     def read(self, i: int, most: int | None = None) -> tuple[Channel, bytes]:

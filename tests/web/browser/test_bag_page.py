@@ -44,7 +44,7 @@ def test_topics_are_chosen_with_a_preview(start: Page, live: Live, bag_path: str
     start.get_by_test_id(f"folder-{live.settings.folders[0].name}").click()
     start.get_by_test_id("add-two_cameras.bag").click()
     dialog = start.get_by_test_id("topics-dialog")
-    expect(dialog.get_by_test_id("topics-problem")).to_contain_text("choose one of its topics with --image")
+    expect(dialog.get_by_test_id("topics-problem")).to_contain_text("choose one of its topics with Images")
     dialog.get_by_test_id("dialog-add").click()
     expect(dialog).to_contain_text("Please choose topics that can be read first.")
     dialog.get_by_test_id("topic-image").select_option("/right/image_raw")

@@ -58,9 +58,10 @@ async function add(app, { project, done, labels }, entry, button) {
     done.append(...added.map((one) => h("p", { "data-testid": "added-recording" }, glyph("check"), describe(one))));
     if (job) done.append(jobLine(app, job));
     if (note) done.append(h("p", { class: "error-box", role: "alert", "data-testid": "recording-note" }, note));
-    // adding it again starts the job that could not be started
-    button.textContent = note ? "Add" : "Added";
-    button.disabled = !note;
+    // adding it again starts the job that could not be started, or adds other topics
+    const again = Boolean(note) || entry.recording === "ros_bag";
+    button.textContent = again ? "Add" : "Added";
+    button.disabled = !again;
   } catch (error) {
     done.append(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
     button.textContent = "Add";

@@ -24,7 +24,9 @@ const CHOICES = [
  */
 export async function chooseTopics(app, entry) {
   const selects = CHOICES.map(({ id }) => h("select", { "data-testid": `topic-${id}`, onchange: () => void show() }));
-  const rows = CHOICES.map(({ label }, index) => h("label", { class: "row" }, h("span", {}, label), selects[index]));
+  const rows = CHOICES.map(({ label }, index) =>
+    h("label", { class: "row bag-topic" }, h("span", {}, label), selects[index]),
+  );
   const preview = h("figure", { class: "bag-preview", role: "status" });
   /** @type {Api.BagChoice | null} */
   let bag = null;
@@ -69,10 +71,10 @@ export async function chooseTopics(app, entry) {
     for (const [index, { options: flags, uses }] of CHOICES.entries()) {
       const candidates = topics.filter(({ option }) => flags.includes(option));
       const used = candidates.find(({ use }) => uses.includes(use));
-      const automatic = used ? `${used.name} (chosen automatically)` : "please choose";
       const chosen = candidates.find(({ name }) => names.includes(name));
+      const automatic = used && !chosen ? `${used.name} (chosen automatically)` : "choose automatically";
       selects[index].replaceChildren(
-        h("option", { value: "" }, chosen ? "choose automatically" : automatic),
+        h("option", { value: "" }, automatic),
         ...candidates.map((topic) => h("option", { value: topic.name }, nameOf(topic))),
       );
       selects[index].value = chosen?.name ?? "";
@@ -105,7 +107,14 @@ function nameOf({ name, type, messages, rate_hz }) {
 
 /** @param {Api.BagChoice} answer */
 function describe({ frames, notes, problem, picture }) {
-  if (problem) return [h("p", { class: "error-box", role: "alert", "data-testid": "topics-problem" }, problem)];
+  if (problem) {
+    // the message names the options of the command line
+    const text = CHOICES.reduce(
+      (message, { label, options }) => options.reduce((one, flag) => one.replaceAll(flag, label), message),
+      problem,
+    );
+    return [h("p", { class: "error-box", role: "alert", "data-testid": "topics-problem" }, text)];
+  }
   return [
     h("img", { src: picture, alt: "The first frame with its points, near ones red", "data-testid": "topics-preview" }),
     h("figcaption", {}, `${count(frames, "frame")}. The first one, with its points: near ones red, far ones blue.`),
