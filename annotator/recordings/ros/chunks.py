@@ -51,13 +51,6 @@ class Chunks:
         self._kept: OrderedDict[int, bytes] = OrderedDict()
         self._lock = Lock()
 
-    def __getstate__(self) -> tuple[Path, list[Chunk]]:
-        return self.path, self.all
-
-    def __setstate__(self, state: tuple[Path, list[Chunk]]) -> None:
-        self.__init__(state[0])  # type: ignore[misc]
-        self.all = state[1]
-
     def add(self, chunk: Chunk) -> int:
         """Adds a chunk and returns its number."""
         self.all.append(chunk)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Int64
 
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.decode import SECOND, quick_stamp_ns
+from annotator.recordings.ros.kept_times import kept_times
 
 Clock = Literal["header", "log"]
 # Topics whose stamps are further apart than this, measured against the log, have different clocks.
@@ -63,9 +65,10 @@ def pair(images: Topic, clouds: Topic, tolerance_s: float) -> Pairs:
     return Pairs(image, cloud, image_ns[image], cloud_ns[cloud], tuple(notes))
 
 
+@lru_cache(maxsize=16)
 def stamps_ns(topic: Topic) -> Int64[np.ndarray, "n"]:
     """Returns the times in the headers of a topic's messages; 0 = not set or damaged."""
-    return np.array([quick_stamp_ns(topic, i) or 0 for i in range(len(topic))], np.int64)
+    return kept_times(topic, lambda: np.array([quick_stamp_ns(topic, i) or 0 for i in range(len(topic))], np.int64))
 
 
 def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -32,7 +32,7 @@ from annotator.recordings.ros.images import color_image, depth_image
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
 from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
-from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose
+from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, frame_of
 from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
 from annotator.recordings.ros.video import video_image
 from annotator.recordings.two_cameras import registered
@@ -188,6 +188,7 @@ class RosBag(KeyedFrames):
         )
         for links in self.tf.windows(log_ns):
             try:
+                # where the motion is not known, the rigid mount must do
                 direct = links.transform(camera, cloud, time_ns)
                 if fixed is None:
                     return direct
@@ -215,7 +216,7 @@ class RosBag(KeyedFrames):
                 return between_streams(self.bag, self.chosen.image.topic, imu).rotation
             except RecordingError:
                 return None
-        for links in self.tf.windows(log_ns):
+        for links in self.tf.near(log_ns):
             try:
                 return links.transform(camera_frame, frame, time_ns).rotation
             except LinkMissingError:
@@ -271,12 +272,10 @@ def _alone(clouds: Topic) -> Pairs:
 def _fixed_frame(tf: TransformReader, bag: Bag, chosen: Chosen, pairs: Pairs, camera_frame: str) -> str | None:
     """Returns the frame in which tf knows the motion of both camera and cloud; None without one."""
     assert chosen.image is not None
-    try:
-        content = message(chosen.partner, int(pairs.cloud[0]))
-    except ValueError:
+    camera, cloud = camera_frame or chosen.image.frame, frame_of(chosen.partner)
+    if cloud is None:
         return None
-    camera, cloud = camera_frame or chosen.image.frame, frame_id(content)
-    for links in tf.windows(int(chosen.image.topic.log_ns[int(pairs.image[0])])):
+    for links in tf.near(int(chosen.image.topic.log_ns[int(pairs.image[0])])):
         for fixed in FIXED_FRAMES:
             if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
                 return fixed

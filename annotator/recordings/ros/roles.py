@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from annotator.recordings.options import ReaderOptions, option_flag
@@ -72,13 +73,25 @@ class Chosen:
 
 def image_topics(bag: Bag) -> list[ImageTopic]:
     """Returns the topics of images that have a readable message."""
-    found = []
-    for topic in bag.of_type(*IMAGE_TYPES, VIDEO_TYPE):
-        first = first_message(topic)
-        if first is not None:
-            picture = Picture("video", 0, 0, False) if topic.type == VIDEO_TYPE else describe(first, topic.name)
-            found.append(ImageTopic(topic, picture, frame_id(first)))
-    return found
+    found = (_image_topic(topic) for topic in bag.of_type(*IMAGE_TYPES, VIDEO_TYPE))
+    return [image for image in found if image is not None]
+
+
+# Opening a bag asks several times; bags are cached, so their topics stay the same.
+@lru_cache(maxsize=256)
+def _image_topic(topic: Topic) -> ImageTopic | None:
+    first = first_message(topic)
+    if first is None:
+        return None
+    picture = Picture("video", 0, 0, False) if topic.type == VIDEO_TYPE else describe(first, topic.name)
+    return ImageTopic(topic, picture, frame_id(first))
+
+
+@lru_cache(maxsize=256)
+def frame_of(topic: Topic) -> str | None:
+    """Returns the tf frame of a topic's first readable message; None without one."""
+    first = first_message(topic)
+    return None if first is None else frame_id(first)
 
 
 def first_message(topic: Topic, tried: int = 5) -> Any:
@@ -183,8 +196,7 @@ def _partner(
             break
     frames = {depth.frame for depth in depths} | {image.frame}
     # clouds that the camera's driver made of the depth
-    clouds = [cloud for cloud in clouds if not depths or (first := first_message(cloud)) is None
-              or frame_id(first) not in frames]  # fmt: skip
+    clouds = [cloud for cloud in clouds if not depths or frame_of(cloud) not in frames]
     if len(depths) + len(clouds) > 1:
         named_depths = [depth.topic for depth in depths]
         if not clouds:
@@ -215,9 +227,7 @@ def _info(bag: Bag, image: ImageTopic, images: list[ImageTopic], name: str | Non
         places = (one.camera, one.camera.rpartition("/")[0] + "/info")
         return [info for info in infos if info.name.rpartition("/")[0] in places]
 
-    firsts = {info.name: first_message(info) for info in infos}
-    same_frame = [info for info in infos if (first := firsts[info.name]) is not None
-                  and image.frame and frame_id(first) == image.frame]  # fmt: skip
+    same_frame = [info for info in infos if image.frame and frame_of(info) == image.frame]
     taken = {info.name for other in images if other.base != image.base for info in beside(other)}
     free = [info for info in infos if info.name not in taken]
     for candidates in (beside(image), same_frame, free):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ STATIC = "static"
 WINDOWS_NS = (SECOND // 10, SECOND, 10 * SECOND)
 # A link that was last known this long ago is taken as it was.
 LONGEST_GAP_NS = SECOND // 10
-MOST_MESSAGES = 50_000
+MOST_MESSAGES = 20_000
 
 
 class LinkMissingError(Exception):
@@ -141,6 +142,14 @@ class TransformReader:
         topics = bag.of_type(*TYPES)
         static = tuple(topic for topic in topics if STATIC in topic.name)
         return TransformReader(static, tuple(topic for topic in topics if topic not in static))
+
+    def near(self, log_ns: int) -> Iterator[Links]:
+        """Yields the links within a second of a log time, for what is not necessarily known.
+
+        Raises:
+            OSError: a file cannot be read.
+        """
+        yield from islice(self.windows(log_ns), 2)
 
     def windows(self, log_ns: int) -> Iterator[Links]:
         """Yields the links known around a log time, each time with more messages, until all have been read.

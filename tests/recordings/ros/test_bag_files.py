@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from ros_takes import IMAGE, MS, POINTS_M, SIZE, START_NS, T_CAMERA_LIDAR, K, seen_points, write_take
 
 from annotator.recordings import detect_format, open_recording
-from annotator.recordings.ros import decode
+from annotator.recordings.ros import decode, kept_times, pairing
 from annotator.recordings.ros.chunks import Chunk, Chunks, unpack
 from annotator.recordings.ros.files import open_bag
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
@@ -371,3 +371,24 @@ def test_damaged_bags_give_frames_or_errors_that_name_the_file(takes: list[Path]
         assert str(error).startswith(str(path))
     finally:
         file.write_bytes(whole)
+
+
+def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(kept_times, "SLOW_S", -1.0)
+    with BagWriter(tmp_path, "ros1", "bz2") as bag:
+        write_take(bag)
+    opened = open_bag(bag.path)
+    assert opened is not None
+    topic, expected = opened.topics["/points"], START_NS + np.arange(3) * 100 * MS
+    np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    (file,) = kept_times.cache_folder().iterdir()
+    # the second time they are read from there, unless the file is damaged or the bag has changed
+    with monkeypatch.context() as patched:
+        patched.setattr(pairing, "quick_stamp_ns", lambda *_: pytest.fail("the bag is read"))
+        np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    file.write_bytes(b"damaged")
+    np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    bag.path.touch()
+    pairing.stamps_ns.__wrapped__(topic)
+    assert len(list(kept_times.cache_folder().iterdir())) == 2
