@@ -182,10 +182,8 @@ class RosBag(KeyedFrames):
         fixed = self.fixed_frame if time_ns != cloud_ns else None
         if camera == cloud and fixed is None:
             return RigidTransform.identity()
-        problem, direct = (
-            LinkMissingError(f"the transform from {cloud} to {camera} is missing: the bag has no tf"),
-            None,
-        )
+        problem = LinkMissingError(f"the transform from {cloud} to {camera} is missing: the bag has no tf")
+        direct: RigidTransform | None = None
         for links in self.tf.windows(log_ns):
             try:
                 # where the motion is not known, the rigid mount must do
