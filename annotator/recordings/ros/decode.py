@@ -23,6 +23,9 @@ from annotator.types.errors import MissingExtraError
 # Enough of a message for its time.
 HEAD_BYTES = 32
 SECOND = 10**9
+LATEST_NS = 2**63 - 1
+# What reading the fields of a message raises if they are missing, or of other types than usual.
+FIELD_ERRORS = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)
 
 
 def decode(channel: Channel, data: bytes) -> Any:
@@ -54,13 +57,21 @@ def message(topic: Topic, i: int) -> Any:
 
 
 def stamp_ns(content: Any) -> int:
-    """Returns the time in a message's header, nanoseconds; 0 = not set."""
+    """Returns the time in a message's header, nanoseconds; 0 = not set.
+
+    Raises:
+        ValueError: it is before 1970 or after 2262.
+    """
     time = content.header.stamp if hasattr(content, "header") else content.timestamp
     if hasattr(time, "nanosec"):
-        return int(time.sec) * SECOND + int(time.nanosec)
-    if hasattr(time, "nanos"):
-        return int(time.seconds) * SECOND + int(time.nanos)
-    return int(time.sec) * SECOND + int(time.nsec)
+        stamp = int(time.sec) * SECOND + int(time.nanosec)
+    elif hasattr(time, "nanos"):
+        stamp = int(time.seconds) * SECOND + int(time.nanos)
+    else:
+        stamp = int(time.sec) * SECOND + int(time.nsec)
+    if not 0 <= stamp <= LATEST_NS:
+        raise ValueError(f"has the impossible time {stamp} ns")
+    return stamp
 
 
 def frame_id(content: Any) -> str:
@@ -74,7 +85,7 @@ def quick_stamp_ns(topic: Topic, i: int) -> int | None:
     try:
         channel, data = topic.read(i, HEAD_BYTES)
         return _stamp_of_head(channel, data) if channel.encoding in ("ros1", "cdr") else stamp_ns(message(topic, i))
-    except (ValueError, OSError, struct.error, AttributeError):
+    except (*FIELD_ERRORS, OSError, struct.error):
         return None
 
 

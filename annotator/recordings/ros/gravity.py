@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from annotator.recordings.kinect.imu import MOST_SAMPLES, SAMPLE, WITHIN_NS, up_at_rest
 from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.decode import frame_id, message
+from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 
 
 def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"], str] | None:
@@ -28,7 +28,7 @@ def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"], str] |
             acceleration = content.linear_acceleration
             samples[count]["acceleration_mps2"] = (acceleration.x, acceleration.y, acceleration.z)
             frame = frame_id(content)
-        except (ValueError, AttributeError):  # damaged: the others suffice
+        except FIELD_ERRORS:  # damaged: the others suffice
             continue
         samples[count]["time_ns"] = max(int(topic.log_ns[i]), 0)
         count += 1

@@ -25,7 +25,7 @@ from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
-from annotator.recordings.ros.decode import frame_id, message
+from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 from annotator.recordings.ros.files import LOOKED_FOR, open_bag
 from annotator.recordings.ros.gravity import up_near
 from annotator.recordings.ros.images import color_image, depth_image
@@ -100,12 +100,13 @@ class RosBag(KeyedFrames):
             return self._image_frame(key, i, self.chosen.image)
         except OSError as error:
             raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
-        except (ValueError, AttributeError, LinkMissingError, GeometryError) as error:
+        except (*FIELD_ERRORS, LinkMissingError, GeometryError) as error:
             raise FrameError(self.path, f"frame {key}: {error}", REMEDY) from error
 
     def _cloud_frame(self, key: str, i: int) -> Frame:
         content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
-        raw = read_cloud(self.path, content)
+        with _naming(self.chosen.partner):
+            raw = read_cloud(self.path, content)
         cloud = PointCloud(T_CAMERA_LIDAR.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
         rgb = virtual_image(VIRTUAL_CAMERA, cloud)
         time_ns = int(self.pairs.time_ns[i])
@@ -124,7 +125,8 @@ class RosBag(KeyedFrames):
             T = self._T_color_depth(i, camera, camera_frame, frame_id(partner), log_ns)
             cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera.camera, log_ns)
         else:
-            raw = read_cloud(self.path, partner)
+            with _naming(self.chosen.partner):
+                raw = read_cloud(self.path, partner)
             T = _turned(camera) * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
             cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
             cloud = cloud_in_image(camera.camera, cloud, rgb)
@@ -282,10 +284,10 @@ def _fixed_frame(tf: TransformReader, bag: Bag, chosen: Chosen, pairs: Pairs, ca
 
 @contextmanager
 def _naming(topic: Topic) -> Iterator[None]:
-    """Puts a topic's name before a ValueError about its message."""
+    """Puts a topic's name before an error in its message."""
     try:
         yield
-    except ValueError as error:
+    except FIELD_ERRORS as error:
         raise ValueError(f"{topic.name}: {error}") from error
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from annotator.recordings.options import ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic
-from annotator.recordings.ros.decode import frame_id, message
+from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 from annotator.recordings.ros.images import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
 from annotator.types.errors import ConfigError, RecordingError
@@ -81,17 +81,20 @@ def image_topics(bag: Bag) -> list[ImageTopic]:
 @lru_cache(maxsize=256)
 def _image_topic(topic: Topic) -> ImageTopic | None:
     first = first_message(topic)
-    if first is None:
+    try:
+        picture = Picture("video", 0, 0, False) if topic.type == VIDEO_TYPE else describe(first, topic.name)
+        return ImageTopic(topic, picture, frame_id(first))
+    except FIELD_ERRORS:
         return None
-    picture = Picture("video", 0, 0, False) if topic.type == VIDEO_TYPE else describe(first, topic.name)
-    return ImageTopic(topic, picture, frame_id(first))
 
 
 @lru_cache(maxsize=256)
 def frame_of(topic: Topic) -> str | None:
     """Returns the tf frame of a topic's first readable message; None without one."""
-    first = first_message(topic)
-    return None if first is None else frame_id(first)
+    try:
+        return frame_id(first_message(topic))
+    except FIELD_ERRORS:
+        return None
 
 
 def first_message(topic: Topic, tried: int = 5) -> Any:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.ros.bag import Bag, Topic
-from annotator.recordings.ros.decode import SECOND, message, stamp_ns
+from annotator.recordings.ros.decode import FIELD_ERRORS, SECOND, message, stamp_ns
 
 TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage", "foxglove/FrameTransform", "foxglove/FrameTransforms")
 STATIC = "static"
@@ -180,14 +180,13 @@ class TransformReader:
 def _add_message(links: Links, topic: Topic, i: int, *, is_static: bool) -> None:
     try:
         content = message(topic, i)
-    except ValueError:  # a link that is needed is reported as missing
+        for link in getattr(content, "transforms", None) or [content]:
+            parent, child, time_ns, place, turn = _parts(link)
+            place_m = np.array([place.x, place.y, place.z], float)
+            quaternion = np.array([turn.x, turn.y, turn.z, turn.w], float)
+            links.add(parent.lstrip("/"), child.lstrip("/"), None if is_static else time_ns, place_m, quaternion)
+    except FIELD_ERRORS:  # a link that is needed is reported as missing
         return
-    for link in getattr(content, "transforms", None) or [content]:
-        parent, child, time_ns, place, turn = _parts(link)
-        links.add(
-            parent.lstrip("/"), child.lstrip("/"), None if is_static else time_ns,
-            np.array([place.x, place.y, place.z], float), np.array([turn.x, turn.y, turn.z, turn.w], float),
-        )  # fmt: skip
 
 
 def _parts(link: Any) -> tuple[str, str, int, Any, Any]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -127,8 +129,6 @@ WRITERS: list[dict[str, Any]] = [
 @pytest.mark.parametrize("how", WRITERS)
 @pytest.mark.parametrize("encoding", ["protobuf", "json"])
 def test_foxglove_messages_of_any_writer(tmp_path: Path, encoding: str, how: dict[str, Any]):
-    import cv2
-
     png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
     path = tmp_path / "a.mcap"
     write_mcap(path, encoding, [(START_NS, foxglove_take(encoding, {"data": png, "format": "png"}))], **how)
@@ -206,8 +206,6 @@ def test_a_cut_ros1_bag_is_read_as_far_as_it_is_sound(tmp_path: Path, compressio
 
 @pytest.mark.parametrize("how", WRITERS)
 def test_a_cut_mcap_file_is_read_as_far_as_it_is_sound(tmp_path: Path, how: dict[str, Any]):
-    import cv2
-
     path, moments = tmp_path / "a.mcap", []
     for i in range(40):
         picture = np.random.default_rng(i).integers(0, 256, IMAGE.shape, np.uint8)
@@ -336,12 +334,28 @@ def takes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         with BagWriter(folder, container, compression) as bag:
             write_take(bag, 2)
         paths.append(bag.path)
+    png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
+    for encoding in ("protobuf", "json"):
+        path = tmp_path_factory.mktemp("take") / "a.mcap"
+        how = {"compression": CompressionType.NONE, "enable_crcs": False}
+        write_mcap(path, encoding, [(START_NS, foxglove_take(encoding, {"data": png, "format": "png"}))], **how)
+        paths.append(path)
     return paths
 
 
 def _noise(content: bytes, at: int, data: st.DataObject) -> bytes:
     noise = data.draw(st.binary(min_size=1, max_size=8))
     return content[:at] + noise + content[at + data.draw(st.sampled_from([0, len(noise)])) :]
+
+
+def _other_value(content: bytes, at: int, data: st.DataObject) -> bytes:
+    """Replaces a number of JSON by something of another type, of the same length."""
+    places = [match.span() for match in re.finditer(rb"(?<=: )[-0-9.]{3,}", content)]
+    if not places:
+        return content
+    begin, end = places[at % len(places)]
+    value = data.draw(st.sampled_from([b"[]", b"{}", b'""', b"-9e9", b"9" * 50, b"1"]))[: end - begin]
+    return content[:begin] + value.ljust(end - begin) + content[end:]
 
 
 DAMAGES: list[Callable[[bytes, int, st.DataObject], bytes]] = [
@@ -359,8 +373,9 @@ def test_damaged_bags_give_frames_or_errors_that_name_the_file(takes: list[Path]
     files = [path] if path.is_file() else sorted(path.iterdir())
     file = data.draw(st.sampled_from(files))
     whole = file.read_bytes()
-    at = data.draw(st.one_of(st.integers(0, 300), st.integers(0, len(whole) - 1)))
-    file.write_bytes(data.draw(st.sampled_from(DAMAGES))(whole, min(at, len(whole) - 1), data))
+    at = min(data.draw(st.one_of(st.integers(0, 300), st.integers(0, len(whole) - 1))), len(whole) - 1)
+    damages = [*DAMAGES, *([_other_value] if file.name == "a.mcap" else [])]
+    file.write_bytes(data.draw(st.sampled_from(damages))(whole, at, data))
     try:
         recording = open_recording(path)
         for i in range(min(len(recording), 2)):
