@@ -3,7 +3,7 @@
 A reader lists a recording's folder when it opens it, and reads the files of one frame when that is requested. So the
 local copy has all file names from the start, as empty files. Files of a frame, and shared files (calibrations, times),
 are downloaded before they are read. The least recently used frames are emptied again, so that the copy stays within its
-limit. A recording that is a single file (`.mkv`) is copied whole.
+limit. A recording that is a single file (`.mkv`, `.bag`), and the files of a ROS 2 folder, are copied whole.
 
 A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key.
 """
@@ -31,6 +31,8 @@ from annotator.types.errors import RecordingError
 # Suffixes of the small files beside a recording's folders, which readers need when they open it.
 DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml")
 LARGEST_DESCRIPTION_BYTES = 10**6
+# Files of a folder of ROS 2, which hold all frames.
+WHOLE = (".mcap", ".db3")
 
 
 def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions = NO_OPTIONS) -> Mirror:
@@ -62,7 +64,7 @@ def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions
         for path, (_, size) in files.items():
             store.empty(path)
             is_small = "/" not in path and path.lower().endswith(DESCRIPTIONS) and size <= LARGEST_DESCRIPTION_BYTES
-            if is_file or is_small:
+            if is_file or is_small or ("/" not in path and path.lower().endswith(WHOLE)):
                 store.keep(path)
         with store.url_in_errors():
             opened = open_recording(place / name, options)

@@ -92,13 +92,15 @@ class McapFile:
                 raise ValueError("is not an MCAP file")
             at = len(MAGIC)
             loose = _Loose()
+            places: list[int] | None = None
             while at + RECORD.size <= size and not is_closed:
                 file.seek(at)
                 kind, length = RECORD.unpack(file.read(RECORD.size))
                 end = at + RECORD.size + length
                 is_cut = end > size and kind not in (CHUNK, DATA_END)
                 if not 0 < kind < 0x80 or is_cut or (kind == FOOTER and length != 20) or end > size + length:
-                    later = [place for place in _chunk_places(file, size) if place > at]
+                    places = _chunk_places(file, size) if places is None else places
+                    later = [place for place in places if place > at]
                     if later or end <= size:
                         notes.append(f"is damaged at byte {at}; {(later or [size])[0] - at} bytes are lost")
                     if not later:

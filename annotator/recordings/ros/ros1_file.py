@@ -76,11 +76,13 @@ class Ros1File:
             if file.read(len(MAGIC)) != MAGIC:
                 raise ValueError("is not a ROS bag of version 2.0")
             at, index_at, open_chunk = len(MAGIC), 0, -1
+            places: list[int] | None = None
             while at < size:
                 record = _record(file, at)
                 op = -1 if record is None else _op(record[0])
                 if record is None or op not in (MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION):
-                    later = [place for place in _chunk_places(file, index_at, size) if place > at]
+                    places = _chunk_places(file, index_at, size) if places is None else places
+                    later = [place for place in places if place > at]
                     notes.append(
                         f"is damaged at byte {at}; "
                         + (f"{later[0] - at} bytes are lost" if later else f"{size - at} bytes are not used")

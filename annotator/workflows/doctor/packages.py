@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from functools import lru_cache, partial
 from importlib import import_module
@@ -297,7 +298,7 @@ def _version(module: str) -> str:
             return version(name)
         except PackageNotFoundError:
             continue
-    return "of unknown version"
+    return str(getattr(sys.modules.get(module), "__version__", "of unknown version"))
 
 
 @lru_cache(maxsize=1)

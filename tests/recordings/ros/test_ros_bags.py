@@ -23,6 +23,7 @@ from ros_takes import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings import ReaderOptions, detect_format, open_recording
+from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros.topics import list_topics
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
 from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
@@ -350,6 +351,14 @@ def test_a_broken_message_affects_only_its_frame(tmp_path: Path):
     with pytest.raises(FrameError, match=r"frame 000003: /cam/image_raw: .*900 pixels of rgb8 .* do not fit"):
         recording.frame(3)
     assert len(recording.frame(2).cloud)
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_a_bag_in_remote_storage_is_copied_whole(tmp_path: Path, container: str):
+    with BagWriter(tmp_path, container) as bag:
+        write_take(bag)
+    mirror = open_mirror(bag.path.as_uri(), tmp_path / "copies", 10**7)
+    assert len(mirror.frame(2).cloud) == len(open_recording(bag.path).frame(2).cloud)
 
 
 @pytest.mark.parametrize("missing", ["image", "info", "partner"])
