@@ -28,6 +28,7 @@ REAL = [
     ("kitti", "kitti_object", 10, False),
     ("kitti/training", "kitti_object", 10, False),
     ("kitti_drive_0005", "kitti_tracking", 20, True),
+    ("realsense/single_depth_color_640x480.bag", "ros_bag", 1, True),
 ]
 
 

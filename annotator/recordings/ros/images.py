@@ -1,7 +1,7 @@
 """Pictures from messages: `Image`, `CompressedImage`, and the forms of Foxglove.
 
 Encodings: `sensor_msgs/image_encodings.hpp`; `compressedDepth`: `compressed_depth_image_transport` (a header of twelve
-bytes, then PNG; floats are quantised inverse depths).
+bytes, then PNG or RVL; floats are quantised inverse depths).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from jaxtyping import Float32, UInt8
 
 from annotator.image_bytes import MOST_PIXELS, decode_image
 from annotator.recordings.ros.decode import byte_array
+from annotator.recordings.ros.rvl import decode_rvl
 
 # bytes per value and channels of the encodings without colour conversion
 PLAIN: dict[str, tuple[str, int]] = {
@@ -35,7 +36,6 @@ YUV422 = {
 DEPTH_ENCODINGS = ("16UC1", "32FC1", "mono16")
 COMPRESSED_DEPTH = "compressedDepth"
 DEPTH_HEAD = struct.Struct("<iff")
-PNG = b"\x89PNG"
 
 
 @dataclass(frozen=True)
@@ -123,14 +123,10 @@ def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray
 def _compressed_depth(form: str, data: bytes) -> np.ndarray:
     import cv2
 
-    start = 0
-    if COMPRESSED_DEPTH in form:
-        start = DEPTH_HEAD.size
-        if "rvl" in form:
-            raise ValueError("its depth is compressed as RVL; play the bag with the png transport and record it again")
-        if len(data) < start + len(PNG) or not data[start:].startswith(PNG):
-            raise ValueError("its compressed depth is not PNG")
-    values = decode_image(data[start:], cv2.IMREAD_UNCHANGED)
+    start = DEPTH_HEAD.size if COMPRESSED_DEPTH in form else 0
+    if start and len(data) < start:
+        raise ValueError("its compressed depth is truncated")
+    values = decode_rvl(data[start:]) if "rvl" in form.lower() else decode_image(data[start:], cv2.IMREAD_UNCHANGED)
     if values.ndim != 2 or values.dtype != np.uint16:
         raise ValueError("its picture has no 16-bit depths")
     if not form.startswith("32FC1"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from functools import lru_cache, partial
 from importlib import import_module
@@ -293,12 +292,13 @@ def _first_line(error: BaseException) -> str:
 
 def _version(module: str) -> str:
     """Returns the version of the distribution that contains a module."""
-    for name in _distributions().get(module, [module]):
+    # google.protobuf is in the distribution protobuf
+    for name in _distributions().get(module, [module.rpartition(".")[2]]):
         try:
             return version(name)
         except PackageNotFoundError:
             continue
-    return str(getattr(sys.modules.get(module), "__version__", "of unknown version"))
+    return "of unknown version"
 
 
 @lru_cache(maxsize=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from annotator.geometry.projection import project
 from annotator.recordings.ros.camera_info import read_camera_info
 from annotator.recordings.ros.images import BAYER, color_image, depth_image, describe
 from annotator.recordings.ros.point_clouds import read_cloud
+from annotator.recordings.ros.rvl import decode_rvl
 from annotator.types.errors import FrameError
 from benchmarks.bag_writer import TYPE_NUMBERS, structured
 
@@ -108,8 +110,50 @@ def test_compressed_images_and_depths():
     data = struct.pack("<iff", 0, a, b) + cv2.imencode(".png", quantised)[1].tobytes()
     content = SimpleNamespace(format="32FC1; compressedDepth", data=np.frombuffer(data, np.uint8))
     np.testing.assert_allclose(depth_image(content), a / (quantised - np.float32(b)), rtol=1e-6)
-    with pytest.raises(ValueError, match="RVL"):
-        depth_image(SimpleNamespace(format="16UC1; compressedDepth rvl", data=np.frombuffer(data, np.uint8)))
+
+
+def rvl(depth: np.ndarray) -> bytes:
+    """Encodes a picture as the paper's C code does, nibble by nibble."""
+    nibbles: list[int] = []
+
+    def put(value: int) -> None:
+        while True:
+            nibble, value = value & 7, value >> 3
+            nibbles.append(nibble | (8 if value else 0))
+            if not value:
+                return
+
+    pixels, at, previous = depth.ravel().tolist(), 0, 0
+    while at < len(pixels):
+        zeros = next((i for i, value in enumerate(pixels[at:]) if value), len(pixels) - at)
+        at += zeros
+        depths = next((i for i, value in enumerate(pixels[at:]) if not value), len(pixels) - at)
+        put(zeros)
+        put(depths)
+        for value in pixels[at : at + depths]:
+            delta = value - previous
+            put(2 * delta if delta >= 0 else -2 * delta - 1)
+            previous = value
+        at += depths
+    nibbles += [0] * (-len(nibbles) % 8)
+    words = [
+        sum(nibble << 28 - 4 * i for i, nibble in enumerate(nibbles[k : k + 8])) for k in range(0, len(nibbles), 8)
+    ]
+    return struct.pack("<II", depth.shape[1], depth.shape[0]) + struct.pack(f"<{len(words)}I", *words)
+
+
+@given(st.lists(st.one_of(st.just(0), st.integers(0, 65535)), min_size=12, max_size=12))
+def test_rvl_depths_come_back(values: list[int]):
+    depth = np.array(values, np.uint16).reshape(3, 4)
+    data = struct.pack("<iff", 0, 0, 0) + rvl(depth)
+    content = SimpleNamespace(format="16UC1; compressedDepth rvl", data=np.frombuffer(data, np.uint8))
+    np.testing.assert_array_equal(depth_image(content), depth.astype(np.float32) / np.float32(1000))
+
+
+@given(st.binary(max_size=60), st.booleans())
+def test_any_bytes_are_rvl_or_damaged(data: bytes, has_size: bool):
+    with suppress(ValueError):
+        assert decode_rvl((struct.pack("<II", 4, 3) if has_size else b"") + data).size
 
 
 WRONG_IMAGES = [
