@@ -6,7 +6,8 @@ are our own because libraries refuse bags without an index or with one damaged c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -62,6 +63,9 @@ class BagFile(Protocol):
             ValueError: damaged or truncated.
             OSError: the file cannot be read.
         """
+
+    def many(self) -> AbstractContextManager[None]:
+        """Makes the reading of many messages faster, by this thread and within the block."""
 
 
 class ChannelBuilder:
@@ -125,6 +129,18 @@ class Topic:
         """
         file, channel = self.sources[int(self.source[i])]
         return channel, file.read(channel, int(self.number[i]), most)
+
+    @contextmanager
+    def many(self) -> Iterator[None]:
+        """Makes the reading of many messages faster, by this thread and within the block.
+
+        Raises:
+            ValueError: a file is damaged.
+        """
+        with ExitStack() as files:
+            for file in {id(file): file for file, _ in self.sources}.values():
+                files.enter_context(file.many())
+            yield
 
     def nearest(self, log_ns: int) -> int:
         """Returns the number of the message whose log time is nearest; the topic must have messages."""

@@ -14,6 +14,7 @@ from typing import Any
 
 from annotator.recordings.ros import mcap_file, ros1_file, sqlite_file
 from annotator.recordings.ros.bag import Bag, BagFile, join
+from annotator.recordings.ros.decode import FIELD_ERRORS
 from annotator.types.errors import RecordingError
 
 METADATA = "metadata.yaml"
@@ -77,7 +78,7 @@ def _open_file(path: Path, are_compressed: bool = False) -> BagFile:
         if path.suffix.lower() == ".mcap":
             return mcap_file.McapFile(path, are_compressed)
         return sqlite_file.SqliteFile(path, are_compressed)
-    except ValueError as error:
+    except FIELD_ERRORS as error:
         raise RecordingError(f"{path}: {error}; record or copy it again") from error
 
 

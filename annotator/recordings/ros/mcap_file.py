@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
@@ -81,6 +82,10 @@ class McapFile:
         if len(data) < wanted:
             raise ValueError(f"a message ends after {len(data)} of {wanted} bytes")
         return data
+
+    def many(self) -> AbstractContextManager[None]:
+        """Does nothing: opening the file takes little time."""
+        return nullcontext()
 
     def _list_records(self) -> None:
         notes: list[str] = []

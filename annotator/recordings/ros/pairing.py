@@ -68,7 +68,12 @@ def pair(images: Topic, clouds: Topic, tolerance_s: float) -> Pairs:
 @lru_cache(maxsize=16)
 def stamps_ns(topic: Topic) -> Int64[np.ndarray, "n"]:
     """Returns the times in the headers of a topic's messages; 0 = not set or damaged."""
-    return kept_times(topic, lambda: np.array([quick_stamp_ns(topic, i) or 0 for i in range(len(topic))], np.int64))
+
+    def read() -> Int64[np.ndarray, "n"]:
+        with topic.many():
+            return np.array([quick_stamp_ns(topic, i) or 0 for i in range(len(topic))], np.int64)
+
+    return kept_times(topic, read)
 
 
 def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
@@ -67,6 +68,10 @@ class Ros1File:
         if len(data) < wanted:
             raise ValueError(f"a message ends after {len(data)} of {size} bytes")
         return data
+
+    def many(self) -> AbstractContextManager[None]:
+        """Does nothing: opening the file takes little time."""
+        return nullcontext()
 
     def _list_records(self) -> None:
         notes: list[str] = []

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from threading import local
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +39,7 @@ class SqliteFile:
         self.path = path
         self._are_compressed = are_compressed
         self._messages = ChannelBuilder()
+        self._kept = local()
         # SQLite keeps what was not yet merged into a file beside it
         self._is_immutable = not path.with_name(path.name + "-wal").exists()
         with path.open("rb") as file:
@@ -77,6 +79,16 @@ class SqliteFile:
                 data = blob.read(HEAD_OF_MESSAGE if self._are_compressed and most is not None else wanted)
         return unpack_message(data, most) if self._are_compressed else data
 
+    @contextmanager
+    def many(self) -> Iterator[None]:
+        """Keeps the connection open: opening it takes longer than reading the head of a message."""
+        with self._connected() as connection:
+            self._kept.connection = connection
+            try:
+                yield
+            finally:
+                self._kept.connection = None
+
     def _list_messages(self, connection: sqlite3.Connection) -> str:
         """Adds all messages; returns what is wrong with the file, "" if nothing."""
         import sqlite3
@@ -98,8 +110,12 @@ class SqliteFile:
     def _connected(self) -> Iterator[sqlite3.Connection]:
         import sqlite3
 
+        kept: sqlite3.Connection | None = getattr(self._kept, "connection", None)
         mode = "immutable=1" if self._is_immutable else "mode=ro"
         try:
+            if kept is not None:
+                yield kept
+                return
             with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?{mode}", uri=True)) as connection:
                 yield connection
         except sqlite3.Error as error:
