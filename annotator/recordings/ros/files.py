@@ -8,6 +8,7 @@ PATH/metadata.yaml, *.mcap or *.db3    a folder of ROS 2; without metadata.yaml 
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -105,7 +106,9 @@ def _files_in(folder: Path) -> list[Path]:
     """Returns the files of a ROS 2 folder, in the order of their numbers."""
     if not folder.is_dir():
         return []
-    files = [file for file in folder.iterdir() if file.suffix.lower() in (".mcap", ".db3") and file.is_file()]
+    with os.scandir(folder) as entries:
+        named = [entry for entry in entries if entry.name.lower().endswith((".mcap", ".db3"))]
+        files = [folder / entry.name for entry in named if entry.name[0] != "." and entry.is_file()]
     if (folder / METADATA).is_file() and not files and any(folder.glob("*.zstd")):
         raise RecordingError(f"{folder}: its files are compressed as a whole; run zstd -d {folder}/*.zstd")
     return sorted(files, key=lambda file: (len(file.name), file.name))
