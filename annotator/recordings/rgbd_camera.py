@@ -1,4 +1,4 @@
-"""The camera and gravity files of an RGB-D folder."""
+"""The camera, depth camera and gravity files of an RGB-D folder."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from scipy.spatial.transform import RigidTransform
 
-from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole
+from annotator.geometry.projection import resized
+from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.types import Camera
 from annotator.types.errors import FrameError
 
-FILE_NAME = "camera_intrinsic.json"
+FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
+MOST_OFF_ROTATION = 1e-3
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
 Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+Four = tuple[Number, Number, Number, Number]
 Positive = Annotated[FiniteFloat, Field(ge=1 / LARGEST, le=LARGEST)]
 
 
@@ -40,6 +44,21 @@ class IntrinsicFile(BaseModel):
     distortion: tuple[Number, ...] = ()
 
 
+class DepthFile(BaseModel):
+    """What `depth_intrinsic.json` has in addition to `IntrinsicFile`.
+
+    Attributes:
+        depth_scale: depth units per metre; default that of the colour camera's file.
+        depth_to_color: the transform from the depth camera's frame to the colour camera's, metres, row by row; default
+            none: both look from the same place in the same direction.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    depth_scale: Positive | None = None
+    depth_to_color: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
+
+
 class GravityFile(BaseModel):
     """`gravity.json`: the direction against gravity in the camera frame, any length but 0."""
 
@@ -54,13 +73,20 @@ class RgbdCamera:
 
     Attributes:
         path: the file.
-        camera: the colour camera, to which the depth is registered.
+        camera: the camera.
         depth_scale: depth units per metre.
+        T_color_depth: for a depth camera, the transform from its frame to the colour camera's; else None.
     """
 
     path: Path
     camera: Camera
     depth_scale: float
+    T_color_depth: RigidTransform | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its images, pixels."""
+        return self.camera.width_px, self.camera.height_px
 
 
 def camera_file(folder: Path) -> Path:
@@ -111,6 +137,53 @@ def read_camera(path: Path) -> RgbdCamera:
     except ValueError as error:
         raise FrameError(path, str(error), "correct the camera file") from error
     return RgbdCamera(path, camera, content.depth_scale)
+
+
+def read_depth_camera(folder: Path, color: RgbdCamera, size: tuple[int, int]) -> RgbdCamera | None:
+    """Returns the camera of depth images of `size` (width, height); None if they are registered to the colour camera.
+
+    Without `depth_intrinsic.json`, depth images of another size but the same proportions are taken to show the same
+    part of the scene, as a phone's do.
+
+    Raises:
+        FrameError: the file is invalid, or missing for depth images of other proportions.
+    """
+    path = folder / DEPTH_FILE_NAME
+    if not path.is_file():
+        if size == color.size:
+            return None
+        if size[0] * color.size[1] != size[1] * color.size[0]:
+            raise FrameError(
+                path,
+                f"missing: depth images of {size[0]} x {size[1]} pixels do not show the same as colour images of "
+                f"{color.size[0]} x {color.size[1]}",
+                "write width, height, intrinsic_matrix (column-major) and depth_to_color (row by row) of the depth "
+                "camera",
+            )
+        return RgbdCamera(color.path, resized(color.camera, *size), color.depth_scale, RigidTransform.identity())
+    read = read_camera(path)
+    try:
+        more = DepthFile.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise FrameError(
+            path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
+        ) from error
+    scale = color.depth_scale if more.depth_scale is None else more.depth_scale
+    return RgbdCamera(path, read.camera, scale, rigid_transform(path, "depth_to_color", more.depth_to_color))
+
+
+def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:
+    """Returns the transform with these rows, the identity for None; `name` is the key in the file.
+
+    Raises:
+        FrameError: not a rotation and a translation.
+    """
+    if rows is None:
+        return RigidTransform.identity()
+    matrix = np.array(rows)
+    if not is_rotation(matrix[:3, :3], MOST_OFF_ROTATION) or tuple(matrix[3]) != (0, 0, 0, 1):
+        raise FrameError(path, f"{name} is not a rigid transform (last row 0 0 0 1)", "write it row by row")
+    return RigidTransform.from_matrix(matrix)
 
 
 def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 from collections.abc import Callable
@@ -70,6 +71,15 @@ def rgbd_folder(folder: Path) -> None:
     put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
 
 
+def rgbd_folder_of_two_cameras(folder: Path) -> None:
+    rgbd_folder(folder)
+    put(folder / "depth" / "0.png", png(np.full((30, 50), 1500, np.uint16)))
+    K = [40.0, 0, 0, 0, 40.0, 0, 25.0, 15.0, 1]
+    pose = [[1, 0, 0, 0.05], [0, 1, 0, 0.01], [0, 0, 1, -0.02], [0, 0, 0, 1]]
+    camera = {"width": 50, "height": 30, "intrinsic_matrix": K, "depth_scale": 500.0, "depth_to_color": pose}
+    put(folder / "depth_intrinsic.json", json.dumps(camera))
+
+
 def cloud_folder(folder: Path) -> None:
     put(folder / "0.bin", SCAN.tobytes())
     pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
@@ -84,6 +94,7 @@ BUILDERS: list[Callable[[Path], None]] = [
     sunrgbd_extracted,
     sunrgbd_scene,
     rgbd_folder,
+    rgbd_folder_of_two_cameras,
     cloud_folder,
 ]
 
@@ -98,7 +109,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, lis
             folder.rmdir()
         build(folder)
         recording = open_recording(folder)
-        assert recording.format.startswith(build.__name__)
+        assert build.__name__.startswith(recording.format) or recording.format.startswith(build.__name__)
         assert len(recording.frame(0).cloud) > 20
         files = [file for file in sorted(folder.rglob("*")) if file.is_file() and "annotation" not in str(file)]
         found.append((folder, files))
