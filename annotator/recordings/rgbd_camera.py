@@ -131,12 +131,17 @@ def read_camera(path: Path) -> RgbdCamera:
             "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1, or a focal length is implausible",
             "write it column by column",
         )
-    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     try:
-        camera = Camera(content.width, content.height, fx, fy, cx, cy, content.distortion)
+        camera = pinhole(K, content.width, content.height, content.distortion)
     except ValueError as error:
         raise FrameError(path, str(error), "correct the camera file") from error
     return RgbdCamera(path, camera, content.depth_scale)
+
+
+def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
+    """Returns the camera with matrix K."""
+    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(width_px, height_px, fx, fy, cx, cy, distortion)
 
 
 def read_depth_camera(folder: Path, color: RgbdCamera, size: tuple[int, int]) -> RgbdCamera | None:

@@ -81,9 +81,9 @@ class RgbdFolder(KeyedFrames):
         try:
             color = read_camera(camera_file(self.path))
             first = next(file for key in self.keys if (file := self.path / "depth" / f"{key}.png").is_file())
-            with first.open("rb") as file:
-                size = declared_size(file.read(PNG_HEAD_BYTES))
-            depth = read_depth_camera(self.path, color, size)
+            with first.open("rb") as opened:
+                size = declared_size(opened.read(PNG_HEAD_BYTES))
+            depth = read_depth_camera(self.path, color, size) if all(size) else None
         except (OSError, FrameError, StopIteration):  # each frame reports it
             return ()
         if depth is None or depth.path != color.path:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import phone_samples as made
 import pytest
 from cloud_samples import SCAN, camera_file, put_image
 from hypothesis import given, settings
@@ -87,6 +88,15 @@ def cloud_folder(folder: Path) -> None:
     put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
 
 
+def record3d(folder: Path) -> None:
+    folder.rmdir()
+    made.write_record3d(folder, made.frames(2))
+
+
+def stray_scanner(folder: Path) -> None:
+    made.write_stray_scanner(folder, made.frames(3))
+
+
 BUILDERS: list[Callable[[Path], None]] = [
     kitti_object,
     kitti_tracking,
@@ -96,6 +106,8 @@ BUILDERS: list[Callable[[Path], None]] = [
     rgbd_folder,
     rgbd_folder_of_two_cameras,
     cloud_folder,
+    record3d,
+    stray_scanner,
 ]
 
 
@@ -117,7 +129,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, lis
 
 
 NUMBERS = ["nan", "-inf", "1e308", "-1e308", "1e-320", "0", "-1", "1e17", "99999999999999999999", "x", "", "null", "[]"]
-TEXT = {".txt", ".json"}
+TEXT = {".txt", ".json", ".csv", ""}
 
 
 def damaged(content: bytes, is_text: bool, data: st.DataObject) -> bytes:
@@ -137,7 +149,7 @@ def damaged(content: bytes, is_text: bool, data: st.DataObject) -> bytes:
 
 
 @given(st.data())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_damaged_files_give_a_frame_or_an_error_that_names_the_file(
     recordings: list[tuple[Path, list[Path]]], data: st.DataObject
 ):
