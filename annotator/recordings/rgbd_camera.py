@@ -17,6 +17,7 @@ from annotator.types import Camera
 from annotator.types.errors import FrameError
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
+MM_PER_M = 1000.0
 MOST_OFF_ROTATION = 1e-3
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
 Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
@@ -30,7 +31,7 @@ class IntrinsicFile(BaseModel):
     Attributes:
         width, height: image size, pixels.
         intrinsic_matrix: the nine numbers of K, column by column.
-        depth_scale: depth units per metre; default 1000 (millimetres).
+        depth_scale: depth units per metre; default that of the format, 1000 (millimetres) for most.
         distortion: OpenCV's coefficients, see `Camera`; default none.
     """
 
@@ -40,22 +41,20 @@ class IntrinsicFile(BaseModel):
     width: Side
     height: Side
     intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
-    depth_scale: Positive = 1000.0
+    depth_scale: Positive | None = None
     distortion: tuple[Number, ...] = ()
 
 
 class DepthFile(BaseModel):
-    """What `depth_intrinsic.json` has in addition to `IntrinsicFile`.
+    """What `depth_intrinsic.json` has in addition to `IntrinsicFile`; its default `depth_scale` is the colour camera's.
 
     Attributes:
-        depth_scale: depth units per metre; default that of the colour camera's file.
         depth_to_color: the transform from the depth camera's frame to the colour camera's, metres, row by row; default
             none: both look from the same place in the same direction.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    depth_scale: Positive | None = None
     depth_to_color: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
 
 
@@ -114,8 +113,8 @@ def camera_file(folder: Path) -> Path:
     )
 
 
-def read_camera(path: Path) -> RgbdCamera:
-    """Reads a camera file.
+def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
+    """Reads a camera file; `depth_scale` is used if it has none.
 
     Raises:
         FrameError: not JSON, a missing key, or numbers that do not describe a pinhole camera.
@@ -135,7 +134,7 @@ def read_camera(path: Path) -> RgbdCamera:
         camera = pinhole(K, content.width, content.height, content.distortion)
     except ValueError as error:
         raise FrameError(path, str(error), "correct the camera file") from error
-    return RgbdCamera(path, camera, content.depth_scale)
+    return RgbdCamera(path, camera, depth_scale if content.depth_scale is None else content.depth_scale)
 
 
 def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
@@ -166,15 +165,15 @@ def read_depth_camera(folder: Path, color: RgbdCamera, size: tuple[int, int]) ->
                 "camera",
             )
         return RgbdCamera(color.path, resized(color.camera, *size), color.depth_scale, RigidTransform.identity())
-    read = read_camera(path)
+    read = read_camera(path, color.depth_scale)
     try:
         more = DepthFile.model_validate_json(path.read_bytes())
     except (OSError, ValidationError) as error:
         raise FrameError(
             path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
         ) from error
-    scale = color.depth_scale if more.depth_scale is None else more.depth_scale
-    return RgbdCamera(path, read.camera, scale, rigid_transform(path, "depth_to_color", more.depth_to_color))
+    T_color_depth = rigid_transform(path, "depth_to_color", more.depth_to_color)
+    return RgbdCamera(path, read.camera, read.depth_scale, T_color_depth)
 
 
 def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:

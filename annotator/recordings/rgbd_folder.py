@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float32, UInt8
 
 from annotator.geometry.projection import unproject_depth
 from annotator.image_bytes import declared_size
@@ -61,14 +62,12 @@ class RgbdFolder(KeyedFrames):
         depth_folder = self.path / "depth"
         color_path = frame_file(self.color, key, IMAGE_SUFFIXES, f"{depth_folder.name}/{key}.png")
         depth_path = frame_file(depth_folder, key, (".png",), f"{self.color.name}/{color_path.name}")
-        content = read_camera(camera_file(self.path))
-        rgb = read_rgb(color_path)
-        _check_size(color_path, rgb, content, "make images and camera the same size")
-        cloud, depth_m = self._cloud(depth_path, rgb, content)
+        color = read_camera(camera_file(self.path))
+        rgb, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
         return Frame(
             key=key,
             index=i,
-            camera=content.camera,
+            camera=color.camera,
             rgb=rgb,
             cloud=cloud,
             depth_m=depth_m,
@@ -93,23 +92,6 @@ class RgbdFolder(KeyedFrames):
             f"{color.size[0]} x {color.size[1]}; if another camera took them, write depth_intrinsic.json.",
         )
 
-    def _cloud(self, path: Path, rgb: np.ndarray, color: RgbdCamera) -> tuple[PointCloud, np.ndarray]:
-        """Returns the cloud of a depth image, and the depth in the colour image's pixels."""
-        raw = read_depth(path)
-        depth = read_depth_camera(self.path, color, (raw.shape[1], raw.shape[0]))
-        if depth is None or depth.T_color_depth is None:
-            depth_m = _metres(raw, color)
-            xyz_m, pixel = unproject_depth(color.camera, depth_m)
-            cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel)
-            problem = "no pixel has a depth, so the cloud is empty"
-        else:
-            _check_size(path, raw, depth, "correct the file")
-            cloud, depth_m = registered(_metres(raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera)
-            problem = f"no pixel with a depth lies in the colour image, so the cloud is empty (by {depth.path.name})"
-        if len(cloud) == 0:
-            raise FrameError(path, problem, "record the frame again, or remove it")
-        return cloud, depth_m
-
 
 def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     """Opens the RGB-D folder at `path`; `NotFound` if it is not one.
@@ -129,6 +111,36 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     keys = stems(color, IMAGE_SUFFIXES) | stems(depth, (".png",))
     ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
     return RgbdFolder(path, ordered, color, read_times(path, ordered))
+
+
+def read_images(
+    folder: Path, color_path: Path, depth_path: Path, color: RgbdCamera
+) -> tuple[UInt8[np.ndarray, "h w 3"], PointCloud, Float32[np.ndarray, "h w"]]:
+    """Reads a colour and a depth image of a folder.
+
+    Returns:
+        The colour image; the depth image's cloud, with `pixel_index` if it is registered; and the depth in the colour
+        image's pixels, metres.
+
+    Raises:
+        FrameError: a missing or broken file, different sizes, or no depth in the image.
+    """
+    rgb = read_rgb(color_path)
+    _check_size(color_path, rgb, color, "make images and camera the same size")
+    raw = read_depth(depth_path)
+    depth = read_depth_camera(folder, color, (raw.shape[1], raw.shape[0]))
+    if depth is None or depth.T_color_depth is None:
+        depth_m = _metres(raw, color)
+        xyz_m, pixel = unproject_depth(color.camera, depth_m)
+        cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel)
+        problem = "no pixel has a depth, so the cloud is empty"
+    else:
+        _check_size(depth_path, raw, depth, "correct the file")
+        cloud, depth_m = registered(_metres(raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera)
+        problem = f"no pixel with a depth lies in the colour image, so the cloud is empty (by {depth.path.name})"
+    if len(cloud) == 0:
+        raise FrameError(depth_path, problem, "record the frame again, or remove it")
+    return rgb, cloud, depth_m
 
 
 def _metres(raw: np.ndarray, camera: RgbdCamera) -> np.ndarray:

@@ -7,6 +7,8 @@ from __future__ import annotations
 READERS: dict[str, str] = {
     "stray_scanner": "annotator.recordings.phones.stray_scanner:open_stray_scanner",
     "record3d": "annotator.recordings.phones.record3d:open_record3d",
+    # before rgbd_folder, whose names differ only by the lists of images
+    "tum_rgbd": "annotator.recordings.tum_rgbd:open_tum_rgbd",
     "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
     "kitti_object": "annotator.recordings.kitti.object_folder:open_kitti_object",
     "kitti_tracking": "annotator.recordings.kitti.tracking_folder:open_kitti_tracking",
@@ -22,6 +24,7 @@ READERS: dict[str, str] = {
 OPTIONS: dict[str, tuple[str, ...]] = {
     "stray_scanner": ("min_confidence",),
     "record3d": ("min_confidence",),
+    "tum_rgbd": ("tolerance_s",),
 }
 
 # Faster recognition checks, for formats that are slow to open.

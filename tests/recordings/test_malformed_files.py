@@ -97,6 +97,16 @@ def stray_scanner(folder: Path) -> None:
     made.write_stray_scanner(folder, made.frames(3))
 
 
+def tum_rgbd(folder: Path) -> None:
+    for number, name in enumerate(("rgb", "depth")):
+        content = np.full((48, 64, 3), 90, np.uint8) if name == "rgb" else np.full((48, 64), 7500, np.uint16)
+        put(folder / name / "1.5.png", png(content))
+        put(folder / f"{name}.txt", f"# comment\n1305031102.0{number} {name}/1.5.png\n")
+    put(folder / "groundtruth.txt", "1305031102.01 1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986\n")
+    K = [50.0, 0, 0, 0, 50.0, 0, 32.0, 24.0, 1]
+    put(folder / "camera_intrinsic.json", json.dumps({"width": 64, "height": 48, "intrinsic_matrix": K}))
+
+
 BUILDERS: list[Callable[[Path], None]] = [
     kitti_object,
     kitti_tracking,
@@ -106,6 +116,7 @@ BUILDERS: list[Callable[[Path], None]] = [
     rgbd_folder,
     rgbd_folder_of_two_cameras,
     cloud_folder,
+    tum_rgbd,
     record3d,
     stray_scanner,
 ]
@@ -116,7 +127,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, lis
     """One small recording per format, and its files."""
     found = []
     for build in BUILDERS:
-        folder = tmp_path_factory.mktemp(build.__name__)
+        folder = tmp_path_factory.mktemp(f"{build.__name__}_freiburg")
         if build is sunrgbd_scene:
             folder.rmdir()
         build(folder)
