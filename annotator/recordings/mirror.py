@@ -28,9 +28,10 @@ from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
-# Suffixes of the small files beside a recording's folders, which readers need when they open it.
-DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml")
-LARGEST_DESCRIPTION_BYTES = 10**6
+# Ends of the names of files beside a recording's folders that readers need when they open it.
+DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml", "metadata")
+# An hour of poses is smaller.
+LARGEST_DESCRIPTION_BYTES = 3 * 10**7
 
 
 def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions = NO_OPTIONS) -> Mirror:

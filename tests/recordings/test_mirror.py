@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import phone_samples
 import pytest
 
 from annotator.recordings import open_recording
@@ -62,6 +63,16 @@ def test_only_files_of_the_frame_and_shared_files_are_copied(tmp_path: Path) -> 
     assert np.array_equal(mirror.frame(1).cloud.xyz_m, plain.frame(1).cloud.xyz_m)
     copied = {path.name: path.stat().st_size for path in (tmp_path / "copy").rglob("*") if path.is_file()}
     assert copied["000007.bin"] == 0 and copied["all.txt"] == 10
+
+
+@pytest.mark.parametrize("write", [phone_samples.write_record3d, phone_samples.write_stray_scanner])
+def test_folders_of_phones_have_the_same_frames(tmp_path: Path, write: Callable[..., Path]) -> None:
+    folder = write(tmp_path / "take", phone_samples.frames(3))
+    mirror, plain = open_mirror(folder.as_uri(), tmp_path / "copy", MEGABYTE), open_recording(folder)
+    assert mirror.keys == plain.keys
+    for i in (2, 0):
+        ours, theirs = mirror.frame(i), plain.frame(i)
+        assert np.array_equal(ours.rgb, theirs.rgb) and np.array_equal(ours.cloud.xyz_m, theirs.cloud.xyz_m)
 
 
 def test_errors_of_unreadable_frames_name_the_url(bucket: str, tmp_path: Path) -> None:
