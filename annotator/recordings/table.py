@@ -29,5 +29,6 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 
 # Faster recognition checks, for formats that are slow to open.
 QUICK_CHECKS: dict[str, str] = {
+    "record3d": "annotator.recordings.phones.record3d:is_record3d",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
 }

@@ -206,14 +206,19 @@ class Record3D(KeyedFrames):
         return up_in_camera(orientation) * OPENGL
 
 
+def is_record3d(path: Path) -> bool:
+    """True for a file or folder of Record3D, by its name; much faster than opening it."""
+    is_file = path.suffix.lower() == SUFFIX and path.is_file()
+    return is_file or ((path / METADATA).is_file() and (path / FOLDER).is_dir())
+
+
 def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
     """Opens the Record3D recording at `path`; `NotFound` if it is not one.
 
     Raises:
         RecordingError: a damaged archive, unusable metadata, or no frame.
     """
-    is_file = path.suffix.lower() == SUFFIX and path.is_file()
-    if not is_file and not ((path / METADATA).is_file() and (path / FOLDER).is_dir()):
+    if not is_record3d(path):
         return NotFound(LOOKED_FOR)
     try:
         entries = list_entries(path)
