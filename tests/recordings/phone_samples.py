@@ -90,10 +90,15 @@ def write_stray_scanner(
     matrix: np.ndarray = K,
     *,
     own_intrinsics: bool = True,
+    rolled: float = 0.0,
     codec: str = "libx264",
     keyframes: int = 8,
 ) -> Path:
-    """Writes the folder; the newer version of `odometry.csv` has the intrinsics of each image."""
+    """Writes the folder; the newer version of `odometry.csv` has the intrinsics of each image.
+
+    Args:
+        rolled: degrees about the camera's axis (z forward) by which the phone was turned.
+    """
     for name in ("depth", "confidence"):
         (path / name).mkdir(parents=True)
     write_video(path / "rgb.mp4", [rgb for rgb, _, _ in images], codec, keyframes)
@@ -105,7 +110,8 @@ def write_stray_scanner(
         (path / "depth" / f"{key}.png").write_bytes(cv2.imencode(".png", depth_mm)[1].tobytes())
         if confidence is not None:
             (path / "confidence" / f"{key}.png").write_bytes(cv2.imencode(".png", confidence)[1].tobytes())
-        row = [f"{5000 + number / FPS:.9f}", key, "0.1", "0.2", "0.3", *map(str, orientation(number).as_quat())]
+        turn = orientation(number) * Rotation.from_euler("z", rolled, degrees=True)
+        row = [f"{5000 + number / FPS:.9f}", key, "0.1", "0.2", "0.3", *map(str, turn.as_quat())]
         if own_intrinsics:
             row += [*map(str, (matrix[0, 0] + number, matrix[1, 1] + number, matrix[0, 2], matrix[1, 2])), "", ""]
         lines.append(", ".join(row))

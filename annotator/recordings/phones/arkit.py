@@ -23,6 +23,8 @@ from annotator.types.errors import FrameError
 MIN_CONFIDENCE = 1
 UP = np.array([0.0, 1.0, 0.0])
 MOST_OFF_UNIT = 1e-3
+# Part of the up direction that must lie in the image plane to tell which way an image is held.
+LEAST_UPRIGHT = 0.3
 
 
 def phone_cloud(
@@ -63,6 +65,24 @@ def rotation_of(quaternion: Sequence[float]) -> Rotation | None:
     """Returns the rotation of a quaternion x y z w; None if it is not one."""
     values = np.array(quaternion, np.float64)
     return Rotation.from_quat(values) if abs(np.linalg.norm(values) - 1) <= MOST_OFF_UNIT else None
+
+
+def turns_to_upright(ups: Float64[np.ndarray, "n 3"]) -> int:
+    """Returns how many quarter turns clockwise bring a recording's images upright, 0 if the camera looks down or up.
+
+    Args:
+        ups: unit vectors against gravity in the camera's frame, some of the recording's.
+    """
+    x, y = ups[:, :2].mean(axis=0) if len(ups) else (0.0, 0.0)
+    return 0 if np.hypot(x, y) < LEAST_UPRIGHT else round(np.arctan2(-x, -y) / (np.pi / 2)) % 4
+
+
+def turned(camera: Camera, turns: int) -> Camera:
+    """Returns the camera (without distortion) of images that are turned clockwise by quarter turns."""
+    for _ in range(turns):
+        cx, cy = camera.height_px - 1 - camera.cy, camera.cx
+        camera = Camera(camera.height_px, camera.width_px, camera.fy, camera.fx, cx, cy)
+    return camera
 
 
 def up_in_camera(world_from_camera: Rotation) -> Float64[np.ndarray, "3"]:

@@ -93,9 +93,12 @@ class Record3D(KeyedFrames):
 
     @property
     def notes(self) -> tuple[str, ...]:
+        notes = []
         if self.metadata.poses and not self._knows_gravity:
-            return ("The recording's poses start at its first image, so the direction of gravity is not known.",)
-        return ()
+            notes.append("The recording's poses start at its first image, so the direction of gravity is not known.")
+        if self.min_confidence is not None and not any(name.endswith(".conf") for name in self.entries):
+            notes.append("The recording has no confidence, so that --min-confidence has no effect.")
+        return tuple(notes)
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud has `rgb`.

@@ -8,7 +8,7 @@ odometry.csv            a row for each image: timestamp (s), frame, x y z (m), q
 
 `imu.csv` is not read. Format: github.com/strayrobots/scanner, docs/format.md. The poses are camera to world, with
 OpenCV's camera axes (x right, y down, z forward) and ARKit's world (y up). The video's images belong to the rows in
-their order.
+their order. Images are recorded as the sensor lies, so those of a phone that was held upright are turned by a quarter.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Never
 
@@ -27,7 +27,7 @@ from annotator.recordings.clouds.numpy_file import read_array
 from annotator.recordings.image_file import read_confidence, read_depth
 from annotator.recordings.listing import frame_file
 from annotator.recordings.options import ReaderOptions
-from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
+from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import pinhole
@@ -40,6 +40,8 @@ VIDEO, POSES, MATRIX, DEPTH, CONFIDENCE = "rgb.mp4", "odometry.csv", "camera_mat
 QUATERNION, INTRINSICS = ("qx", "qy", "qz", "qw"), ("fx", "fy", "cx", "cy")
 REMEDY = "copy the recording from the phone again, or remove the frame"
 MM_PER_M, S_TO_NS = 1000.0, 1e9
+# Number of frames that tell how the phone was held.
+SOME = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,25 +50,31 @@ class StrayScanner(KeyedFrames):
 
     Attributes:
         rows: the rows of `odometry.csv`, as text by column.
+        turns: quarter turns clockwise that bring the images upright.
         min_confidence: the option; None for the default.
     """
 
     rows: tuple[dict[str, str], ...] = field(repr=False)
+    turns: int = 0
     min_confidence: int | None = None
     format: ClassVar[str] = "stray_scanner"
     is_sequence: ClassVar[bool] = True
 
     @property
     def notes(self) -> tuple[str, ...]:
+        notes = []
+        if self.turns:
+            notes.append(f"The images are turned clockwise by {90 * self.turns} degrees, since the phone was held so.")
+        if self.min_confidence is not None and not (self.path / CONFIDENCE).is_dir():
+            notes.append(f"There is no {CONFIDENCE}/, so that --min-confidence has no effect.")
         try:
             images = len(open_video(self.path / VIDEO))
+            if images != len(self):
+                lengths = f"{VIDEO} has {images} images, but {POSES} has {len(self)} rows"
+                notes.append(f"{lengths}; they are taken to begin at the same time.")
         except (OSError, ValueError):  # each frame reports it
-            return ()
-        if images == len(self):
-            return ()
-        return (
-            f"{VIDEO} has {images} images, but {POSES} has {len(self)} rows; they are taken to begin at the same time.",
-        )
+            pass
+        return tuple(notes)
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud has `rgb`.
@@ -77,9 +85,10 @@ class StrayScanner(KeyedFrames):
         """
         key = self.key(i)
         rgb = self._image(i)
-        camera = self._camera(i, rgb)
+        camera = turned(self._camera(i, rgb), self.turns)
+        rgb = self._turned(rgb)
         depth_path = frame_file(self.path / DEPTH, key, (".png", ".npy"), VIDEO)
-        depth_m = _depth_m(depth_path)
+        depth_m = self._turned(_depth_m(depth_path))
         cloud, in_color_m = phone_cloud(
             depth_path, camera, rgb, depth_m, self._confidence(key, depth_m), self.min_confidence
         )
@@ -99,7 +108,7 @@ class StrayScanner(KeyedFrames):
         if not folder.is_dir():
             return None
         path = frame_file(folder, key, (".png",), f"{DEPTH}/{key}.png")
-        confidence = read_confidence(path)
+        confidence = self._turned(read_confidence(path))
         if confidence.shape != depth_m.shape:
             raise FrameError(
                 path,
@@ -123,7 +132,15 @@ class StrayScanner(KeyedFrames):
 
     def _up(self, i: int) -> Float64[np.ndarray, "3"]:
         orientation = rotation_of(self._numbers(i, QUATERNION))
-        return self._raise(i, "qx qy qz qw is not a rotation") if orientation is None else up_in_camera(orientation)
+        if orientation is None:
+            self._raise(i, "qx qy qz qw is not a rotation")
+        x, y, z = up_in_camera(orientation)
+        for _ in range(self.turns):
+            x, y = -y, x
+        return np.array([x, y, z])
+
+    def _turned(self, image: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.rot90(image, -self.turns))
 
     def _numbers(self, i: int, columns: Sequence[str]) -> list[float]:
         try:
@@ -165,7 +182,19 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Not
                 f"{poses}:{number}: frame {key[:40]!r} is not a number, or has a row already; {REMEDY}"
             )
         seen.add(key)
-    return StrayScanner(path, keys, rows, options.min_confidence)
+    recording = StrayScanner(path, keys, rows, min_confidence=options.min_confidence)
+    return replace(recording, turns=turns_to_upright(_some_ups(recording)))
+
+
+def _some_ups(recording: StrayScanner) -> Float64[np.ndarray, "n 3"]:
+    """Returns the up directions of some frames with a sound row."""
+    ups = []
+    for i in range(0, len(recording), len(recording) // SOME + 1):
+        try:
+            ups.append(recording._up(i))
+        except FrameError:  # when the frame is read
+            continue
+    return np.array(ups).reshape(-1, 3)
 
 
 def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:

@@ -151,6 +151,32 @@ def test_older_stray_scanner_folders_share_one_camera_matrix_and_have_numpy_dept
     assert frame.camera.fx == 300.0
 
 
+@pytest.mark.parametrize(("rolled", "turns"), [(90, 1), (-90, 3), (180, 2), (80, 1), (30, 0)])
+def test_images_of_a_turned_phone_are_upright(tmp_path: Path, rolled: int, turns: int):
+    images = made.frames(2)
+    path = made.write_stray_scanner(tmp_path / "take", images, rolled=rolled)
+    recording = open_recording(path)
+    frame = recording.frame(1)
+    upright = tuple(np.rot90(image, -turns) for image in images[1])
+    require_same(frame, upright, 1, 4)
+    assert frame.up[1] < -0.75
+    assert (recording.notes == ()) == (turns == 0)
+
+
+def test_confidence_that_was_not_recorded_is_told(tmp_path: Path):
+    rgb, depth_m, _ = made.scene(0)
+    (tmp_path / "r").mkdir()
+    for path in (
+        record3d(tmp_path / "r", [(rgb, depth_m, None)]),
+        stray_scanner(tmp_path / "s", [(rgb, depth_m, None)]),
+    ):
+        if path.is_dir():
+            (path / "confidence").rmdir()
+        (note,) = open_recording(path, ReaderOptions(min_confidence=2)).notes
+        assert note.endswith("--min-confidence has no effect.")
+        assert open_recording(path).notes == ()
+
+
 @pytest.mark.parametrize("codec", ["libx264", "libx265"])
 def test_images_of_a_video_are_decoded_in_any_order(tmp_path: Path, codec: str):
     images = [rgb for rgb, _, _ in made.frames(16)]
