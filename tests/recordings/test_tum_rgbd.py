@@ -108,6 +108,19 @@ def test_real_images_come_back(shared: Path, tmp_path: Path):
         np.testing.assert_array_equal(frame.cloud.rgb, was.cloud.rgb)
 
 
+@pytest.mark.shared
+def test_a_real_frame_of_the_data_set_is_a_desk(shared: Path, tmp_path: Path):
+    source = shared / "data" / "rgbd_open3d_testdata" / "RGBD" / "other_formats"
+    for name in ("rgb", "depth"):
+        (tmp_path / name).mkdir()
+        (tmp_path / f"{name}.txt").write_text(f"1.0 {name}/1.png\n")
+    (tmp_path / "rgb" / "1.png").write_bytes((source / "TUM_color.png").read_bytes())
+    (tmp_path / "depth" / "1.png").write_bytes((source / "TUM_depth.png").read_bytes())
+    cloud = open_recording(tmp_path).frame(0).cloud
+    low, middle, high = np.percentile(cloud.xyz_m[:, 2], [1, 50, 99])
+    assert 1 < low < middle < 3 < high < 10  # a desk, with a hall behind it
+
+
 times = st.lists(st.integers(0, 400), unique=True, max_size=12).map(sorted)
 
 
