@@ -5,7 +5,8 @@ local copy has all file names from the start, as empty files. Files of a frame, 
 are downloaded before they are read. The least recently used frames are emptied again, so that the copy stays within its
 limit. A recording that is a single file (`.mkv`) is copied whole.
 
-A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key.
+A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key. Readers of other
+formats tell it (`file_owners`).
 """
 
 from __future__ import annotations
@@ -81,8 +82,9 @@ class Mirror:
         self._of_key: dict[str, list[str]] = {}
         self._shared: list[str] = []
         keys = set(opened.keys)
+        listed: dict[str, str] = getattr(opened, "file_owners", {})
         for path in store.files:
-            owner = _owner(path, keys)
+            owner = listed.get(path) or _owner(path, keys)
             (self._shared if owner is None else self._of_key.setdefault(owner, [])).append(path)
 
     @property

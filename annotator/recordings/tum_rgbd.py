@@ -101,6 +101,11 @@ class TumRgbd(KeyedFrames):
             )
         return tuple(notes)
 
+    @property
+    def file_owners(self) -> dict[str, str]:
+        """The key of the frame that each image belongs to."""
+        return {file: key for key, files in zip(self.keys, self.images, strict=True) for file in files}
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
 
