@@ -3,10 +3,10 @@
 A reader lists a recording's folder when it opens it, and reads the files of one frame when that is requested. So the
 local copy has all file names from the start, as empty files. Files of a frame, and shared files (calibrations, times),
 are downloaded before they are read. The least recently used frames are emptied again, so that the copy stays within its
-limit. A recording that is a single file (`.mkv`) is copied whole.
+limit. A recording that is a single file (`.mkv`, `.r3d`) is copied whole.
 
-A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key. Readers of other
-formats tell it (`file_owners`).
+A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key. Readers of
+other formats tell it (`file_owners`).
 """
 
 from __future__ import annotations
