@@ -143,14 +143,14 @@ def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distor
     return Camera(width_px, height_px, fx, fy, cx, cy, distortion)
 
 
-def read_depth_camera(folder: Path, color: RgbdCamera, size: tuple[int, int]) -> RgbdCamera | None:
-    """Returns the camera of depth images of `size` (width, height); None if they are registered to the colour camera.
+def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[int, int]) -> RgbdCamera | None:
+    """Returns the camera of a depth image of `size` (width, height); None if it is registered to the colour camera.
 
     Without `depth_intrinsic.json`, depth images of another size but the same proportions are taken to show the same
     part of the scene, as a phone's do.
 
     Raises:
-        FrameError: the file is invalid, or missing for depth images of other proportions.
+        FrameError: the file is invalid, or missing for an `image` of other proportions.
     """
     path = folder / DEPTH_FILE_NAME
     if not path.is_file():
@@ -158,11 +158,11 @@ def read_depth_camera(folder: Path, color: RgbdCamera, size: tuple[int, int]) ->
             return None
         if size[0] * color.size[1] != size[1] * color.size[0]:
             raise FrameError(
-                path,
-                f"missing: depth images of {size[0]} x {size[1]} pixels do not show the same as colour images of "
+                image,
+                f"the image is {size[0]} x {size[1]} pixels, but the colour image has "
                 f"{color.size[0]} x {color.size[1]}",
-                "write width, height, intrinsic_matrix (column-major) and depth_to_color (row by row) of the depth "
-                "camera",
+                f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
+                "intrinsic_matrix, depth_to_color)",
             )
         return RgbdCamera(color.path, resized(color.camera, *size), color.depth_scale, RigidTransform.identity())
     read = read_camera(path, color.depth_scale)

@@ -82,7 +82,7 @@ class RgbdFolder(KeyedFrames):
             first = next(file for key in self.keys if (file := self.path / "depth" / f"{key}.png").is_file())
             with first.open("rb") as opened:
                 size = declared_size(opened.read(PNG_HEAD_BYTES))
-            depth = read_depth_camera(self.path, color, size) if all(size) else None
+            depth = read_depth_camera(self.path, color, first, size) if all(size) else None
         except (OSError, FrameError, StopIteration):  # each frame reports it
             return ()
         if depth is None or depth.path != color.path:
@@ -128,7 +128,7 @@ def read_images(
     rgb = read_rgb(color_path)
     _check_size(color_path, rgb, color, "make images and camera the same size")
     raw = read_depth(depth_path)
-    depth = read_depth_camera(folder, color, (raw.shape[1], raw.shape[0]))
+    depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
     if depth is None or depth.T_color_depth is None:
         depth_m = _metres(raw, color)
         xyz_m, pixel = unproject_depth(color.camera, depth_m)
