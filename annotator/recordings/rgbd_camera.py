@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform
 
@@ -137,6 +137,11 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
     return RgbdCamera(path, camera, depth_scale if content.depth_scale is None else content.depth_scale)
 
 
+def depth_metres(raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of a depth image."""
+    return np.divide(raw, np.float32(camera.depth_scale), dtype=np.float32)
+
+
 def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
     """Returns the camera with matrix K."""
     fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
@@ -164,7 +169,7 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
                 f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
                 "intrinsic_matrix, depth_to_color)",
             )
-        return RgbdCamera(color.path, resized(color.camera, *size), color.depth_scale, RigidTransform.identity())
+        return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
     read = read_camera(path, color.depth_scale)
     try:
         more = DepthFile.model_validate_json(path.read_bytes())
@@ -173,7 +178,7 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
             path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
         ) from error
     T_color_depth = rigid_transform(path, "depth_to_color", more.depth_to_color)
-    return RgbdCamera(path, read.camera, read.depth_scale, T_color_depth)
+    return replace(read, T_color_depth=T_color_depth)
 
 
 def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:

@@ -24,7 +24,14 @@ from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import RgbdCamera, camera_file, read_camera, read_depth_camera, read_up
+from annotator.recordings.rgbd_camera import (
+    RgbdCamera,
+    camera_file,
+    depth_metres,
+    read_camera,
+    read_depth_camera,
+    read_up,
+)
 from annotator.recordings.two_cameras import registered
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -130,21 +137,17 @@ def read_images(
     raw = read_depth(depth_path)
     depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
     if depth is None or depth.T_color_depth is None:
-        depth_m = _metres(raw, color)
+        depth_m = depth_metres(raw, color)
         xyz_m, pixel = unproject_depth(color.camera, depth_m)
         cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel)
         problem = "no pixel has a depth, so the cloud is empty"
     else:
         _check_size(depth_path, raw, depth, "correct the file")
-        cloud, depth_m = registered(_metres(raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera)
+        cloud, depth_m = registered(depth_metres(raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera)
         problem = f"no pixel with a depth lies in the colour image, so the cloud is empty (by {depth.path.name})"
     if len(cloud) == 0:
         raise FrameError(depth_path, problem, "record the frame again, or remove it")
     return rgb, cloud, depth_m
-
-
-def _metres(raw: np.ndarray, camera: RgbdCamera) -> np.ndarray:
-    return np.divide(raw, np.float32(camera.depth_scale), dtype=np.float32)
 
 
 def _check_size(path: Path, image: np.ndarray, camera: RgbdCamera, remedy: str) -> None:
