@@ -14,7 +14,7 @@ from annotator.types.errors import ConfigError, RecordingError, UnknownFormatErr
 
 MOST_HINTS = 5
 # Suffixes of single files that are recordings.
-FILE_SUFFIXES = (".mkv",)
+FILE_SUFFIXES = (".mkv", ".r3d")
 NO_OPTIONS = ReaderOptions()
 
 
