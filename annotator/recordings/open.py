@@ -14,7 +14,7 @@ from annotator.types.errors import ConfigError, RecordingError, UnknownFormatErr
 
 MOST_HINTS = 5
 # Suffixes of single files that are recordings.
-FILE_SUFFIXES = (".mkv", ".bag", ".mcap", ".db3")
+FILE_SUFFIXES = (".mkv", ".r3d", ".bag", ".mcap", ".db3")
 NO_OPTIONS = ReaderOptions()
 
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 # Tried in this order; the first reader that recognises a path opens it. A reader takes the path and returns a
 # Recording, or NotFound with what it looked for.
 READERS: dict[str, str] = {
+    "stray_scanner": "annotator.recordings.phones.stray_scanner:open_stray_scanner",
+    "record3d": "annotator.recordings.phones.record3d:open_record3d",
+    # before rgbd_folder, whose names differ only by the lists of images
+    "tum_rgbd": "annotator.recordings.tum_rgbd:open_tum_rgbd",
     "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
     "kitti_object": "annotator.recordings.kitti.object_folder:open_kitti_object",
     "kitti_tracking": "annotator.recordings.kitti.tracking_folder:open_kitti_tracking",
@@ -20,10 +24,14 @@ READERS: dict[str, str] = {
 # The options (`ReaderOptions`) that readers take. Such a reader is called with the path and the options.
 OPTIONS: dict[str, tuple[str, ...]] = {
     "ros_bag": ("image", "points", "depth", "camera_info", "tf_frame", "tolerance_s"),
+    "stray_scanner": ("min_confidence",),
+    "record3d": ("min_confidence",),
+    "tum_rgbd": ("tolerance_s",),
 }
 
 # Faster recognition checks, for formats that are slow to open.
 QUICK_CHECKS: dict[str, str] = {
+    "record3d": "annotator.recordings.phones.record3d:is_record3d",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
     "ros_bag": "annotator.recordings.ros.files:is_bag",
 }
