@@ -19,6 +19,7 @@ class ReadAs:
     """How the recording is read; each format takes its own options, and by default decides by its files."""
 
     columns: Annotated[int | None, option(help="numbers per point in .bin files.")] = None
+    scene: Annotated[str | None, option(help="scene of a dataset, by its name.")] = None
     camera: Annotated[str | None, option(help="camera of a rig, by its name.")] = None
     look_around: Annotated[
         Literal[4, 6, 8] | None, option(help="number of virtual cameras around a LiDAR, to label all that it sees.")

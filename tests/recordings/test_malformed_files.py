@@ -14,6 +14,7 @@ from cloud_samples import SCAN, camera_file, put_image
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kitti_samples import CAMERAS, LIDAR, OBJECT_CALIB, TIMES, TRACKING_CALIB
+from nuscenes_samples import small
 from scipy.io import savemat
 from sunrgbd_samples import IMAGE as SUN_IMAGE
 from sunrgbd_samples import RTILT, K, png, upright_points, write_scene
@@ -70,6 +71,10 @@ def rgbd_folder(folder: Path) -> None:
     put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
 
 
+def nuscenes(folder: Path) -> None:
+    small(folder, scenes=1, samples=1, sweeps=0)
+
+
 def cloud_folder(folder: Path) -> None:
     put(folder / "0.bin", SCAN.tobytes())
     pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
@@ -84,6 +89,7 @@ BUILDERS: list[Callable[[Path], None]] = [
     sunrgbd_extracted,
     sunrgbd_scene,
     rgbd_folder,
+    nuscenes,
     cloud_folder,
 ]
 

@@ -25,7 +25,7 @@ from annotator.workflows.evaluating.evaluate_files import (
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.kitti_rows import rows_of_truth, true_kitti_rows
 from annotator.workflows.recorded.own_labels import AUTHOR
-from annotator.workflows.recorded.reading import has_truth, load_truth
+from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
 
 
 class Measured(StrEnum):
@@ -173,7 +173,9 @@ class _Source:
     def _is_compared(self, stored: StoredFrame) -> bool:
         labels = self._project.labels.of_frame(stored.id)
         worked_on = bool(labels) or stored.finalised
-        if self._choice.against is Against.TRUTH and stored.index is None:
+        if self._choice.against is Against.TRUTH and not (
+            stored.index is not None and is_labelled(self._frames.recording(stored.recording_id), stored.key)
+        ):
             return False
         if self._choice.against is Against.REVIEWED and not (
             worked_on and all(label.state is not ReviewState.PROPOSED for label in labels)

@@ -10,7 +10,7 @@ from annotator.project import NewLabel, Project
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
-from annotator.workflows.recorded.reading import has_truth, load_truth, one_file_a_frame
+from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
 
 # Boxes imported from other datasets have the author "import".
 AUTHOR = "recording"
@@ -62,7 +62,11 @@ def import_own_labels(
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
     classes = set(project.config.classes)
     indices = {key: index for index, key in enumerate(recording.keys)}
-    frames = [frame for frame in project.frames.of([recording_id]) if frame.key in indices]
+    frames = [
+        frame
+        for frame in project.frames.of([recording_id])
+        if frame.key in indices and is_labelled(recording, frame.key)
+    ]
     for number, stored in enumerate(frames, 1):
         if not stored.finalised and not project.labels.of_frame(stored.id):
             try:

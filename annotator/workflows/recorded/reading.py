@@ -14,9 +14,11 @@ from annotator.formats.boxes_json import read_boxes
 from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
 from annotator.formats.kitti.tracklets import read_tracklets
 from annotator.formats.masks import read_mask
+from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_sample_boxes
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
 from annotator.recordings import Recording
 from annotator.recordings.kitti.raw_drive import KittiRaw
+from annotator.recordings.nuscenes.recording import NuScenes
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
@@ -28,7 +30,7 @@ SCENE_LABELS = "annotation3Dfinal/index.json"
 
 
 def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
-    """Returns the labelled objects of a frame in file order; empty if it is labelled as empty.
+    """Returns the labelled objects of a frame in file order; empty if it is labelled as empty, or not at all.
 
     Args:
         recording: the recording with its labels.
@@ -46,6 +48,8 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     try:
         if isinstance(recording, KittiRaw):
             return _from_tracklets(file, recording, key)
+        if isinstance(recording, NuScenes):
+            return _from_samples(file, recording, key, frame)
         return _READERS[recording.format](file, key, frame)
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
@@ -55,6 +59,11 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
 def has_truth(recording: Recording) -> bool:
     """Returns True if there are labels beside the recording, at least of some frames."""
     return label_file(recording, recording.keys[0]) is not None
+
+
+def is_labelled(recording: Recording, key: str) -> bool:
+    """Returns False for a frame whose objects were not labelled: one between nuScenes' samples."""
+    return not isinstance(recording, NuScenes) or recording.sample(key) is not None
 
 
 def one_file_a_frame(recording: Recording) -> bool:
@@ -84,8 +93,9 @@ def label_file(recording: Recording, key: str) -> Path | None:
         labels = recording.scene(key) / SCENE_LABELS
         labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
         return labels if labelled else None
+    folder = recording.tables if isinstance(recording, NuScenes) else recording.root
     for name in _PLACES.get(recording.format, ()):
-        place = recording.root / name
+        place = folder / name
         if place.is_file():
             return place
         if place.is_dir():
@@ -145,6 +155,17 @@ def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
     return [replace(truth, box=truth.box.transformed(T)) for truth in truths]
 
 
+def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> list[Truth]:
+    """Returns the boxes of a frame's sample that its image shows; all, if the dataset is an export of annotator."""
+    T, sample = frame.T_camera_label, recording.sample(key)
+    if sample is None or T is None:
+        return []
+    boxes = _samples(recording.tables, recording.samples, *file_version(path))[sample]
+    truths = [Truth(each.label, each.box.transformed(T), each.track_id) for each in boxes]
+    K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
+    return truths if recording.is_export else [truth for truth in truths if is_seen(truth.box, K, *size)]
+
+
 def frame_number(path: Path, key: str) -> int:
     """Returns the number of a frame in the label file of a whole recording.
 
@@ -179,6 +200,12 @@ def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
 
 
 @lru_cache(maxsize=4)
+def _samples(tables: Path, samples: frozenset[str], changed_ns: int, size: int) -> dict[str, tuple[NuScenesBox, ...]]:
+    """As `_boxes` for the samples of a nuScenes scene, in the global frame."""
+    return read_sample_boxes(tables, samples)
+
+
+@lru_cache(maxsize=4)
 def _tracks(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
     """As `_boxes` for tracking labels, in label coordinates, since the transform may differ between frames."""
     return read_tracking_labels(path, None)
@@ -199,6 +226,7 @@ _PLACES = {
     "kitti_object": ("label_2",),
     "kitti_tracking": ("label_02.txt",),
     "kitti_raw": ("tracklet_labels.xml",),
+    "nuscenes": (ANNOTATIONS,),
     "sunrgbd_extracted": ("label",),
     "sunrgbd_scenes": (SCENE_LABELS,),
 }
