@@ -11,6 +11,7 @@ READERS: dict[str, str] = {
     "kitti_raw": "annotator.recordings.kitti.raw_drive:open_kitti_raw",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
     "nuscenes": "annotator.recordings.nuscenes.recording:open_nuscenes",
+    "argoverse2": "annotator.recordings.argoverse.log:open_argoverse2",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
     # last, because other formats contain cloud files, too
@@ -20,10 +21,12 @@ READERS: dict[str, str] = {
 # The options (`ReaderOptions`) that readers take. Such a reader is called with the path and the options.
 OPTIONS: dict[str, tuple[str, ...]] = {
     "nuscenes": ("scene", "camera", "tolerance_s"),
+    "argoverse2": ("camera", "tolerance_s"),
 }
 
 # Faster recognition checks, for formats that are slow to open.
 QUICK_CHECKS: dict[str, str] = {
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
     "nuscenes": "annotator.recordings.nuscenes.recording:is_nuscenes",
+    "argoverse2": "annotator.recordings.argoverse.log:is_argoverse2",
 }

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from argoverse_samples import write_log
 from cloud_samples import SCAN, camera_file, put_image
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -75,6 +76,10 @@ def nuscenes(folder: Path) -> None:
     small(folder, scenes=1, samples=1, sweeps=0)
 
 
+def argoverse2(folder: Path) -> None:
+    write_log(folder, sweeps=1)
+
+
 def cloud_folder(folder: Path) -> None:
     put(folder / "0.bin", SCAN.tobytes())
     pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
@@ -90,6 +95,7 @@ BUILDERS: list[Callable[[Path], None]] = [
     sunrgbd_scene,
     rgbd_folder,
     nuscenes,
+    argoverse2,
     cloud_folder,
 ]
 

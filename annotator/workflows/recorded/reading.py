@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
 from annotator.formats.kitti.tracklets import read_tracklets
@@ -162,8 +163,19 @@ def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> li
         return []
     boxes = _samples(recording.tables, recording.samples, *file_version(path))[sample]
     truths = [Truth(each.label, each.box.transformed(T), each.track_id) for each in boxes]
+    return truths if recording.is_export else _seen(truths, frame)
+
+
+def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
+    """Returns the boxes of a sweep that the image shows."""
+    T = frame.T_camera_label
+    rows = () if T is None else _annotations(path, *file_version(path)).get(int(key), ())
+    return _seen([Truth(each.label, each.box.transformed(T), each.track) for each in rows], frame)
+
+
+def _seen(truths: list[Truth], frame: Frame) -> list[Truth]:
     K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
-    return truths if recording.is_export else [truth for truth in truths if is_seen(truth.box, K, *size)]
+    return [truth for truth in truths if is_seen(truth.box, K, *size)]
 
 
 def frame_number(path: Path, key: str) -> int:
@@ -206,6 +218,12 @@ def _samples(tables: Path, samples: frozenset[str], changed_ns: int, size: int) 
 
 
 @lru_cache(maxsize=4)
+def _annotations(path: Path, changed_ns: int, size: int) -> dict[int, list[argoverse.ArgoverseBox]]:
+    """As `_boxes` for the annotations of an Argoverse log, in the ego frame."""
+    return argoverse.read_argoverse(path)
+
+
+@lru_cache(maxsize=4)
 def _tracks(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
     """As `_boxes` for tracking labels, in label coordinates, since the transform may differ between frames."""
     return read_tracking_labels(path, None)
@@ -227,6 +245,7 @@ _PLACES = {
     "kitti_tracking": ("label_02.txt",),
     "kitti_raw": ("tracklet_labels.xml",),
     "nuscenes": (ANNOTATIONS,),
+    "argoverse2": (argoverse.ANNOTATIONS,),
     "sunrgbd_extracted": ("label",),
     "sunrgbd_scenes": (SCENE_LABELS,),
 }
@@ -235,6 +254,7 @@ _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "rgbd_folder": _from_boxes_json,
     "kitti_object": _from_label_2,
     "kitti_tracking": _from_label_02,
+    "argoverse2": _from_annotations,
     "sunrgbd_extracted": _from_extracted,
     "sunrgbd_scenes": _from_scene,
 }
