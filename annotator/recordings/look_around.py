@@ -72,6 +72,15 @@ class LookAround(KeyedFrames):
         self.key(i)
         return RigidTransform.from_rotation(self._R_camera_level().inv())
 
+    def scan(self, i: int) -> Scan:
+        """Reads the whole scan of frame `i`.
+
+        Raises:
+            FrameError: it cannot be read.
+            IndexError: there is no such frame.
+        """
+        return self.base.scan(i)
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`.
 
@@ -97,7 +106,7 @@ def look_around(base: Scanned, options: ReaderOptions) -> LookAround:
     camera = options.camera or AHEAD
     if camera not in names:
         raise ConfigError(f"{base.path}: has no virtual camera {camera}; it has {', '.join(names)}")
-    others = f"{len(names)} cameras: {', '.join(names)} (--camera names another)"
+    others = f"{len(names)} cameras: {', '.join(names)} (--camera names another, or all)"
     notes = base.notes if options.camera else (*base.notes, others)
     return LookAround(base.path, base.keys, base, options.look_around, camera, notes)
 

@@ -44,6 +44,15 @@ class RigCamera(Recording, Protocol):
         """
 
 
+@runtime_checkable
+class Scenes(Recording, Protocol):
+    """A recording of one scene of a dataset."""
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """The names of all scenes of the dataset."""
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """A whole scan of a LiDAR, also where no camera looks.

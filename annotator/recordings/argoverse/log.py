@@ -191,7 +191,7 @@ def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | NotFou
         raise RecordingError(f"{path}: no frames; no image of {camera} is within {within_s:g} s of a sweep")
     notes = []
     if len(cameras) > 1 and options.camera is None:
-        notes.append(f"{len(cameras)} cameras: {', '.join(cameras)} (--camera names another)")
+        notes.append(f"{len(cameras)} cameras: {', '.join(cameras)} (--camera names another, or all)")
     if len(pairs) < len(keys):
         alone = len(keys) - len(pairs)
         notes.append(f"{alone} sweeps without an image within {within_s:g} s were left out (--tolerance changes it)")

@@ -4,8 +4,8 @@ v1.0-*/*.json   the tables (scene, sample, sample_data, sensor, calibrated_senso
 samples/, sweeps/   images and scans, where the tables say; a scan is float32 x y z intensity (0..255) ring
 [sample_annotation.json, instance.json, category.json: read by annotator.formats.nuscenes]
 
-A frame is an image with the scan of its sample; between samples, with the scan nearest in time. The vehicle's poses at
-both times move the scan to the image's time. Labels are in the global frame.
+A frame is an image with the scan of its sample; between samples, with the scan that was being taken, else the one
+before. The vehicle's poses at both times move the scan to the image's time. Labels are in the global frame.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
+from annotator.geometry.transforms import FORWARD
 from annotator.nuscenes_tables import TableError
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti.frame import visible_cloud
@@ -27,6 +28,7 @@ from annotator.recordings.nuscenes.scenes import SceneData, Shot, read_scene, sc
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import LARGEST, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rig import Scan, level_turn
 from annotator.types import Camera, Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
@@ -37,7 +39,7 @@ EXPORT_MARK = "frames.csv"
 MOST_INTENSITY = np.float32(255.0)
 BYTES_A_POINT = 20
 GLOBAL_UP = np.array([0.0, 0.0, 1.0])
-# Half the LiDAR's period.
+# The LiDAR's period.
 TOLERANCE_S = 0.05
 REMEDY = "copy it again from the data set"
 
@@ -48,14 +50,18 @@ class NuScenes(KeyedFrames):
 
     Attributes:
         tables: the folder of the tables.
+        scenes: names of all scenes of the dataset.
         scene, camera: names of the scene and of the camera's channel.
+        data: the images and scans of all its cameras.
         moments: image and scan of each frame.
         notes: what was left out.
     """
 
     tables: Path
+    scenes: tuple[str, ...]
     scene: str
     camera: str
+    data: SceneData
     moments: tuple[tuple[Shot, Shot], ...]
     notes: tuple[str, ...] = ()
     format: ClassVar[str] = "nuscenes"
@@ -111,6 +117,51 @@ class NuScenes(KeyedFrames):
         up = T_camera_global.rotation.apply(GLOBAL_UP)
         return Frame(key, i, camera, rgb, cloud, None, up, T_camera_global, image.time_us * 1000)
 
+    def scan(self, i: int) -> Scan:
+        """Reads the whole scan of frame `i`, ahead being where the camera looks.
+
+        Raises:
+            FrameError: a missing or broken file, or an impossible pose.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        image, scan = self.moments[i]
+        T_camera_global, T_global_lidar = self._poses(image, scan)
+        points = read_scan(self.root / scan.file)
+        R_lidar_global = T_global_lidar.rotation.inv()
+        ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))
+        return Scan(
+            points[:, :3].astype(np.float64),
+            None,
+            np.clip(points[:, 3] / MOST_INTENSITY, 0, 1),
+            level_turn(R_lidar_global.apply(GLOBAL_UP), ahead),
+            np.zeros(3),
+            True,
+            T_global_lidar.inv(),
+            scan.time_us * 1000,
+        )
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The names of the scene's cameras."""
+        return tuple(sorted(self.data.cameras))
+
+    def moment(self, i: int) -> str:
+        """Returns the name of the scan's file."""
+        self.key(i)
+        return PurePosixPath(self.moments[i][1].file).name
+
+    def T_rig_camera(self, i: int) -> RigidTransform:
+        """Returns the camera's pose in the frame of the LiDAR at the scan's time.
+
+        Raises:
+            FrameError: an impossible pose.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        T_camera_global, T_global_lidar = self._poses(*self.moments[i])
+        return (T_camera_global * T_global_lidar).inv()
+
     def _poses(self, image: Shot, scan: Shot) -> tuple[RigidTransform, RigidTransform]:
         try:
             return image.T_global_sensor().inv(), scan.T_global_sensor()
@@ -151,18 +202,8 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
         raise RecordingError(f"{path}: no frames; no image of {camera} has a scan within its time; set --tolerance")
     if len(set(keys)) < len(keys):
         raise RecordingError(f"{tables / 'sample_data.json'}: two images of {camera} have one file name; {REMEDY}")
-    return NuScenes(path, keys, tables, scene, camera, moments, _notes(data, camera, moments, scenes, options))
-
-
-def scenes_and_cameras(path: Path, scene: str | None = None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Returns the names of a dataset's scenes, and of the cameras of one of them (None = the first).
-
-    Raises:
-        RecordingError: as `open_nuscenes`.
-    """
-    tables = table_folders(path)[0]
-    scenes = scene_names(tables)
-    return tuple(scenes), tuple(sorted(read_scene(tables, scenes[scene or next(iter(scenes))]).cameras))
+    notes = _notes(data, camera, moments, scenes, options)
+    return NuScenes(path, keys, tables, tuple(scenes), scene, camera, data, moments, notes)
 
 
 def is_nuscenes(path: Path) -> bool:
@@ -206,16 +247,13 @@ def _pairs(data: SceneData, camera: str, tolerance_s: float) -> tuple[tuple[Shot
     for image in data.cameras[camera]:
         scan = of_sample.get(image.sample) if image.sample is not None else None
         if scan is None:
-            scan = _nearest(data.scans, times_us, image.time_us, tolerance_s)
+            after = int(np.searchsorted(times_us, image.time_us))
+            # a scan's time is its end: the next scan was being taken, so all cameras get the same one
+            near = [*data.scans[after : after + 1], *data.scans[max(after - 1, 0) : after]]
+            scan = next((each for each in near if abs(each.time_us - image.time_us) <= tolerance_s * 1e6), None)
         if scan is not None:
             pairs.append((image, scan))
     return tuple(pairs)
-
-
-def _nearest(scans: Sequence[Shot], times_us: np.ndarray, time_us: int, tolerance_s: float) -> Shot | None:
-    after = int(np.searchsorted(times_us, time_us))
-    near = min(scans[max(after - 1, 0) : after + 1], key=lambda scan: abs(scan.time_us - time_us))
-    return near if abs(near.time_us - time_us) <= tolerance_s * 1e6 else None
 
 
 def _notes(
@@ -223,9 +261,9 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = []
     if len(scenes) > 1 and options.scene is None:
-        notes.append(f"{len(scenes)} scenes: {', '.join(scenes)}; this is the first (--scene names another)")
+        notes.append(f"{len(scenes)} scenes: {', '.join(scenes)}; this is the first (--scene names another, or all)")
     if len(data.cameras) > 1 and options.camera is None:
-        notes.append(f"{len(data.cameras)} cameras: {', '.join(sorted(data.cameras))} (--camera names another)")
+        notes.append(f"{len(data.cameras)} cameras: {', '.join(sorted(data.cameras))} (--camera names another, or all)")
     if data.missing:
         notes.append(f"left out, because these folders are missing: {', '.join(data.missing)}")
     alone = len(data.cameras[camera]) - len(moments)

@@ -18,8 +18,11 @@ from annotator.formats.masks import read_mask
 from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_sample_boxes
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
 from annotator.recordings import Recording
+from annotator.recordings.argoverse.log import ArgoverseLog
 from annotator.recordings.kitti.raw_drive import KittiRaw
+from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes.recording import NuScenes
+from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
@@ -50,7 +53,10 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
         if isinstance(recording, KittiRaw):
             return _from_tracklets(file, recording, key)
         if isinstance(recording, NuScenes):
-            return _from_samples(file, recording, key, frame)
+            truths = _from_samples(file, recording, key, frame)
+            return truths if recording.is_export else _seen(truths, frame)
+        if isinstance(recording, LookAround):
+            return _all_around(file, recording.base, key, frame)
         return _READERS[recording.format](file, key, frame)
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
@@ -64,7 +70,8 @@ def has_truth(recording: Recording) -> bool:
 
 def is_labelled(recording: Recording, key: str) -> bool:
     """Returns False for a frame whose objects were not labelled: one between nuScenes' samples."""
-    return not isinstance(recording, NuScenes) or recording.sample(key) is not None
+    base = recording.base if isinstance(recording, LookAround) else recording
+    return not isinstance(base, NuScenes) or base.sample(key) is not None
 
 
 def one_file_a_frame(recording: Recording) -> bool:
@@ -90,6 +97,9 @@ def label_file(recording: Recording, key: str) -> Path | None:
 
     The file may be missing: a KITTI object label folder may lack the files of some frames.
     """
+    if isinstance(recording, LookAround):
+        # labels of other formats cover only what the camera sees
+        return label_file(recording.base, key) if isinstance(recording.base, NuScenes | ArgoverseLog) else None
     if isinstance(recording, SunRgbdScenes):
         labels = recording.scene(key) / SCENE_LABELS
         labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
@@ -157,13 +167,12 @@ def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
 
 
 def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> list[Truth]:
-    """Returns the boxes of a frame's sample that its image shows; all, if the dataset is an export of annotator."""
+    """Returns the boxes of a frame's sample; none between samples."""
     T, sample = frame.T_camera_label, recording.sample(key)
     if sample is None or T is None:
         return []
     boxes = _samples(recording.tables, recording.samples, *file_version(path))[sample]
-    truths = [Truth(each.label, each.box.transformed(T), each.track_id) for each in boxes]
-    return truths if recording.is_export else _seen(truths, frame)
+    return [Truth(each.label, each.box.transformed(T), each.track_id) for each in boxes]
 
 
 def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -171,6 +180,13 @@ def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
     T = frame.T_camera_label
     rows = () if T is None else _annotations(path, *file_version(path)).get(int(key), ())
     return _seen([Truth(each.label, each.box.transformed(T), each.track) for each in rows], frame)
+
+
+def _all_around(path: Path, base: Scanned, key: str, frame: Frame) -> list[Truth]:
+    """Returns the boxes that a virtual camera sees."""
+    if isinstance(base, NuScenes):
+        return _seen(_from_samples(path, base, key, frame), frame)
+    return _from_annotations(path, key, frame)
 
 
 def _seen(truths: list[Truth], frame: Frame) -> list[Truth]:

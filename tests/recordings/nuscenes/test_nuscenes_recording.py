@@ -140,8 +140,8 @@ def test_the_first_scene_and_the_front_camera_are_read_unless_others_are_named(t
     recording = opened(small(tmp_path))
     assert (recording.scene, recording.camera) == ("scene-0000", "CAM_FRONT")
     assert recording.notes == (
-        "2 scenes: scene-0000, scene-0001; this is the first (--scene names another)",
-        "2 cameras: CAM_BACK, CAM_FRONT (--camera names another)",
+        "2 scenes: scene-0000, scene-0001; this is the first (--scene names another, or all)",
+        "2 cameras: CAM_BACK, CAM_FRONT (--camera names another, or all)",
     )
     assert opened(tmp_path / "v1.0-mini").keys == recording.keys
     with pytest.raises(ConfigError, match="has no scene x; it has scene-0000, scene-0001"):
