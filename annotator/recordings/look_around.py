@@ -63,6 +63,11 @@ class LookAround(KeyedFrames):
         """The names of all virtual cameras."""
         return camera_names(self.count)
 
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the virtual camera, the same for all frames."""
+        self.key(i)
+        return virtual_camera(self.count)
+
     def moment(self, i: int) -> str:
         """Returns the frame's key, which all cameras share."""
         return self.key(i)

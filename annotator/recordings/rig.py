@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.transforms import right_handed_axes
 from annotator.recordings.recording import Recording
+from annotator.types import Camera
 
 
 @runtime_checkable
@@ -27,6 +28,14 @@ class RigCamera(Recording, Protocol):
     @property
     def cameras(self) -> tuple[str, ...]:
         """The names of all cameras of the rig."""
+
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the camera of frame `i`, without reading its image.
+
+        Raises:
+            FrameError: it cannot be read.
+            IndexError: there is no such frame.
+        """
 
     def moment(self, i: int) -> str:
         """Returns the name of the cloud of frame `i`: frames of the rig's cameras with the same one belong together.
@@ -51,6 +60,10 @@ class Scenes(Recording, Protocol):
     @property
     def scenes(self) -> tuple[str, ...]:
         """The names of all scenes of the dataset."""
+
+    @property
+    def scene(self) -> str:
+        """The scene's name."""
 
 
 @dataclass(frozen=True, eq=False)

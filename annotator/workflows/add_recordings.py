@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,11 +10,16 @@ import numpy as np
 
 from annotator.project import Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
+from annotator.recordings.rig import RigCamera, Scenes
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
 # If this many frames at the beginning are unreadable, the recording is refused without trying the others.
 FRAMES_TRIED = 5
 NO_OPTIONS = ReaderOptions()
+
+
+# In place of the names of scenes or cameras.
+ALL = "all"
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ def add_recordings(
     name: str | None = None,
     up: Sequence[float] | None = None,
     options: ReaderOptions = NO_OPTIONS,
+    scenes: Sequence[str] = (),
+    cameras: Sequence[str] = (),
 ) -> list[Added]:
     """Adds recordings to a project: all, or none if one of the paths cannot be used. Their files stay in place.
 
@@ -52,19 +59,20 @@ def add_recordings(
         name: name of a single recording; None = the name of its folder.
         up: direction against gravity in the camera frame, (3,) of any length; None = as the files give it.
         options: how the recordings are read.
+        scenes, cameras: names, of which each combination is a recording, or `ALL`; () = those of `options`.
 
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
         ConfigError: one name for several recordings, or another name or up direction for a known recording.
         ProjectError: the store refuses a value, e.g. an `up` of length zero.
     """
-    if name is not None and len(paths) > 1:
-        raise ConfigError(f"{len(paths)} recordings cannot all be called {name!r}; add them one by one")
-    opened = [open_recording(path, options) for path in paths]
-    for recording in opened:
+    opened = [each for path in paths for each in _chosen(path, options, tuple(scenes), tuple(cameras))]
+    if name is not None and len(opened) > 1:
+        raise ConfigError(f"{len(opened)} recordings cannot all be called {name!r}; add them one by one")
+    for recording, options in opened:
         _require_readable(recording)
         _require_unchanged(_known(project, recording, options), name, up)
-    return [_add(project, recording, name, up, options) for recording in opened]
+    return [_add(project, recording, name, up, options) for recording, options in opened]
 
 
 def register_recording(
@@ -107,6 +115,51 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
         )
     _require_readable(moved)
     return project.recordings.move(recording_id, moved.path, moved.keys, author)
+
+
+def _chosen(
+    path: Path, given: ReaderOptions, scenes: tuple[str, ...], cameras: tuple[str, ...]
+) -> Iterator[tuple[Recording, ReaderOptions]]:
+    """Yields the recordings of a path, with options that name scene and camera if it has several."""
+    scenes, cameras = scenes or _named(given.scene), cameras or _named(given.camera)
+    recording, options = _open(path, given, _first(scenes), _first(cameras))
+    if not isinstance(recording, Scenes):
+        yield from _of_cameras(path, recording, options, cameras)
+        return
+    for scene in _names(path, "scene", scenes, recording.scenes, recording.scene):
+        yield from _of_cameras(path, *_open(path, options, scene, _first(cameras)), cameras)
+
+
+def _of_cameras(
+    path: Path, recording: Recording, options: ReaderOptions, cameras: tuple[str, ...]
+) -> Iterator[tuple[Recording, ReaderOptions]]:
+    if not isinstance(recording, RigCamera) or not recording.cameras:
+        yield recording, options
+        return
+    for camera in _names(path, "camera", cameras, recording.cameras, recording.camera):
+        yield _open(path, options, options.scene, camera)
+
+
+def _open(path: Path, options: ReaderOptions, scene: str | None, camera: str | None) -> tuple[Recording, ReaderOptions]:
+    named = options.model_copy(update={"scene": scene, "camera": camera})
+    return open_recording(path, named), named
+
+
+def _named(name: str | None) -> tuple[str, ...]:
+    return () if name is None else (name,)
+
+
+def _first(names: tuple[str, ...]) -> str | None:
+    return None if not names or ALL in names else names[0]
+
+
+def _names(path: Path, what: str, wanted: tuple[str, ...], all_names: tuple[str, ...], own: str) -> tuple[str, ...]:
+    if ALL in wanted:
+        return all_names
+    missing = [name for name in wanted if name not in all_names]
+    if missing:
+        raise ConfigError(f"{path}: has no {what} {', '.join(missing)}; it has {', '.join(all_names)}")
+    return tuple(dict.fromkeys(wanted)) or (own,)
 
 
 def _add(

@@ -114,6 +114,20 @@ class ArgoverseLog(KeyedFrames):
         no_turn = RigidTransform.identity()
         return Scan(xyz_m, None, reflectance, level_turn(up, AHEAD), place_m, True, no_turn, int(key))
 
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the camera of frame `i`, with the size that the calibration names.
+
+        Raises:
+            FrameError: it is missing or impossible.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        rows = _named(self.path / INTRINSICS, ("width_px", "height_px"))
+        width_px, height_px = rows[self.camera].tolist() if self.camera in rows else (0.0, 0.0)
+        if min(width_px, height_px) < 1:
+            raise FrameError(self.path / INTRINSICS, f"has no size of {self.camera}", REMEDY)
+        return self._intrinsics(int(width_px), int(height_px))
+
     def moment(self, i: int) -> str:
         """Returns the time of the sweep."""
         return self.key(i)

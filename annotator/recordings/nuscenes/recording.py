@@ -103,7 +103,7 @@ class NuScenes(KeyedFrames):
         key = self.key(i)
         image, scan = self.moments[i]
         rgb = read_rgb(self.root / image.file)
-        camera = _camera(self.root / image.file, image, rgb)
+        camera = _camera(self.root / image.file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
         points = read_scan(self.root / scan.file)
         xyz_m = (T_camera_global * T_global_lidar).apply(points[:, :3])
@@ -145,6 +145,19 @@ class NuScenes(KeyedFrames):
     def cameras(self) -> tuple[str, ...]:
         """The names of the scene's cameras."""
         return tuple(sorted(self.data.cameras))
+
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the camera of frame `i`, with the image's size in the tables.
+
+        Raises:
+            FrameError: it is impossible, or the tables lack the size.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        image = self.moments[i][0]
+        if min(image.width_px, image.height_px) < 1:
+            raise FrameError(self.tables / "sample_data.json", f"has no size of {image.file}", REMEDY)
+        return _camera(self.root / image.file, image, image.width_px, image.height_px)
 
     def moment(self, i: int) -> str:
         """Returns the name of the scan's file."""
@@ -232,12 +245,11 @@ def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
     return points
 
 
-def _camera(path: Path, image: Shot, rgb: np.ndarray) -> Camera:
+def _camera(path: Path, image: Shot, width_px: int, height_px: int) -> Camera:
     K = np.array(image.mount.camera_intrinsic)
     if K.shape != (3, 3) or not is_pinhole(K):
         raise FrameError(path, f"its camera_intrinsic (row {image.mount.token}) is not a pinhole camera", REMEDY)
-    height, width = rgb.shape[:2]
-    return Camera(width, height, *K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
+    return Camera(width_px, height_px, *K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
 
 
 def _pairs(data: SceneData, camera: str, tolerance_s: float) -> tuple[tuple[Shot, Shot], ...]:

@@ -38,6 +38,7 @@ class Shot:
         sample: token of the annotated moment that it belongs to; None between those moments (a sweep).
         file: relative to the dataset's root.
         ego, mount: the vehicle's pose at that time, and the sensor's on the vehicle.
+        width_px, height_px: size of the image; 0 for a scan.
     """
 
     sample: str | None
@@ -45,6 +46,8 @@ class Shot:
     time_us: int
     ego: EgoPose
     mount: CalibratedSensor
+    width_px: int
+    height_px: int
 
     def T_global_sensor(self) -> RigidTransform:
         """Returns the sensor's pose when it was taken.
@@ -133,7 +136,15 @@ def _read_scene(
     poses = {row.token: row for row in _rows(tables, EgoPose, "token", wanted)}
     for sensor, mount, row in data:
         ego = _row(tables, "sample_data", row.token, poses, EgoPose, row.ego_pose_token)
-        shot = Shot(row.sample_token if row.is_key_frame else None, row.filename, row.timestamp, ego, mount)
+        shot = Shot(
+            row.sample_token if row.is_key_frame else None,
+            row.filename,
+            row.timestamp,
+            ego,
+            mount,
+            row.width,
+            row.height,
+        )
         shots.setdefault((sensor.modality, sensor.channel), []).append(shot)
     return {key: tuple(sorted(each, key=lambda shot: shot.time_us)) for key, each in shots.items()}
 

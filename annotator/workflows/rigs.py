@@ -1,0 +1,174 @@
+"""Rigs: the labels of the other cameras, in the frame of one camera.
+
+A rig is a set of a project's recordings with the same path and options but for the option `camera`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.nuscenes import is_seen
+from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel, StoredRecording
+from annotator.project.proposals import covered_by
+from annotator.recordings import stored_options
+from annotator.recordings.rig import RigCamera
+from annotator.types import Camera, Label, OrientedBox
+from annotator.types.errors import RecordingError
+from annotator.workflows.frame_source import FrameSource
+
+RigKey = tuple[Path, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Sibling:
+    """A frame of another camera at the same moment.
+
+    Attributes:
+        frame: the frame.
+        recording: name of its recording.
+        T_here_there: from its camera to this one.
+        camera: its camera.
+    """
+
+    frame: StoredFrame
+    recording: str
+    T_here_there: RigidTransform
+    camera: Camera
+
+
+@dataclass(frozen=True, eq=False)
+class OtherLabel:
+    """A label of another camera.
+
+    Attributes:
+        label: the label; its box is in the frame of this camera.
+        frame: the frame that it belongs to.
+        recording: name of that frame's recording.
+    """
+
+    label: Label
+    frame: StoredFrame
+    recording: str
+
+
+class Rigs:
+    """The rigs of a project. Recordings that are added later are not known to it."""
+
+    def __init__(self, project: Project, source: FrameSource | None = None) -> None:
+        self._project = project
+        self._source = source or FrameSource(project)
+        rigs: dict[RigKey, list[StoredRecording]] = {}
+        for recording in project.recordings.all():
+            if "camera" in recording.options:
+                rigs.setdefault(_rig_key(recording), []).append(recording)
+        self._rigs = {one.id: tuple(rig) for rig in rigs.values() if len(rig) > 1 for one in rig}
+        self._indices: dict[int, Mapping[str, int]] = {}
+
+    def recordings(self) -> Collection[int]:
+        """Returns the ids of all recordings that belong to a rig."""
+        return self._rigs.keys()
+
+    def siblings(self, frame: StoredFrame) -> list[Sibling]:
+        """Returns the frames of the other cameras at the moment of a frame.
+
+        Raises:
+            FrameError, RecordingError: a recording of the rig cannot be read.
+        """
+        if frame.recording_id not in self._rigs or frame.index is None:
+            return []
+        here = self._camera(frame.recording_id)
+        index = here.keys.index(frame.key) if here.keys[frame.index] != frame.key else frame.index
+        moment, T_here_rig = here.moment(index), here.T_rig_camera(index).inv()
+        found = []
+        for stored in self._rigs[frame.recording_id]:
+            there = self._moments(stored.id).get(moment) if stored.id != frame.recording_id else None
+            if there is None:
+                continue
+            camera = self._camera(stored.id)
+            T_here_there = T_here_rig * camera.T_rig_camera(there)
+            other = self._project.frames.find(stored.id, camera.keys[there])
+            found.append(Sibling(other, stored.name, T_here_there, camera.intrinsics(there)))
+        return found
+
+    def others(self, frame: StoredFrame) -> list[OtherLabel]:
+        """Returns all labels of the other cameras at the moment of a frame. Raises as `siblings`."""
+        return [
+            OtherLabel(_moved(label, sibling.T_here_there), sibling.frame, sibling.recording)
+            for sibling in self.siblings(frame)
+            for label in self._project.labels.of_frame(sibling.frame.id)
+        ]
+
+    def is_better_seen(self, box: OrientedBox, siblings: Sequence[Sibling]) -> bool:
+        """Returns True if another camera sees the middle of a box nearer to the middle of its view than this one.
+
+        Args:
+            box: in the frame of this camera.
+            siblings: the frames of the other cameras that count.
+        """
+        here = _cosine(box)
+        for sibling in siblings:
+            there = box.transformed(sibling.T_here_there.inv())
+            camera = sibling.camera
+            if _cosine(there) > here + 1e-6 and is_seen(there, camera.matrix, camera.width_px, camera.height_px):
+                return True
+        return False
+
+    def _camera(self, recording_id: int) -> RigCamera:
+        recording = self._source.recording(recording_id)
+        if not isinstance(recording, RigCamera):
+            raise RecordingError(f"{recording.path}: is read as {recording.format}, which has no cameras; add it again")
+        return recording
+
+    def _moments(self, recording_id: int) -> Mapping[str, int]:
+        if recording_id not in self._indices:
+            camera = self._camera(recording_id)
+            self._indices[recording_id] = {camera.moment(index): index for index in range(len(camera))}
+        return self._indices[recording_id]
+
+
+def once(project: Project, labels: Mapping[int, tuple[StoredLabel, ...]]) -> dict[int, tuple[StoredLabel, ...]]:
+    """Returns labels by frame without those of objects that another camera of the rig has among them.
+
+    Of the labels of one object, a reviewed one stays, else that of the camera that was added first.
+
+    Raises:
+        FrameError, RecordingError: a recording of a rig cannot be read.
+    """
+    rigs = Rigs(project)
+    kept = dict(labels)
+    for frame in project.frames.of(sorted(rigs.recordings())) if rigs.recordings() else ():
+        if frame.id not in labels:
+            continue
+        others = [
+            (_rank(stored, sibling.frame), _moved(stored.label, sibling.T_here_there))
+            for sibling in rigs.siblings(frame)
+            for stored in labels.get(sibling.frame.id, ())
+        ]
+        kept[frame.id] = tuple(
+            stored
+            for stored in labels[frame.id]
+            if covered_by([stored.label], [label for rank, label in others if rank > _rank(stored, frame)]) == [None]
+        )
+    return {frame: each for frame, each in kept.items() if each}
+
+
+def _rank(stored: StoredLabel, frame: StoredFrame) -> tuple[bool, int]:
+    return stored.label.state in REVIEWED, -frame.recording_id
+
+
+def _rig_key(recording: StoredRecording) -> RigKey:
+    return recording.path, stored_options(recording.options).model_copy(update={"camera": None}).stored()
+
+
+def _moved(label: Label, T_here_there: RigidTransform) -> Label:
+    return replace(label, box=label.box.transformed(T_here_there))
+
+
+def _cosine(box: OrientedBox) -> float:
+    """Returns the cosine between the direction to a box and the camera's viewing direction."""
+    return float(box.center_m[2] / max(np.linalg.norm(box.center_m), 1e-9))
