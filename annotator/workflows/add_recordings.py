@@ -97,6 +97,8 @@ def register_recording(
 def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
     """Sets the new path of a recording whose folder was moved. Stored frames are unchanged; new frames are added.
 
+    Other recordings with the same path, such as the other cameras of a rig, are moved with it.
+
     Args:
         author: of the change.
 
@@ -107,6 +109,14 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
             of the project.
     """
     known = project.recordings.get(recording_id)
+    # this recording first: its error says what is wrong
+    together = sorted(project.recordings.at(known.path), key=lambda each: each.id != recording_id)
+    for each in together:
+        _move(project, each, path, author)
+    return project.recordings.get(recording_id)
+
+
+def _move(project: Project, known: StoredRecording, path: Path, author: str) -> None:
     moved = open_recording(path, stored_options(known.options))
     if moved.format != known.format:
         raise RecordingError(
@@ -114,35 +124,27 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
             "give the folder that was moved"
         )
     _require_readable(moved)
-    return project.recordings.move(recording_id, moved.path, moved.keys, author)
+    project.recordings.move(known.id, moved.path, moved.keys, author)
 
 
 def _chosen(
     path: Path, given: ReaderOptions, scenes: tuple[str, ...], cameras: tuple[str, ...]
 ) -> Iterator[tuple[Recording, ReaderOptions]]:
-    """Yields the recordings of a path, with options that name scene and camera if it has several."""
+    """Yields the recordings of a path, with the options to store, which name scene and camera if it has several."""
     scenes, cameras = scenes or _named(given.scene), cameras or _named(given.camera)
-    recording, options = _open(path, given, _first(scenes), _first(cameras))
-    if not isinstance(recording, Scenes):
-        yield from _of_cameras(path, recording, options, cameras)
-        return
-    for scene in _names(path, "scene", scenes, recording.scenes, recording.scene):
-        yield from _of_cameras(path, *_open(path, options, scene, _first(cameras)), cameras)
+    one = _open(path, given, _first(scenes), _first(cameras))
+    for scene in _names(path, "scene", scenes, one.scenes, one.scene) if isinstance(one, Scenes) else (None,):
+        # opened without the name of what nobody named, so that its notes tell of the others
+        asked = scene if scenes else None
+        one = _open(path, given, asked, _first(cameras))
+        rig = one if isinstance(one, RigCamera) and one.cameras else None
+        for camera in _names(path, "camera", cameras, rig.cameras, rig.camera) if rig else (None,):
+            recording = _open(path, given, asked, camera if cameras else None)
+            yield recording, given.model_copy(update={"scene": scene, "camera": camera})
 
 
-def _of_cameras(
-    path: Path, recording: Recording, options: ReaderOptions, cameras: tuple[str, ...]
-) -> Iterator[tuple[Recording, ReaderOptions]]:
-    if not isinstance(recording, RigCamera) or not recording.cameras:
-        yield recording, options
-        return
-    for camera in _names(path, "camera", cameras, recording.cameras, recording.camera):
-        yield _open(path, options, options.scene, camera)
-
-
-def _open(path: Path, options: ReaderOptions, scene: str | None, camera: str | None) -> tuple[Recording, ReaderOptions]:
-    named = options.model_copy(update={"scene": scene, "camera": camera})
-    return open_recording(path, named), named
+def _open(path: Path, given: ReaderOptions, scene: str | None, camera: str | None) -> Recording:
+    return open_recording(path, given.model_copy(update={"scene": scene, "camera": camera}))
 
 
 def _named(name: str | None) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ A rig is a set of a project's recordings with the same path and options but for 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +20,9 @@ from annotator.recordings.rig import RigCamera
 from annotator.types import Camera, Label, OrientedBox
 from annotator.types.errors import RecordingError
 from annotator.workflows.frame_source import FrameSource
+
+# The option that tells the recordings of a rig apart.
+CAMERA = "camera"
 
 RigKey = tuple[Path, str]
 
@@ -57,21 +60,24 @@ class OtherLabel:
 
 
 class Rigs:
-    """The rigs of a project. Recordings that are added later are not known to it."""
+    """The rigs of a project.
+
+    Attributes:
+        source: reads its recordings.
+    """
 
     def __init__(self, project: Project, source: FrameSource | None = None) -> None:
+        self.source = source or FrameSource(project)
         self._project = project
-        self._source = source or FrameSource(project)
-        rigs: dict[RigKey, list[StoredRecording]] = {}
-        for recording in project.recordings.all():
-            if "camera" in recording.options:
-                rigs.setdefault(_rig_key(recording), []).append(recording)
-        self._rigs = {one.id: tuple(rig) for rig in rigs.values() if len(rig) > 1 for one in rig}
         self._indices: dict[int, Mapping[str, int]] = {}
 
-    def recordings(self) -> Collection[int]:
+    def recordings(self) -> list[int]:
         """Returns the ids of all recordings that belong to a rig."""
-        return self._rigs.keys()
+        rigs: dict[RigKey, list[int]] = {}
+        for recording in self._project.recordings.all():
+            if CAMERA in recording.options:
+                rigs.setdefault(_rig_key(recording), []).append(recording.id)
+        return sorted(recording for rig in rigs.values() if len(rig) > 1 for recording in rig)
 
     def siblings(self, frame: StoredFrame) -> list[Sibling]:
         """Returns the frames of the other cameras at the moment of a frame.
@@ -79,13 +85,17 @@ class Rigs:
         Raises:
             FrameError, RecordingError: a recording of the rig cannot be read.
         """
-        if frame.recording_id not in self._rigs or frame.index is None:
+        own = self.source.stored(frame.recording_id)
+        if CAMERA not in own.options or frame.index is None:
+            return []
+        rig = [each for each in self._project.recordings.at(own.path) if _rig_key(each) == _rig_key(own)]
+        if len(rig) == 1:
             return []
         here = self._camera(frame.recording_id)
         index = here.keys.index(frame.key) if here.keys[frame.index] != frame.key else frame.index
         moment, T_here_rig = here.moment(index), here.T_rig_camera(index).inv()
         found = []
-        for stored in self._rigs[frame.recording_id]:
+        for stored in rig:
             there = self._moments(stored.id).get(moment) if stored.id != frame.recording_id else None
             if there is None:
                 continue
@@ -119,7 +129,7 @@ class Rigs:
         return False
 
     def _camera(self, recording_id: int) -> RigCamera:
-        recording = self._source.recording(recording_id)
+        recording = self.source.recording(recording_id)
         if not isinstance(recording, RigCamera):
             raise RecordingError(f"{recording.path}: is read as {recording.format}, which has no cameras; add it again")
         return recording
@@ -141,7 +151,8 @@ def once(project: Project, labels: Mapping[int, tuple[StoredLabel, ...]]) -> dic
     """
     rigs = Rigs(project)
     kept = dict(labels)
-    for frame in project.frames.of(sorted(rigs.recordings())) if rigs.recordings() else ():
+    in_rigs = rigs.recordings()
+    for frame in project.frames.of(in_rigs) if in_rigs else ():
         if frame.id not in labels:
             continue
         others = [
@@ -162,7 +173,7 @@ def _rank(stored: StoredLabel, frame: StoredFrame) -> tuple[bool, int]:
 
 
 def _rig_key(recording: StoredRecording) -> RigKey:
-    return recording.path, stored_options(recording.options).model_copy(update={"camera": None}).stored()
+    return recording.path, stored_options(recording.options).model_copy(update={CAMERA: None}).stored()
 
 
 def _moved(label: Label, T_here_there: RigidTransform) -> Label:

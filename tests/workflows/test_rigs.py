@@ -96,6 +96,9 @@ def test_scenes_and_cameras_of_a_dataset(make_project: MakeProject, tmp_path: Pa
     small(tmp_path / "set")
     one = add_recordings(project, [tmp_path / "set"])
     assert [each.recording.name for each in one] == ["scene-0000@CAM_FRONT"]
+    assert [note.partition(":")[0] for note in one[0].notes] == ["2 scenes", "2 cameras"]
+    both = add_recordings(make_project(), [tmp_path / "set"], cameras=("all",))
+    assert [[note.partition(":")[0] for note in each.notes] for each in both] == [["2 scenes"], ["2 scenes"]]
     every = add_recordings(project, [tmp_path / "set"], scenes=("all",), cameras=("CAM_BACK", "CAM_FRONT"))
     assert [each.recording.name for each in every] == [
         f"scene-000{scene}@{camera}" for scene in (0, 1) for camera in ("CAM_BACK", "CAM_FRONT")

@@ -166,7 +166,8 @@ def _of_other_cameras(project: Project, frame_ids: Set[int]) -> dict[int, tuple[
     """Returns the reviewed labels of the other cameras of rigs that no label of the frame itself covers."""
     rigs = Rigs(project)
     found: dict[int, tuple[Label, ...]] = {}
-    for frame in project.frames.of(sorted(rigs.recordings())) if rigs.recordings() else ():
+    in_rigs = rigs.recordings()
+    for frame in project.frames.of(in_rigs) if in_rigs else ():
         if frame.id in frame_ids:
             others = [other.label for other in rigs.others(frame) if other.label.state in REVIEWED]
             covers = covered_by(others, project.labels.of_frame(frame.id))
