@@ -17,7 +17,7 @@ from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel, Store
 from annotator.project.proposals import covered_by
 from annotator.recordings import stored_options
 from annotator.recordings.rig import RigCamera
-from annotator.types import Camera, Label, OrientedBox
+from annotator.types import Camera, Label, OrientedBox, ReviewState
 from annotator.types.errors import RecordingError
 from annotator.workflows.frame_source import FrameSource
 
@@ -92,16 +92,18 @@ class Rigs:
         if len(rig) == 1:
             return []
         here = self._camera(frame.recording_id)
-        index = here.keys.index(frame.key) if here.keys[frame.index] != frame.key else frame.index
-        moment, T_here_rig = here.moment(index), here.T_rig_camera(index).inv()
+        # its files may have changed since the project listed them
+        if frame.index >= len(here) or here.keys[frame.index] != frame.key:
+            return []
+        moment, T_here_rig = here.moment(frame.index), here.T_rig_camera(frame.index).inv()
         found = []
         for stored in rig:
-            there = self._moments(stored.id).get(moment) if stored.id != frame.recording_id else None
-            if there is None:
-                continue
+            there = self._moments(stored.id).get(moment) if stored.id != own.id else None
+            other = None if there is None else self._project.frames.present(stored.id, there)
             camera = self._camera(stored.id)
+            if there is None or other is None or other.key != camera.keys[there]:
+                continue
             T_here_there = T_here_rig * camera.T_rig_camera(there)
-            other = self._project.frames.find(stored.id, camera.keys[there])
             found.append(Sibling(other, stored.name, T_here_there, camera.intrinsics(there)))
         return found
 
@@ -112,6 +114,21 @@ class Rigs:
             for sibling in self.siblings(frame)
             for label in self._project.labels.of_frame(sibling.frame.id)
         ]
+
+    def others_on_image(self, frame: StoredFrame, camera: Camera, own: Sequence[Label]) -> list[Label]:
+        """Returns the labels of `others` that the image shows, without rejected ones and those of own labels' objects.
+
+        Args:
+            camera: of the frame.
+            own: the frame's labels.
+        """
+        seen = [
+            other.label
+            for other in self.others(frame)
+            if other.label.state is not ReviewState.REJECTED
+            and is_seen(other.label.box, camera.matrix, camera.width_px, camera.height_px)
+        ]
+        return [label for label, cover in zip(seen, covered_by(seen, own), strict=True) if cover is None]
 
     def is_better_seen(self, box: OrientedBox, siblings: Sequence[Sibling]) -> bool:
         """Returns True if another camera sees the middle of a box nearer to the middle of its view than this one.

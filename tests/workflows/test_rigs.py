@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,8 @@ from annotator.recordings import ReaderOptions, open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import add_recordings
+from annotator.workflows.evaluating.evaluate_files import Protocol
+from annotator.workflows.evaluating.evaluate_project import evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.batch_store import AnnotateSummary, Batch
@@ -198,6 +201,42 @@ def test_an_object_of_another_camera_is_an_object_for_the_image_detector(around:
     accept(around, frames["around-090"], car_in(around, frames["around-090"]))
     samples = list(image_samples(around, gather(around, [DetectorKind.IMAGE]), lambda *_: None))
     assert [len(sample.boxes) for sample in samples] == [2, 2]
+
+
+def test_an_object_is_a_2d_box_on_each_image_that_shows_it(around: Project, tmp_path: Path):
+    frames = frames_of(around)
+    accept(around, frames["around-000"], car_in(around, frames["around-000"]))
+    accept(around, frames["around-090"], car_in(around, frames["around-090"], 2.5))
+    accept(around, frames["around-180"], car_in(around, frames["around-180"], -30.0))
+    export_project(around, tmp_path / "out", ExportFormat.COCO)
+    (content,) = (json.loads(file.read_text()) for file in (tmp_path / "out").rglob("*.json"))
+    names = {image["id"]: image["file_name"] for image in content["images"]}
+    counts = Counter(names[box["image_id"]].rpartition("/")[2][:17] for box in content["annotations"])
+    assert counts == {"clouds_around_000": 2, "clouds_around_090": 2, "clouds_around_180": 1}
+
+
+def test_labels_of_all_cameras_are_measured_against_the_true_boxes_of_each(make_project: MakeProject, tmp_path: Path):
+    project = make_project(classes=("vehicle.car",))
+    small(tmp_path / "set", scenes=1)
+    added = [
+        one.recording.id
+        for one in add_recordings(project, [tmp_path / "set"], options=ReaderOptions(look_around=8), cameras=("all",))
+    ]
+    imported = sum(import_own_labels(project, one, together=added).labels.total() for one in added)
+    # two objects at two moments, though several cameras see each
+    assert imported == 4
+    for frame in project.frames.of():
+        project.frames.finalise(frame.id, WriteContext(project.frames.get(frame.id).revision, "maria", Source.MANUAL))
+    report = evaluate_project(project, Protocol.ORIENTED)
+    row = dict(zip(report.columns, report.rows[0], strict=True))
+    seen = [
+        len(load_truth(recording, index, recording.frame(index)))
+        for one in project.recordings.all()
+        for recording in [FrameSource(project).recording(one.id)]
+        for index in range(len(recording))
+    ]
+    assert sum(seen) > 4
+    assert (row["objects"], row["detections"]) == (sum(seen), sum(seen))
 
 
 @pytest.mark.shared

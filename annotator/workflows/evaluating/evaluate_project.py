@@ -26,6 +26,7 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.kitti_rows import rows_of_truth, true_kitti_rows
 from annotator.workflows.recorded.own_labels import AUTHOR
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
+from annotator.workflows.rigs import Rigs
 
 
 class Measured(StrEnum):
@@ -109,6 +110,8 @@ class _Source:
         self._choice = choice
         self._names = None if options.frames is None else set(options.frames)
         self._frames = FrameSource(project)
+        self._rigs = Rigs(project, self._frames)
+        self._in_rigs = frozenset(self._rigs.recordings())
         self._labels_seen = 0
         self._unchanged = 0
         self._require_names()
@@ -203,7 +206,11 @@ class _Source:
         return [(truth.label, truth.box, DEFAULT_SCORE) for truth in truths]
 
     def _labels(self, stored: StoredFrame) -> tuple[Label, ...]:
-        return self._project.labels.of_frame(stored.id)
+        """Returns the labels of a frame, and those that other cameras of its rig have of objects on its image."""
+        own = self._project.labels.of_frame(stored.id)
+        if stored.recording_id not in self._in_rigs:
+            return own
+        return (*own, *self._rigs.others_on_image(stored, self._frames.read(stored).camera, own))
 
 
 def _scored_box(label: Label) -> ScoredBox:
