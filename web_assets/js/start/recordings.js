@@ -36,6 +36,15 @@ export function addRecordings(app, project) {
     testid: "add",
     onPick: (entry, button) => add(app, { project, done, labels, cameras }, entry, button),
   });
+  // other cameras of a recording that was just added
+  cameras.addEventListener("change", () => {
+    /** @type {Iterable<HTMLButtonElement>} */
+    const added = cameras.closest("dialog")?.querySelectorAll("button[data-testid^='add-']:disabled") ?? [];
+    for (const button of added) {
+      button.disabled = false;
+      button.textContent = "Add";
+    }
+  });
   const closed = openDialog({
     title: `Add recordings to ${project}`,
     testid: "add-recording-dialog",
