@@ -7,28 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from rig_room import label_object, rig_settings
 from room_api import state
 
-from annotator.project import NewLabel, Project, WriteContext, create_project
-from annotator.types import OrientedBox, Source
+from annotator.project import WriteContext
+from annotator.types import Source
 from annotator.web.settings import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
 
-# 45 degrees to the left of ahead: two of four virtual cameras see it.
-PLACE = np.array([10.0, 10.0, 0.0])
-
 
 @pytest.fixture
 def web_settings(tmp_path: Path) -> ServerSettings:
-    """Settings of a server with the empty project `room`, and the folder `clouds` with one cloud of a LiDAR."""
-    rng = np.random.default_rng(0)
-    (tmp_path / "clouds" / "drive").mkdir(parents=True)
-    points = np.vstack([rng.uniform([-30, -30, -2], [30, 30, -1.6], (3000, 3)), PLACE + rng.normal(0, 0.5, (500, 3))])
-    np.save(tmp_path / "clouds" / "drive" / "0.npy", points.astype(np.float32))
-    create_project(tmp_path / "projects", "room", ("car",)).close()
-    return ServerSettings(tmp_path / "projects", (tmp_path / "clouds",), port=0)
+    return rig_settings(tmp_path)
 
 
 def add_all(live: Live, **options: Any) -> list[dict[str, Any]]:
@@ -39,17 +31,11 @@ def add_all(live: Live, **options: Any) -> list[dict[str, Any]]:
     return added
 
 
-def create(project: Project, frame_id: int, box: OrientedBox) -> str:
-    context = WriteContext(project.frames.get(frame_id).revision, "maria", Source.MANUAL)
-    return project.labels.create(frame_id, [NewLabel("car", box, track_id=3)], context).uids[0]
-
-
 def test_a_label_is_an_outline_in_the_other_camera_that_sees_it(live: Live) -> None:
     added = add_all(live, camera="all")
     assert [one["recording"]["name"] for one in added] == [f"drive@around-{angle:03}" for angle in (0, 90, 180, 270)]
     project = live.context.project("room")
-    # level camera axes: right, down, forward
-    uid = create(project, 1, OrientedBox.from_parts(np.array([-10.0, 0, 10.0]), np.eye(3), np.array([2.0, 2.0, 2.0])))
+    uid = label_object(project, 1, -10.0)
     assert state(live.client, 1)["others"] == []
     (other,) = state(live.client, 2)["others"]
     assert (other["uid"], other["camera"], other["frame"], other["track_id"]) == (uid, "around-000", 1, 3)
@@ -59,7 +45,7 @@ def test_a_label_is_an_outline_in_the_other_camera_that_sees_it(live: Live) -> N
     assert abs(np.median(px[:, 0]) - expected) < 120 and px[:, 0].max() < 1280
     assert state(live.client, 3)["others"] == state(live.client, 4)["others"] == []
     # an own label of the same object takes its place; a rejected one of the other camera is not shown
-    own = create(project, 2, OrientedBox.from_parts(np.array([10.0, 0, 10.0]), np.eye(3), np.array([2.0, 2.0, 2.0])))
+    own = label_object(project, 2, 10.0)
     assert state(live.client, 2)["others"] == state(live.client, 1)["others"] == []
     project.labels.delete(2, own, WriteContext(project.frames.get(2).revision, "maria", Source.MANUAL))
     project.labels.reject(1, uid, WriteContext(project.frames.get(1).revision, "maria", Source.MANUAL))
