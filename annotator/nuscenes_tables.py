@@ -10,6 +10,7 @@ from __future__ import annotations
 import mmap
 import re
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -26,6 +27,7 @@ RECORD = re.compile(rb'\{[^{}"]*+(?:"(?:[^"\\]|\\.)*+"[^{}"]*+)*+\}')
 # Bytes after the last record that are looked at.
 LONGEST_END = 4096
 BETWEEN = re.compile(rb"[\s,]*+\Z")
+START = re.compile(rb"(?:\xef\xbb\xbf)?\s*+\[")
 
 Token = Annotated[str, Field(min_length=1)]
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
@@ -123,50 +125,59 @@ def pose(translation: Position, rotation: Turn) -> RigidTransform:
     return RigidTransform.from_components(np.array(translation), Rotation.from_quat(rotation, scalar_first=True))
 
 
-def read_rows(
-    path: Path, model: type[Row], field: str = "token", wanted: Collection[str] | None = None
-) -> Iterator[tuple[int, Row]]:
-    """Yields the rows of a table with their numbers from 0, in the order of the file.
-
-    Args:
-        field: a text field of the rows.
-        wanted: parse only rows whose `field` is one of these; None = all.
+def read_rows(path: Path, model: type[Row]) -> Iterator[Row]:
+    """Yields the rows of a table in the order of the file.
 
     Raises:
         TableError: not a list of flat records, or a row that does not follow the schema.
         OSError: the file cannot be read.
     """
+    with _mapped(path) as text:
+        at, number = START.match(text).end(), 0  # type: ignore[union-attr]  # checked by `_mapped`
+        while (match := RECORD.search(text, at)) is not None and BETWEEN.match(text[at : match.start()]) is not None:
+            yield _parsed(model, match[0], f"row {number}")
+            at, number = match.end(), number + 1
+        if text[at : at + LONGEST_END].strip() != b"]":
+            raise TableError(f"is damaged or cut off after row {number}")
+
+
+def find_rows(path: Path, model: type[Row], field: str, wanted: Collection[str]) -> Iterator[Row]:
+    """Yields the rows of a table whose text `field` is one of `wanted`; the others are not parsed.
+
+    Raises:
+        TableError, OSError: as `read_rows`; damage in other rows is not noticed.
+    """
     value = re.compile(rb'"%s"\s*+:\s*+"([^"\\]*+)"' % field.encode())
-    keys = None if wanted is None else {each.encode() for each in wanted}
-    for number, record in enumerate(_records(path)):
-        if keys is not None:
-            found = value.search(record)
-            if found is not None and found[1] not in keys:
+    keys = {each.encode() for each in wanted}
+    with _mapped(path) as text:
+        for match in value.finditer(text):
+            if match[1] not in keys:
                 continue
-        try:
-            row = model.model_validate_json(record)
-        except ValidationError as error:
-            problem = error.errors(include_url=False, include_context=False)[0]
-            where = ".".join(map(str, problem["loc"])) or "the row"
-            raise TableError(f"row {number}: {where}: {problem['msg']}") from error
-        if wanted is None or getattr(row, field) in wanted:
-            yield number, row
+            start = text.rfind(b"{", 0, match.start())
+            record = RECORD.match(text, start) if start >= 0 else None
+            if record is None or record.end() < match.end():
+                raise TableError(f"is damaged at byte {match.start()}")
+            yield _parsed(model, record[0], f"the row at byte {start}")
 
 
-def _records(path: Path) -> Iterator[bytes]:
-    """Yields the text of each record; the file is mapped, not loaded."""
+@contextmanager
+def _mapped(path: Path) -> Iterator[mmap.mmap]:
+    """Maps a table, which is not loaded, and checks that it is a list that ends."""
     with path.open("rb") as file:
         if path.stat().st_size == 0:
             raise TableError("the file is empty")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-            start = re.compile(rb"(?:\xef\xbb\xbf)?\s*+\[").match(text)
-            if start is None:
+            if START.match(text) is None:
                 raise TableError("is not a list of records")
-            at, number = start.end(), 0
-            while (match := RECORD.search(text, at)) is not None:
-                if BETWEEN.match(text[at : match.start()]) is None:
-                    break
-                yield match[0]
-                at, number = match.end(), number + 1
-            if text[at : at + LONGEST_END].strip() != b"]":
-                raise TableError(f"is damaged or cut off after row {number}")
+            if not text[max(len(text) - LONGEST_END, 0) :].rstrip().endswith(b"]"):
+                raise TableError("is cut off: its list does not end")
+            yield text
+
+
+def _parsed(model: type[Row], record: bytes, where: str) -> Row:
+    try:
+        return model.model_validate_json(record)
+    except ValidationError as error:
+        problem = error.errors(include_url=False, include_context=False)[0]
+        place = ".".join(map(str, problem["loc"])) or "the row"
+        raise TableError(f"{where}: {place}: {problem['msg']}") from error

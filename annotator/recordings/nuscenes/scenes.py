@@ -19,6 +19,7 @@ from annotator.nuscenes_tables import (
     Scene,
     Sensor,
     TableError,
+    find_rows,
     pose,
     read_rows,
 )
@@ -157,10 +158,11 @@ def _has_tables(folder: Path) -> bool:
     return (folder / "sample_data.json").is_file() and (folder / "scene.json").is_file()
 
 
-def _rows(tables: Path, model: type[Row], field: str = "token", wanted: Collection[str] | None = None) -> list[Row]:
+def _rows(tables: Path, model: type[Row], field: str = "", wanted: Collection[str] = ()) -> list[Row]:
+    """Returns the rows of a table; with `field`, those with one of the `wanted` values in it."""
     path = tables / f"{_table(model)}.json"
     try:
-        return [row for _, row in read_rows(path, model, field, wanted)]
+        return list(find_rows(path, model, field, wanted) if field else read_rows(path, model))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}; {REMEDY}") from error
     except TableError as error:

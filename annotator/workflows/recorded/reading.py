@@ -31,6 +31,8 @@ from annotator.types.errors import FormatError, RecordingError
 TRUTH_FOLDER = "truth"
 # In each raw scene of SUN RGB-D.
 SCENE_LABELS = "annotation3Dfinal/index.json"
+# Longest table without a row: nuScenes' test split has an empty one, and is not labelled.
+EMPTY_LIST_BYTES = 8
 
 
 def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
@@ -107,7 +109,7 @@ def label_file(recording: Recording, key: str) -> Path | None:
     folder = recording.tables if isinstance(recording, NuScenes) else recording.root
     for name in _PLACES.get(recording.format, ()):
         place = folder / name
-        if place.is_file():
+        if place.is_file() and not (isinstance(recording, NuScenes) and place.stat().st_size <= EMPTY_LIST_BYTES):
             return place
         if place.is_dir():
             return place / f"{key}.txt"

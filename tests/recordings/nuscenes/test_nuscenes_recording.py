@@ -167,6 +167,13 @@ def test_without_the_sweeps_only_samples_are_read(tmp_path: Path):
     assert near.notes == ("4 images without a scan within 0.001 s were left out (--tolerance changes it)",)
 
 
+def test_the_test_split_has_no_labels(tmp_path: Path):
+    small(tmp_path, scenes=1)
+    assert has_truth(opened(tmp_path))
+    (tmp_path / "v1.0-mini" / "sample_annotation.json").write_text("[\n]\n")
+    assert not has_truth(opened(tmp_path))
+
+
 def edit(folder: Path, table: str, change: Callable[[list[dict[str, Any]]], Any]) -> None:
     path = folder / "v1.0-mini" / f"{table}.json"
     rows = json.loads(path.read_text())
@@ -175,8 +182,16 @@ def edit(folder: Path, table: str, change: Callable[[list[dict[str, Any]]], Any]
 
 
 BROKEN: list[tuple[str, Callable[[list[dict[str, Any]]], Any], str]] = [
-    ("sample_data", lambda rows: rows[-1].pop("filename"), r"sample_data\.json: row 35: filename: Field required"),
-    ("sample_data", lambda rows: rows[-1].update(timestamp=2**63), r"row 35: timestamp: Input should be less than"),
+    (
+        "sample_data",
+        lambda rows: rows[-1].pop("filename"),
+        r"sample_data\.json: the row at byte \d+: filename: Field required",
+    ),
+    (
+        "sample_data",
+        lambda rows: rows[-1].update(timestamp=2**63),
+        r"the row at byte \d+: timestamp: Input should be less than",
+    ),
     ("ego_pose", lambda rows: rows.pop(), r"refers to LIDAR_TOP1-5, which is not in ego_pose\.json"),
     ("calibrated_sensor", lambda rows: rows.pop(0), r"refers to c-CAM_BACK, which is not in calibrated_sensor\.json"),
     ("scene", lambda rows: rows.clear(), r"scene\.json: has no scene"),
@@ -203,7 +218,7 @@ def test_errors_of_broken_tables_name_the_place(
 def test_a_table_that_is_cut_off_is_an_error(tmp_path: Path, cut: int):
     path = small(tmp_path) / "v1.0-mini" / "sample_data.json"
     path.write_bytes(path.read_bytes()[:-cut])
-    with pytest.raises(RecordingError, match=r"sample_data\.json: is damaged or cut off after row \d+"):
+    with pytest.raises(RecordingError, match=r"sample_data\.json: is cut off: its list does not end"):
         opened(tmp_path)
     path.write_bytes(b"")
     with pytest.raises(RecordingError, match="the file is empty"):
@@ -220,7 +235,7 @@ def test_errors_of_scans_and_labels_name_the_file(tmp_path: Path):
     with pytest.raises(FrameError, match=r"pcd\.bin: the scan is truncated: 79996 bytes are not a multiple of 20"):
         recording.frame(0)
     edit(tmp_path, "instance", lambda rows: rows.clear())
-    with pytest.raises(FormatError, match=r"sample_annotation\.json: row 0: refers to the token i0ahead"):
+    with pytest.raises(FormatError, match=r"sample_annotation\.json: row ap0-0ahead: refers to the token i0ahead"):
         load_truth(recording, 0, recording.frame(1))
 
 
