@@ -140,6 +140,6 @@ def virtual_frame(scan: Scan, key: str, index: int, camera: Camera, R_camera_lev
         virtual_image(camera, cloud),
         cloud,
         up=R_camera_level.apply([0.0, 0.0, 1.0]) if scan.knows_up else None,
-        T_camera_label=None if scan.T_scan_label is None else T_camera_scan * scan.T_scan_label,
+        T_camera_label=T_camera_scan * scan.T_scan_label,
         timestamp_ns=scan.timestamp_ns,
     )

@@ -76,8 +76,8 @@ class Scan:
         reflectance: 0..1, or None.
         R_level_scan: turns the scan's frame to x ahead, y left, z against gravity.
         place_m: the place in the scan's frame from which virtual cameras look.
+        T_scan_label: from the frame of the recording's label files, as `Frame.T_camera_label`.
         knows_up: False if gravity is unknown, so that the scan's own axes are used.
-        T_scan_label: as `Frame.T_camera_label`; None if the recording has no labels all around.
         timestamp_ns: None if unknown.
     """
 
@@ -86,8 +86,8 @@ class Scan:
     reflectance: Float32[np.ndarray, "n"] | None
     R_level_scan: Rotation
     place_m: Float64[np.ndarray, "3"]
+    T_scan_label: RigidTransform
     knows_up: bool = True
-    T_scan_label: RigidTransform | None = None
     timestamp_ns: int | None = None
 
 

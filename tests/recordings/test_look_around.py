@@ -85,6 +85,12 @@ def test_kitti_is_seen_all_around_its_lidar(tmp_path: Path, build: Any):
     assert recording.name == f"{tmp_path.name}@around-180"
     assert len(frame.cloud) == len(SCAN) > len(base.frame(0).cloud)
     assert frame.timestamp_ns == base.frame(0).timestamp_ns
+    # labels of the recording lie at the same points, seen from either camera
+    seen = base.frame(0)
+    assert seen.T_camera_label is not None and frame.T_camera_label is not None
+    there = frame.T_camera_label.apply(seen.T_camera_label.inv().apply(seen.cloud.xyz_m.astype(np.float64)))
+    distance = np.linalg.norm(frame.cloud.xyz_m[:, None] - there[None, :50], axis=2)
+    assert distance.min(axis=0).max() < 1e-2
     # level, and backwards: what was ahead of the camera is behind this one
     ahead = around(tmp_path, look_around=6).frame(0)
     np.testing.assert_allclose(ahead.cloud.xyz_m * [-1, 1, -1], frame.cloud.xyz_m, atol=1e-4)

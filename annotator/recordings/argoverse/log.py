@@ -111,8 +111,8 @@ class ArgoverseLog(KeyedFrames):
         xyz_m, reflectance = self._sweep(key)
         up = self._T_city_ego(key).rotation.inv().apply(UP)
         place_m = self._mount(LIDAR).translation
-        no_turn = RigidTransform.identity()
-        return Scan(xyz_m, None, reflectance, level_turn(up, AHEAD), place_m, True, no_turn, int(key))
+        R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
+        return Scan(xyz_m, None, reflectance, R_level_ego, place_m, T_ego_label, timestamp_ns=int(key))
 
     def intrinsics(self, i: int) -> Camera:
         """Returns the camera of frame `i`, with the size that the calibration names.

@@ -162,8 +162,9 @@ class CloudFolder(KeyedFrames):
             raw.reflectance,
             level_pose(source.up).rotation * source.T_camera_cloud.rotation,
             source.T_camera_cloud.inv().translation if _nearest_m(raw) > FARTHEST_SEEN_M else np.zeros(3),
+            RigidTransform.identity(),
             source.up is not None,
-            timestamp_ns=None if self.times_ns is None else self.times_ns[i],
+            None if self.times_ns is None else self.times_ns[i],
         )
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:

@@ -52,7 +52,7 @@ class KittiFolder(KeyedFrames, ABC):
         )
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`; KITTI's labels cover only what the camera sees.
+        """Reads the whole scan of frame `i`.
 
         Raises:
             FrameError: a missing or broken file.
@@ -60,9 +60,16 @@ class KittiFolder(KeyedFrames, ABC):
         """
         key = self.key(i)
         points = read_scan(self._scan_file(key))
-        R_level_lidar = level_pose(UP).rotation * self.calibration(key).T_camera_lidar.rotation
-        xyz_m = points[:, :3].astype(np.float64)
-        return Scan(xyz_m, None, points[:, 3], R_level_lidar, np.zeros(3), timestamp_ns=self._time_of(i))
+        calibration = self.calibration(key)
+        return Scan(
+            points[:, :3].astype(np.float64),
+            None,
+            points[:, 3],
+            level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
+            np.zeros(3),
+            calibration.T_camera_lidar.inv() * calibration.T_camera_label,
+            timestamp_ns=self._time_of(i),
+        )
 
     def _scan_file(self, key: str) -> Path:
         return frame_file(self.root / self.scans, key, (".bin",), f"the image {key}")

@@ -136,9 +136,8 @@ class NuScenes(KeyedFrames):
             np.clip(points[:, 3] / MOST_INTENSITY, 0, 1),
             level_turn(R_lidar_global.apply(GLOBAL_UP), ahead),
             np.zeros(3),
-            True,
             T_global_lidar.inv(),
-            scan.time_us * 1000,
+            timestamp_ns=scan.time_us * 1000,
         )
 
     @property
