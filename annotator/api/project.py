@@ -16,6 +16,7 @@ from annotator.evaluation.report import Report
 from annotator.project import ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
+from annotator.recordings import parse_options
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import add_recordings
@@ -93,7 +94,13 @@ class Project:
         return self.stored.recordings.all()
 
     def add(
-        self, path: str | Path, *, name: str | None = None, up: Sequence[float] | None = None, labels: bool = True
+        self,
+        path: str | Path,
+        *,
+        name: str | None = None,
+        up: Sequence[float] | None = None,
+        labels: bool = True,
+        **options: Any,
     ) -> StoredRecording:
         """Adds a recording, or adds the new frames of one that the project has already. Its files stay where they are.
 
@@ -101,6 +108,7 @@ class Project:
             name: name of the recording; None: the name of its folder.
             up: (3,) direction against gravity in the camera frame, for recordings without one.
             labels: import the 3D boxes that come with it.
+            options: how it is read, as for `open_recording`.
 
         Raises:
             RecordingError: `path` holds no recording, or it cannot be read.
@@ -108,7 +116,7 @@ class Project:
             FormatError: its labels are broken.
         """
         up_of(up)
-        (added,) = add_recordings(self.stored, [Path(path)], name=name, up=up)
+        (added,) = add_recordings(self.stored, [Path(path)], name=name, up=up, options=parse_options(**options))
         if labels:
             import_own_labels(self.stored, added.recording.id)
         return added.recording

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from annotator import recordings
 from annotator.detection.perfect import PerfectDetector, Scene
@@ -13,17 +14,21 @@ from annotator.types.errors import ArgumentError
 from annotator.workflows.recorded.reading import load_truth
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | Path, **options: Any) -> Recording:
     """The recording at `path`, in any supported format (docs/recordings.md).
+
+    Args:
+        options: how it is read, for formats that take options: fields of `ReaderOptions`, such as `columns=5`.
 
     Returns:
         a recording of `len(recording)` frames; `recording.frame(i)` reads one; frames are not cached.
 
     Raises:
         UnknownFormatError: no reader recognises the path; the message lists what each looked for.
+        ConfigError: an option that the format does not take, or an invalid value.
         RecordingError: it has no frames, or cannot be read.
     """
-    return recordings.open_recording(Path(path))
+    return recordings.open_recording(Path(path), recordings.parse_options(**options))
 
 
 def generate_recording(

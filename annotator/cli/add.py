@@ -11,6 +11,7 @@ from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
+from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.project import REVIEWED
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import Added, add_recordings
@@ -25,6 +26,7 @@ def run(
     name: str | None = None,
     up: tuple[float, float, float] | None = None,
     no_labels: bool = False,
+    reading: Reading = AS_FILES_SAY,
     projects: Projects = None,
 ) -> None:
     """Add recordings to a project. Their files stay where they are.
@@ -42,8 +44,10 @@ def run(
     if not paths:
         raise ConfigError(f"no recording given; write annotator add {project} PATH ...")
     with open_named(project, projects) as opened:
-        for added in add_recordings(opened, paths, name=name, up=up):
+        for added in add_recordings(opened, paths, name=name, up=up, options=reading.options()):
             print_line(_summary(added))
+            for note in added.notes:
+                print_line(f"  {note}")
             if not no_labels:
                 with counted("reading labels") as progress:
                     imported = import_own_labels(opened, added.recording.id, progress)

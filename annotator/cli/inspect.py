@@ -7,17 +7,18 @@ from pathlib import Path
 
 from annotator.cli.options import AsJson
 from annotator.cli.output import print_facts, print_json
+from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.types.errors import RecordingError
 from annotator.workflows.inspect import FrameReport, RecordingReport, inspect_recording
 
 
-def run(path: Path, /, *, as_json: AsJson = False) -> None:
+def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = False) -> None:
     """Show what a recording contains: format, frames, camera, points, labels.
 
     Args:
         path: file or folder of the recording.
     """
-    report = inspect_recording(path)
+    report = inspect_recording(path, reading.options())
     if as_json:
         print_json(report)
     else:
@@ -31,6 +32,8 @@ def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
     yield "format", report.format
     order = "in time order" if report.is_sequence else "unrelated"
     yield "frames", f"{report.frames} ({report.first_key} to {report.last_key}), {order}"
+    for note in report.notes:
+        yield "note", note
     for key, problem in report.broken.items():
         yield f"frame {key}", f"cannot be read: {problem}"
     if report.frame is not None:

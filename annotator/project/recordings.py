@@ -33,6 +33,7 @@ class StoredRecording:
         up: unit vector against gravity in the camera frame, if known and constant over the recording.
         added_ns: UTC nanoseconds since the epoch.
         frames: number of frames in the latest scan.
+        options: how its reader reads it, as JSON; "" = as the reader decides.
     """
 
     id: int
@@ -43,6 +44,7 @@ class StoredRecording:
     up: tuple[float, float, float] | None
     added_ns: int
     frames: int
+    options: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ class Recordings:
         keys: Sequence[str],
         is_sequence: bool,
         up: Sequence[float | int] | np.ndarray | None = None,
+        options: str = "",
     ) -> StoredRecording:
         """Registers a recording and its frames, at revision 0.
 
@@ -75,6 +78,7 @@ class Recordings:
             name: "-2", "-3" ... is appended if another recording has this name.
             keys: the frames' keys, in the recording's order.
             up: vector against gravity in the camera frame (3,), any length.
+            options: as in `StoredRecording`.
 
         Raises:
             ProjectError: the recording is in the project already, a key occurs twice, or `up` is not a direction.
@@ -82,7 +86,8 @@ class Recordings:
         path = path.resolve()
         _require_unique(path, keys)
         with self.store.write() as connection:
-            if connection.execute(select(recordings.c.id).where(recordings.c.path == str(path))).first():
+            same = (recordings.c.path == str(path), recordings.c.options == options)
+            if connection.execute(select(recordings.c.id).where(*same)).first():
                 raise ProjectError(f"{path} is in the project already; scan it again to find new frames")
             row = {
                 "path": str(path),
@@ -91,6 +96,7 @@ class Recordings:
                 "is_sequence": is_sequence,
                 "up": None if up is None else json.dumps(_unit(path, up)),
                 "added_ns": self.store.clock(),
+                "options": options,
             }
             key = connection.execute(insert(recordings), row).inserted_primary_key
             assert key is not None  # one row was inserted
@@ -125,7 +131,11 @@ class Recordings:
         _require_unique(path, keys)
         with self.store.write() as connection:
             before = _recording(connection, recording_id)
-            taken = select(recordings.c.name).where(recordings.c.path == str(path), recordings.c.id != recording_id)
+            taken = select(recordings.c.name).where(
+                recordings.c.path == str(path),
+                recordings.c.options == before.options,
+                recordings.c.id != recording_id,
+            )
             other = connection.execute(taken).scalar()
             if other is not None:
                 raise ProjectError(f"{path} is in the project already, as recording {other}")
@@ -191,7 +201,9 @@ def _positions(connection: Connection, recording_id: int) -> dict[str, int | Non
 
 def _stored(row: AnyRow) -> StoredRecording:
     up = None if row.up is None else tuple(parsed(json.loads, row.up))
-    return StoredRecording(row.id, Path(row.path), row.format, row.name, row.is_sequence, up, row.added_ns, row.frames)
+    return StoredRecording(
+        row.id, Path(row.path), row.format, row.name, row.is_sequence, up, row.added_ns, row.frames, row.options
+    )
 
 
 def _require_unique(path: Path, keys: Sequence[str]) -> None:

@@ -53,6 +53,7 @@ recordings = Table(
     Column("is_sequence", Boolean, nullable=False),
     Column("up", Text),
     Column("added_ns", Integer, nullable=False),
+    Column("options", Text, nullable=False),
 )
 
 moves = Table(

@@ -1,6 +1,7 @@
 """Reads recordings: one reader per format, behind `open_recording`."""
 
 from annotator.recordings.open import detect_format, open_recording
+from annotator.recordings.options import ReaderOptions, parse_options, stored_options
 from annotator.recordings.recording import Recording
 
-__all__ = ["Recording", "detect_format", "open_recording"]
+__all__ = ["ReaderOptions", "Recording", "detect_format", "open_recording", "parse_options", "stored_options"]

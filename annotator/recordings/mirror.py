@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from annotator.recordings.open import open_recording
+from annotator.recordings.open import NO_OPTIONS, open_recording
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import Recording
 from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
 from annotator.types import Frame
@@ -32,13 +33,14 @@ DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml")
 LARGEST_DESCRIPTION_BYTES = 10**6
 
 
-def open_mirror(url: str, folder: Path, limit_bytes: int) -> Mirror:
+def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions = NO_OPTIONS) -> Mirror:
     """Opens the recording at a URL.
 
     Args:
         folder: parent folder of the local copies. A copy is removed with its recording; copies of killed processes are
             removed when the next one is made.
         limit_bytes: maximum size of the local copy at any time.
+        options: how the recording is read.
 
     Raises:
         RecordingError: the storage cannot be reached, has no files there, or a single-file recording does not fit.
@@ -63,7 +65,7 @@ def open_mirror(url: str, folder: Path, limit_bytes: int) -> Mirror:
             if is_file or is_small:
                 store.keep(path)
         with store.url_in_errors():
-            opened = open_recording(place / name)
+            opened = open_recording(place / name, options)
     except BaseException:
         shutil.rmtree(place, ignore_errors=True)
         raise
@@ -101,6 +103,11 @@ class Mirror:
     def name(self) -> str:
         """The last part of the URL."""
         return self._opened.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """As of the recording."""
+        return self._opened.notes
 
     @property
     def keys(self) -> tuple[str, ...]:

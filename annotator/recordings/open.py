@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from annotator.recordings.listing import path_errors
+from annotator.recordings.options import ReaderOptions, option_flag
 from annotator.recordings.recording import NotFound, Recording
-from annotator.recordings.table import QUICK_CHECKS, READERS
-from annotator.types.errors import RecordingError, UnknownFormatError
+from annotator.recordings.table import OPTIONS, QUICK_CHECKS, READERS
+from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
 
 MOST_HINTS = 5
 # Suffixes of single files that are recordings.
 FILE_SUFFIXES = (".mkv",)
+NO_OPTIONS = ReaderOptions()
 
 
-def open_recording(path: Path) -> Recording:
+def open_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Recording:
     """Opens the recording at `path`; its frames are listed but not read.
 
     Raises:
+        ConfigError: an option that the reader does not take.
         UnknownFormatError: no reader recognises the path; the message lists what each looked for.
         RecordingError: the recording has no frames, or the path cannot be read.
     """
-    result = _try_readers(path)
+    result = _try_readers(path, options)
     if isinstance(result, list):
         with path_errors(path):
             message = _explain(path, result)
@@ -39,25 +41,43 @@ def detect_format(path: Path) -> str | None:
         RecordingError: the recording has no frames, or the path cannot be read.
     """
     for name, target in READERS.items():
-        recognise: Callable[[Path], Recording | NotFound | bool] = _load(QUICK_CHECKS.get(name, target))
         with path_errors(path):
-            result = recognise(path)
+            result = (
+                _load(QUICK_CHECKS[name])(path) if name in QUICK_CHECKS else _opened(name, target, path, NO_OPTIONS)
+            )
         if result is not False and not isinstance(result, NotFound):
             return name
     return None
 
 
-def _try_readers(path: Path) -> Recording | list[str]:
+def _try_readers(path: Path, options: ReaderOptions) -> Recording | list[str]:
     """Opens `path` with the first reader that recognises it; else returns what each reader looked for."""
     looked_for = []
     for name, target in READERS.items():
-        reader: Callable[[Path], Recording | NotFound] = _load(target)
         with path_errors(path):
-            result = reader(path)
+            result = _opened(name, target, path, options)
         if not isinstance(result, NotFound):
+            _require_taken(path, name, options)
             return result
         looked_for.append(f"{name}: {result.looked_for}")
     return looked_for
+
+
+def _opened(name: str, target: str, path: Path, options: ReaderOptions) -> Recording | NotFound:
+    opened: Recording | NotFound = _load(target)(path, options) if name in OPTIONS else _load(target)(path)
+    return opened
+
+
+def _require_taken(path: Path, name: str, options: ReaderOptions) -> None:
+    """
+    Raises:
+        ConfigError: an option that the reader `name` does not take.
+    """
+    taken = OPTIONS.get(name, ())
+    surplus = [option_flag(option) for option in options.given() if option not in taken]
+    if surplus:
+        possible = ", ".join(map(option_flag, taken)) or "no options"
+        raise ConfigError(f"{path}: is read as {name}, which takes {possible}, not {', '.join(surplus)}")
 
 
 def _load(target: str) -> Any:

@@ -37,6 +37,10 @@ class Recording(Protocol):
     def is_sequence(self) -> bool:
         """True if the frames are in time order."""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know about how it is read, such as images without a cloud; one sentence each."""
+
     def __len__(self) -> int:
         """The number of frames, including broken ones."""
 
@@ -81,6 +85,10 @@ class KeyedFrames:
     @property
     def name(self) -> str:
         return self.path.resolve().name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ()
 
     def __len__(self) -> int:
         return len(self.keys)

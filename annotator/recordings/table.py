@@ -16,6 +16,9 @@ READERS: dict[str, str] = {
     "cloud_folder": "annotator.recordings.clouds.cloud_folder:open_cloud_folder",
 }
 
+# The options (`ReaderOptions`) that readers take. Such a reader is called with the path and the options.
+OPTIONS: dict[str, tuple[str, ...]] = {}
+
 # Faster recognition checks, for formats that are slow to open.
 QUICK_CHECKS: dict[str, str] = {
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",

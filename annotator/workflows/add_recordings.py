@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from annotator.project import Project, StoredRecording
-from annotator.recordings import Recording, open_recording
+from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
 # If this many frames at the beginning are unreadable, the recording is refused without trying the others.
 FRAMES_TRIED = 5
+NO_OPTIONS = ReaderOptions()
 
 
 @dataclass(frozen=True)
@@ -25,16 +26,23 @@ class Added:
         is_new: False if the project had it already and was only updated.
         new_frames: number of frames added.
         missing_frames: number of known frames that are gone; their labels stay.
+        notes: what the reader says about it.
     """
 
     recording: StoredRecording
     is_new: bool
     new_frames: int
     missing_frames: int
+    notes: tuple[str, ...] = ()
 
 
 def add_recordings(
-    project: Project, paths: Sequence[Path], *, name: str | None = None, up: Sequence[float] | None = None
+    project: Project,
+    paths: Sequence[Path],
+    *,
+    name: str | None = None,
+    up: Sequence[float] | None = None,
+    options: ReaderOptions = NO_OPTIONS,
 ) -> list[Added]:
     """Adds recordings to a project: all, or none if one of the paths cannot be used. Their files stay in place.
 
@@ -43,6 +51,7 @@ def add_recordings(
     Args:
         name: name of a single recording; None = the name of its folder.
         up: direction against gravity in the camera frame, (3,) of any length; None = as the files give it.
+        options: how the recordings are read.
 
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
@@ -51,22 +60,30 @@ def add_recordings(
     """
     if name is not None and len(paths) > 1:
         raise ConfigError(f"{len(paths)} recordings cannot all be called {name!r}; add them one by one")
-    opened = [open_recording(path) for path in paths]
+    opened = [open_recording(path, options) for path in paths]
     for recording in opened:
         _require_readable(recording)
-        _require_unchanged(_known(project, recording), name, up)
-    return [_add(project, recording, name, up) for recording in opened]
+        _require_unchanged(_known(project, recording, options), name, up)
+    return [_add(project, recording, name, up, options) for recording in opened]
 
 
 def register_recording(
-    project: Project, recording: Recording, *, name: str | None = None, up: Sequence[float] | None = None
+    project: Project,
+    recording: Recording,
+    *,
+    name: str | None = None,
+    up: Sequence[float] | None = None,
+    options: ReaderOptions = NO_OPTIONS,
 ) -> StoredRecording:
     """Adds an open recording, or updates the frames of one that the project has already.
+
+    Args:
+        options: with which it was opened.
 
     Raises:
         ProjectError: as `add_recordings`.
     """
-    return _add(project, recording, name, up).recording
+    return _add(project, recording, name, up, options).recording
 
 
 def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
@@ -81,7 +98,8 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
         ProjectError: frames of the recording are missing there (the message names them), or `path` is another recording
             of the project.
     """
-    known, moved = project.recordings.get(recording_id), open_recording(path)
+    known = project.recordings.get(recording_id)
+    moved = open_recording(path, stored_options(known.options))
     if moved.format != known.format:
         raise RecordingError(
             f"{path}: is a recording of the format {moved.format}, but {known.name} is of the format {known.format}; "
@@ -91,20 +109,28 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     return project.recordings.move(recording_id, moved.path, moved.keys, author)
 
 
-def _add(project: Project, recording: Recording, name: str | None, up: Sequence[float] | None) -> Added:
-    known = _known(project, recording)
+def _add(
+    project: Project, recording: Recording, name: str | None, up: Sequence[float] | None, options: ReaderOptions
+) -> Added:
+    known = _known(project, recording, options)
     if known is None:
         stored = project.recordings.add(
-            recording.path, recording.format, name or recording.name, recording.keys, recording.is_sequence, up
+            recording.path,
+            recording.format,
+            name or recording.name,
+            recording.keys,
+            recording.is_sequence,
+            up,
+            options.stored(),
         )
-        return Added(stored, True, len(recording), 0)
+        return Added(stored, True, len(recording), 0, recording.notes)
     change = project.recordings.rescan(known.id, recording.keys)
-    return Added(project.recordings.get(known.id), False, len(change.added), len(change.missing))
+    return Added(project.recordings.get(known.id), False, len(change.added), len(change.missing), recording.notes)
 
 
-def _known(project: Project, recording: Recording) -> StoredRecording | None:
-    path = recording.path.resolve()
-    return next((stored for stored in project.recordings.all() if stored.path == path), None)
+def _known(project: Project, recording: Recording, options: ReaderOptions) -> StoredRecording | None:
+    path, read = recording.path.resolve(), options.stored()
+    return next((known for known in project.recordings.all() if known.path == path and known.options == read), None)
 
 
 def _require_unchanged(known: StoredRecording | None, name: str | None, up: Sequence[float] | None) -> None:

@@ -13,7 +13,7 @@ from annotator.project.frames import StoredFrame
 from annotator.project.project import Project
 from annotator.project.recordings import StoredRecording
 from annotator.rcv.config import Orientation
-from annotator.recordings import Recording, open_recording
+from annotator.recordings import Recording, open_recording, stored_options
 from annotator.types import Frame
 from annotator.types.errors import FrameError, RecordingError
 
@@ -49,7 +49,9 @@ class OpenedRecording:
         return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
 
 
-def open_stored(path: Path, name: str, project: str, up: tuple[float, float, float] | None) -> OpenedRecording:
+def open_stored(
+    path: Path, name: str, project: str, up: tuple[float, float, float] | None, options: str = ""
+) -> OpenedRecording:
     """Opens a recording of a project.
 
     Args:
@@ -57,6 +59,7 @@ def open_stored(path: Path, name: str, project: str, up: tuple[float, float, flo
         name: its name in the project.
         project: the project's name.
         up: as in `OpenedRecording`.
+        options: as in `StoredRecording`.
 
     Raises:
         RecordingError: it is missing or cannot be read.
@@ -67,7 +70,7 @@ def open_stored(path: Path, name: str, project: str, up: tuple[float, float, flo
             f"{path}: {missing}; restore {name}, or give its new path: "
             f"annotator project move {project} {name} PATH, or Locate on the start page"
         )
-    return OpenedRecording(open_recording(path), up)
+    return OpenedRecording(open_recording(path, stored_options(options)), up)
 
 
 class FrameSource:
@@ -104,7 +107,9 @@ class FrameSource:
     def _open(self, recording_id: int) -> OpenedRecording:
         if recording_id not in self._opened:
             stored = self.stored(recording_id)
-            self._opened[recording_id] = open_stored(stored.path, stored.name, self._project.path.name, stored.up)
+            self._opened[recording_id] = open_stored(
+                stored.path, stored.name, self._project.path.name, stored.up, stored.options
+            )
         return self._opened[recording_id]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from annotator.recordings import Recording, open_recording
+from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types import Frame
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
@@ -45,6 +45,7 @@ class RecordingReport(BaseModel):
         has_labels: it has true boxes.
         frame: the first readable frame.
         broken: the errors of the frames before it, by key.
+        notes: what the reader says about it.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -59,19 +60,25 @@ class RecordingReport(BaseModel):
     has_labels: bool
     frame: FrameReport | None
     broken: dict[str, str]
+    notes: tuple[str, ...]
 
 
 # If this many frames at the beginning are unreadable, the others are not tried.
 FRAMES_TRIED = 5
+NO_OPTIONS = ReaderOptions()
 
 
-def inspect_recording(path: Path) -> RecordingReport:
+def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> RecordingReport:
     """Describes a recording by its list of frames and its first readable frame.
 
+    Args:
+        options: how it is read.
+
     Raises:
+        ConfigError: an option that its format does not take.
         RecordingError: the path holds no recording.
     """
-    recording = open_recording(path)
+    recording = open_recording(path, options)
     index, frame, broken = _first_frame(recording)
     return RecordingReport(
         path=recording.path,
@@ -84,6 +91,7 @@ def inspect_recording(path: Path) -> RecordingReport:
         has_labels=has_truth(recording),
         frame=None if frame is None else _report(recording, index, frame),
         broken=broken,
+        notes=recording.notes,
     )
 
 

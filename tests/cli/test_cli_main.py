@@ -18,6 +18,7 @@ from annotator import __version__
 from annotator.cli import main as cli
 from annotator.cli.completion import Shell
 from annotator.cli.main import main
+from annotator.cli.reader_options import ReadAs
 from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
 from annotator.types.errors import FormatError
 
@@ -114,7 +115,10 @@ def option_helps(name: str) -> dict[str, str]:
     documented = dict(re.findall(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", function.__doc__ or "", re.MULTILINE))
     found = {}
     for parameter in inspect.signature(function).parameters.values():
-        if parameter.kind is parameter.KEYWORD_ONLY:
+        if parameter.annotation == "Reading":
+            read_as = get_type_hints(ReadAs, include_extras=True).items()
+            found |= {option: hint.__metadata__[0].help for option, hint in read_as if hasattr(hint, "__metadata__")}
+        elif parameter.kind is parameter.KEYWORD_ONLY:
             shared = next((each for each in getattr(hints[parameter.name], "__metadata__", ()) if each.help), None)
             option = (shared and shared.name) or parameter.name
             found[option] = shared.help if shared else documented[parameter.name]

@@ -56,7 +56,9 @@ def test_the_same_recording_twice_is_refused(project: Project, recording: Stored
     detour = recording.path.parent / "x" / ".." / recording.path.name
     with pytest.raises(ProjectError, match="is in the project already"):
         project.recordings.add(detour, "rgbd", "other", ["a"], True)
-    assert len(project.recordings.all()) == 1
+    again = project.recordings.add(recording.path, "rgbd", "other", ["a"], True, options='{"camera":"left"}')
+    assert (again.path, again.options) == (recording.path, '{"camera":"left"}')
+    assert project.recordings.get(recording.id).options == ""
 
 
 def test_recordings_with_the_same_name_get_a_suffix(project: Project, tmp_path: Path) -> None:

@@ -10,9 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from annotator.recordings import Recording, detect_format, open_recording
+from annotator.recordings import (
+    ReaderOptions,
+    Recording,
+    detect_format,
+    open_recording,
+    parse_options,
+    stored_options,
+)
 from annotator.recordings.table import READERS
-from annotator.types.errors import RecordingError, UnknownFormatError
+from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
 
 REAL = [
     ("hand_gesture", "rgbd_folder", 24, True),
@@ -148,3 +155,22 @@ def test_frames_are_in_numerical_order(tmp_path: Path):
 def test_the_table_of_readers_names_existing_functions(target: str):
     module, function = target.split(":")
     assert callable(getattr(import_module(module), function))
+
+
+def test_an_option_that_the_format_does_not_take_is_an_error(generated: Path) -> None:
+    with pytest.raises(ConfigError, match="is read as rgbd_folder, which takes no options, not --columns, --frame"):
+        open_recording(generated / "people", parse_options(columns=5, tf_frame="lens"))
+
+
+def test_invalid_options_are_named_as_on_the_command_line() -> None:
+    for name, flag in (("columns", "--columns 2"), ("tolerance_s", "--tolerance 2")):
+        with pytest.raises(ConfigError, match=flag):
+            parse_options(**{name: 2 if name == "columns" else 2e3})
+
+
+def test_options_are_stored_and_restored() -> None:
+    options = parse_options(columns=5, tolerance_s=0.1)
+    assert stored_options(options.stored()) == options
+    assert ReaderOptions().stored() == "" and stored_options("") == ReaderOptions()
+    with pytest.raises(ConfigError, match="update annotator"):
+        stored_options('{"zoom": 2}')

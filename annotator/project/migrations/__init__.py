@@ -25,6 +25,7 @@ from annotator.project.migrations import (
     m0010_suggestions,
     m0011_box_kind,
     m0012_labels_by_class,
+    m0013_reader_options,
 )
 from annotator.types.errors import ProjectError
 
@@ -57,6 +58,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(10, m0010_suggestions.STATEMENTS),
     Migration(11, m0011_box_kind.STATEMENTS),
     Migration(12, m0012_labels_by_class.STATEMENTS),
+    Migration(13, m0013_reader_options.STATEMENTS),
 )
 
 

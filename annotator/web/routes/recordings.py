@@ -8,6 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
 
+from annotator.recordings import ReaderOptions
 from annotator.types.errors import InputError
 from annotator.web.context import Ctx, Operator
 from annotator.web.jobs.records import ImportRequest, Job
@@ -47,9 +48,10 @@ class RecordingPath(BaseModel):
 
 
 class NewRecording(RecordingPath):
-    """A recording to add; `labels`: also import the 3D boxes that it contains."""
+    """A recording to add; `labels`: also import the 3D boxes that it contains; `options`: how it is read."""
 
     labels: bool = True
+    options: ReaderOptions = ReaderOptions()
 
 
 class AddedRecording(BaseModel):
@@ -57,12 +59,14 @@ class AddedRecording(BaseModel):
 
     Attributes:
         is_new: False for a recording that the project had already; it was scanned for new frames.
+        notes: what the reader says about it; one sentence each.
     """
 
     recording: RecordingInfo
     is_new: bool
     new_frames: int
     missing_frames: int
+    notes: list[str]
 
 
 class AddedRecordings(BaseModel):
@@ -90,7 +94,7 @@ def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListin
 def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> AddedRecordings:
     """Add a recording below one of the server's folders to a project; its files are not copied."""
     opened, path = ctx.project(project), ctx.folders.find(body.path)
-    results = add_recordings(opened, [path])
+    results = add_recordings(opened, [path], options=body.options)
     ctx.caches.frames.forget(opened)
     added = [
         AddedRecording(
@@ -98,6 +102,7 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
             is_new=result.is_new,
             new_frames=result.new_frames,
             missing_frames=result.missing_frames,
+            notes=list(result.notes),
         )
         for result in results
     ]

@@ -94,7 +94,9 @@ class Batch:
         """Returns a recording as a worker needs it."""
         if recording_id not in self.specs:
             stored = self.project.recordings.get(recording_id)
-            self.specs[recording_id] = RecordingSpec(stored.path, stored.name, self.project.path.name, stored.up)
+            self.specs[recording_id] = RecordingSpec(
+                stored.path, stored.name, self.project.path.name, stored.up, stored.options
+            )
         return self.specs[recording_id]
 
     def store(self, frame: StoredFrame, answer: FrameAnswer) -> None:

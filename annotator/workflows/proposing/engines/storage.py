@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from annotator.recordings import stored_options
 from annotator.types.errors import ConfigError, WorkerError
 from annotator.workflows.frame_source import OpenedRecording, open_stored
 from annotator.workflows.proposing.engines.tasks import RecordingSpec
@@ -55,10 +56,11 @@ class Storage:
         """
         place = self.place(recording.path)
         if not is_url(place):
-            return open_stored(Path(place), recording.name, recording.project, recording.up)
+            return open_stored(Path(place), recording.name, recording.project, recording.up, recording.options)
         from annotator.recordings.mirror import open_mirror
 
-        mirror = open_mirror(place, scratch_folder() / "recordings", self.cache_mb * 10**6 // MAX_OPEN)
+        limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)
+        mirror = open_mirror(place, scratch_folder() / "recordings", limit_bytes, options)
         return OpenedRecording(mirror, recording.up)
 
 

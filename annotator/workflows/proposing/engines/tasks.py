@@ -27,12 +27,14 @@ class RecordingSpec:
         name: in the project.
         project: the project's name, for messages.
         up: unit vector against gravity in the camera frame, if the project sets one.
+        options: as in `StoredRecording`.
     """
 
     path: Path
     name: str
     project: str
     up: tuple[float, float, float] | None
+    options: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,67 @@
+"""Options that decide how a recording is read, where its files alone do not."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from annotator.types.errors import ConfigError
+
+
+class ReaderOptions(BaseModel):
+    """How a recording is read; None = the reader decides. `annotator.recordings.table.OPTIONS` says who takes what."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    columns: int | None = Field(None, ge=3, le=64, description="numbers per point in the .bin files")
+    camera: str | None = Field(None, min_length=1, description="the camera of a rig")
+    look_around: Literal[4, 6, 8] | None = Field(None, description="number of virtual cameras around a LiDAR")
+    image: str | None = Field(None, min_length=1, description="topic of the images")
+    points: str | None = Field(None, min_length=1, description="topic of the point clouds")
+    depth: str | None = Field(None, min_length=1, description="topic of the depth images")
+    camera_info: str | None = Field(None, min_length=1, description="topic of the camera's calibration")
+    tf_frame: str | None = Field(None, min_length=1, description="tf frame of the camera, if not that of its images")
+    tolerance_s: float | None = Field(None, gt=0, le=10, description="largest difference in time of partners, seconds")
+    min_confidence: int | None = Field(None, ge=0, le=2, description="lowest confidence of a phone's depth")
+
+    def given(self) -> dict[str, Any]:
+        """The options that are set, by name."""
+        return self.model_dump(exclude_none=True)
+
+    def stored(self) -> str:
+        """The options as a project stores them: JSON, or "" if none is set."""
+        return self.model_dump_json(exclude_none=True) if self.given() else ""
+
+
+def parse_options(**given: Any) -> ReaderOptions:
+    """Options by name, such as those of a command; None = not given.
+
+    Raises:
+        ConfigError: an invalid value.
+    """
+    try:
+        return ReaderOptions(**given)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        name = "_".join(map(str, problem["loc"]))
+        raise ConfigError(f"{option_flag(name)} {problem.get('input')}: {problem['msg']}") from error
+
+
+def stored_options(text: str) -> ReaderOptions:
+    """Options from a project; "" = none.
+
+    Raises:
+        ConfigError: they are those of another version of annotator.
+    """
+    try:
+        return ReaderOptions.model_validate_json(text) if text else ReaderOptions()
+    except ValidationError as error:
+        raise ConfigError(
+            f"the stored reader options {text} are not known to this version: update annotator"
+        ) from error
+
+
+def option_flag(name: str) -> str:
+    """The flag of an option on the command line."""
+    return {"tf_frame": "--frame", "tolerance_s": "--tolerance"}.get(name, "--" + name.replace("_", "-"))
