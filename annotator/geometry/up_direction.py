@@ -1,8 +1,8 @@
 """The direction against gravity, from the planes of one point cloud: floors, table tops, walls, the ground.
 
-Planes are found one after the other. Each of them, and each pair of upright ones, proposes a direction. The best direction
-is the one to which most of the surface is level or upright, given that cameras are held nearly level: of a room's three
-axes, only this tells which one is vertical.
+Planes are found one after the other. Each of them, and each pair of upright ones, proposes a direction. The best one is
+that to which most of the surface is level or upright, given that cameras are held nearly level: of a room's three axes,
+only this tells which one is vertical.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class UpEstimate:
 
 @dataclass(frozen=True, eq=False)
 class _Planes:
-    """Planes of a cloud: unit normals towards the sensor, shares of the surface, and the share of points behind each."""
+    """Planes of a cloud: unit normals towards the sensor, shares of the surface, share of points behind each."""
 
     normals: Float64[np.ndarray, "k 3"]
     shares: Float64[np.ndarray, "k"]
@@ -77,7 +77,7 @@ def estimate_up(frame: Frame) -> UpEstimate | None:
         return None
     scores = _scores(candidates, planes)
     best = candidates[int(np.argmax(scores))]
-    # a direction is only as certain as it beats the others: a plane that it calls level, or takes no part, may be a wall
+    # a direction is only as certain as it beats the others; and planes that it does not call upright may be walls
     rivals = candidates[candidates @ best < np.cos(SAME_RAD)]
     walls = _up_if_upright(planes.normals[np.abs(planes.normals @ best) > np.sin(SAME_RAD)])
     against = np.concatenate([_scores(rivals, planes), _scores(walls, planes, 1.0), [EVIDENCE * NEEDED_SHARE]])

@@ -45,11 +45,20 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     key = recording.keys[index]
     try:
         if isinstance(recording, KittiRaw):
-            return _from_tracklets(file, recording, key)
-        return _READERS[recording.format](file, key, frame)
+            truths = _from_tracklets(file, recording, key)
+        else:
+            truths = _READERS[recording.format](file, key, _as_recorded(frame))
+        T = frame.T_camera_recorded
+        return truths if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
         raise FormatError(file, f"frame {key}: {error}; correct its boxes or its calibration") from error
+
+
+def _as_recorded(frame: Frame) -> Frame:
+    """The frame with the label files' coordinates relative to the camera frame as the recording's files give it."""
+    T, label = frame.T_camera_recorded, frame.T_camera_label
+    return frame if T is None or label is None else replace(frame, T_camera_label=T.inv() * label)
 
 
 def has_truth(recording: Recording) -> bool:
