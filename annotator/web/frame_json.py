@@ -110,9 +110,12 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
 
 
 def image_version(project: Project, shown: ShownFrame) -> str:
-    """A hash for the image's URL; it differs if another project or recording has taken the same name or id."""
+    """A hash for the image's URL; it differs if another project or recording has taken the same name or id, or the
+    recording was adjusted."""
     frame = shown.page.frame
-    content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key}"
+    # a time offset shows another image
+    adjusted = project.adjustments.newest(frame.recording_id)
+    content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key} {adjusted}"
     return hashlib.sha256(content.encode()).hexdigest()[:12]
 
 

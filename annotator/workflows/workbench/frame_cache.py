@@ -91,17 +91,17 @@ class FrameCache:
             return self._frames.get(key)
 
     def _open(self, project: Project, stored: StoredFrame) -> OpenFrame:
-        key = (project, stored.id)
+        key, adjusted = (project, stored.id), project.adjustments.newest(stored.recording_id)
         opened = self._cached(key)
-        if opened is not None:
+        if opened is not None and opened.adjusted == adjusted:
             return opened
         lock, source = self._source(project)
         # one frame of a project at a time: a thread that waited here may find its frame in the cache
         with lock:
             opened = self._cached(key)
-            if opened is not None:
+            if opened is not None and opened.adjusted == adjusted:
                 return opened
-            opened = OpenFrame(self._read(project, source, stored))
+            opened = OpenFrame(self._read(project, source, stored), adjusted)
             # stored before the lock is released, so that the next thread does not read the frame again
             with self._lock:
                 self._frames[key] = opened
