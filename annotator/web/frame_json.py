@@ -34,6 +34,7 @@ from annotator.web.schemas import (
 )
 from annotator.workflows.detectors import base_titles
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame
+from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.review_priority import doubt
 
 
@@ -92,7 +93,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
     return FrameStateJson.model_construct(
         frame=_frame(shown),
         image=ImageJson(
-            url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}",
+            url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}{_offset(opened)}",
             width=frame.camera.width_px,
             height=frame.camera.height_px,
             camera=CameraJson.of(frame.camera),
@@ -110,13 +111,15 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
 
 
 def image_version(project: Project, shown: ShownFrame) -> str:
-    """A hash for the image's URL; it differs if another project or recording has taken the same name or id, or the
-    recording was adjusted."""
+    """A hash for the image's URL; it differs if another project or recording has taken the same name or id."""
     frame = shown.page.frame
-    # a time offset shows another image
-    adjusted = project.adjustments.newest(frame.recording_id)
-    content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key} {adjusted}"
+    content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key}"
     return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+
+def _offset(opened: OpenFrame) -> str:
+    """The end of an image's URL, which differs if a time offset shows another image; the page ignores it."""
+    return f"&adjusted={opened.adjusted}" if opened.adjusted else ""
 
 
 def frame_row(row: FrameRow) -> FrameRowJson:

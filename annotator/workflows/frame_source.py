@@ -43,19 +43,27 @@ class OpenedRecording:
         """Reads a frame, with the project's correction of the calibration and its up direction.
 
         Raises:
-            FrameError: the frame cannot be read, or no longer exists; or its recording has no times to correct.
+            FrameError: the frame cannot be read, or no longer exists.
         """
-        if key not in self.indices:
-            raise FrameError(
-                Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
-            )
-        index = self.indices[key]
+        index = self.index(key)
         frame = self.recording.frame(index)
         if self.correction.time_offset_s:
             shown = image_at(self.recording, index, self.correction.time_offset_s)
             frame = frame if shown == index else with_image(frame, self.recording.frame(shown).rgb)
         frame = corrected(frame, self.correction)
         return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
+
+    def index(self, key: str) -> int:
+        """The frame's index in the recording.
+
+        Raises:
+            FrameError: the frame no longer exists.
+        """
+        if key not in self.indices:
+            raise FrameError(
+                Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
+            )
+        return self.indices[key]
 
 
 def open_stored(
@@ -118,6 +126,11 @@ class FrameSource:
             RecordingError: the recording is missing or cannot be read.
         """
         return self._adjusted(frame.recording_id).read(frame.key)
+
+    def recorded(self, frame: StoredFrame) -> Frame:
+        """Reads a frame as the recording's files give it; errors as in `read`."""
+        opened = self._open(frame.recording_id)
+        return opened.recording.frame(opened.index(frame.key))
 
     def _adjusted(self, recording_id: int) -> OpenedRecording:
         """The open recording with its present adjustment, which may have changed since it was opened."""

@@ -12,7 +12,7 @@ from annotator.project.adjusting.adjustment import Adjustment, Up, read_adjustme
 from annotator.project.adjusting.moving import between
 from annotator.project.event_types import RecordingAdjusted
 from annotator.project.events import Effort
-from annotator.project.schema import adjustments, frames
+from annotator.project.schema import adjustments, events, frames
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import Correction
 from annotator.types.errors import ProjectError, StaleRevisionError
@@ -46,6 +46,13 @@ class Adjustments:
         """Id of the event that adjusted a recording last; 0 if none did."""
         with self.writer.store.read() as connection:
             return _newest(connection, recording_id)
+
+    def since(self, event_id: int) -> tuple[tuple[int, int, str], ...]:
+        """Recordings that were adjusted after an event: id, id of the latest such event, and its author."""
+        query = select(adjustments.c.recording_id, adjustments.c.event_id, events.c.author)
+        query = query.join(events, events.c.id == adjustments.c.event_id).where(adjustments.c.event_id > event_id)
+        with self.writer.store.read() as connection:
+            return tuple((row[0], row[1], row[2]) for row in connection.execute(query.order_by(adjustments.c.event_id)))
 
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS

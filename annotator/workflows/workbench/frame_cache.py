@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
+from annotator.recordings import Recording
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
@@ -71,6 +72,23 @@ class FrameCache:
         opened = self._open(project, stored)
         self._read_ahead(_ReadAhead(project, stored, time.monotonic() + PAUSE_S), operator)
         return opened
+
+    def recorded(self, project: Project, frame_id: int) -> Frame:
+        """Returns a frame as its recording's files give it; it is not cached. Raises as `read`."""
+        stored = project.frames.get(frame_id)
+        lock, source = self._source(project)
+        with lock:
+            return source.recorded(stored)
+
+    def recording(self, project: Project, recording_id: int) -> Recording:
+        """Returns an open recording.
+
+        Raises:
+            RecordingError: it is missing or cannot be read.
+        """
+        lock, source = self._source(project)
+        with lock:
+            return source.recording(recording_id)
 
     def forget(self, project: Project) -> None:
         """Drops all frames of a project, e.g. after its recordings have changed."""
