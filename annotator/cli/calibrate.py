@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.cli.options import AsJson, ProjectName, Projects, RecordingName
+from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
 from annotator.types import NO_CORRECTION
@@ -39,7 +39,7 @@ def run(
     turn: Vector | None = None,
     shift: Vector | None = None,
     time_offset: float | None = None,
-    clear: bool = False,
+    clear: Clear = False,
     projects: Projects = None,
     as_json: AsJson = False,
 ) -> None:
@@ -52,7 +52,6 @@ def run(
         shift: translation of the clouds along the camera's axes, metres; after the rotation.
         time_offset: how much the clocks of the clouds are ahead of those of the images, seconds; each cloud is shown
             with the image that is then nearest in time.
-        clear: remove the correction.
     """
     given = turn is not None or shift is not None or time_offset is not None
     if clear and given:

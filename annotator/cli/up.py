@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 from pydantic import BaseModel, ConfigDict
 
-from annotator.cli.options import AsJson, ProjectName, Projects, RecordingName
+from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
 from annotator.project import Project
@@ -40,7 +40,7 @@ def run(
     /,
     *,
     estimate: bool = False,
-    clear: bool = False,
+    clear: Clear = False,
     projects: Projects = None,
     as_json: AsJson = False,
 ) -> None:
@@ -50,7 +50,6 @@ def run(
         direction: against gravity in the camera frame (x right, y down, z forward), of any length; 0 -1 0 for a
             level camera.
         estimate: take it from floors, tables, the ground and walls, if they tell.
-        clear: take it from the recording's files again; without one there, it is unknown.
     """
     if (len(direction) > 0) + estimate + clear > 1 or len(direction) not in (0, 3):
         raise ConfigError("give three numbers X Y Z, --estimate or --clear; none of them shows the direction")

@@ -126,7 +126,8 @@ def _find_planes(points: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray
     """The largest planes, found one after the other; the points of each are left out of the next."""
     random = np.random.default_rng(0)
     reach = PLANE_REACH_M + PLANE_REACH * np.linalg.norm(points, axis=1)
-    open_, found = np.arange(len(points)), []
+    open_ = np.arange(len(points))
+    found: list[tuple[np.ndarray, float, float]] = []
     while len(found) < MOST_PLANES and len(open_) > LEAST_SHARE * len(points):
         tried = open_[random.permutation(len(open_))[:TRIES]]
         axes, offsets = normals[tried], np.einsum("ij,ij->i", normals[tried], points[tried])
@@ -147,8 +148,7 @@ def _find_planes(points: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray
         open_ = open_[~on]
     if not found:
         return _Planes(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-    axes, shares, behind = zip(*found, strict=True)
-    return _Planes(np.array(axes), np.array(shares), np.array(behind))
+    return _Planes(*(np.array(values) for values in zip(*found, strict=True)))
 
 
 def _fit(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from sqlalchemy import Connection, bindparam, select, update
+from sqlalchemy import Connection, Select, bindparam, select, update
 
 from annotator.project.adjusting.adjustment import Adjustment, put_adjustment, read_adjustment
 from annotator.project.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
@@ -95,7 +95,7 @@ def moved_view(state: str, T: RigidTransform) -> str:
     return view.model_copy(update={"geometry": moved_geometry(view.geometry, T)}).model_dump_json()
 
 
-def _move_labels(connection: Connection, frame_ids: object, T: RigidTransform) -> None:
+def _move_labels(connection: Connection, frame_ids: Select[tuple[int]], T: RigidTransform) -> None:
     rows = connection.execute(select(labels.c.id, labels.c.box).where(labels.c.frame_id.in_(frame_ids)))
     moved = [
         {"row": row.id, "moved": moved_box(parsed(BoxRecord.model_validate_json, row.box), T).model_dump_json()}
@@ -105,7 +105,7 @@ def _move_labels(connection: Connection, frame_ids: object, T: RigidTransform) -
         connection.execute(update(labels).where(labels.c.id == bindparam("row")).values(box=bindparam("moved")), moved)
 
 
-def _move_views(connection: Connection, frame_ids: object, T: RigidTransform) -> None:
+def _move_views(connection: Connection, frame_ids: Select[tuple[int]], T: RigidTransform) -> None:
     known = view_labels.c.geometry.is_not(None) & view_labels.c.frame_id.in_(frame_ids)
     rows = connection.execute(select(view_labels.c.id, view_labels.c.geometry).where(known))
     moved = [

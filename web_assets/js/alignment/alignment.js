@@ -191,7 +191,7 @@ export function mount(root, app) {
   }
 
   function show() {
-    if (known === null || frame === null) return;
+    if (ended || known === null || frame === null) return;
     const { camera, width, height, labels } = known;
     picture.set({
       image: app.path("frames", imageFrame() ?? frame, "recorded.jpg"),
