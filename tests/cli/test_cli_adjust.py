@@ -140,3 +140,13 @@ def test_recordings_without_times_have_no_time_offset(room: Path, capsys: pytest
 def test_wrong_corrections_are_refused(room: Path, words: list[str], capsys: pytest.CaptureFixture[str]):
     assert main(["calibrate", "p", "room", *words]) == 2
     assert "give" in capsys.readouterr().err
+
+
+def test_adding_a_recording_that_does_not_know_up_says_what_to_do(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for name, rotation in (("a", "auto"), ("b", "free")):
+        assert main(["new", name, "--classes", "person", "--rotation", rotation]) == 0
+        capsys.readouterr()
+        assert main(["add", name, str(room), "--no-labels"]) == 0
+        assert (f"annotator up {name} people --estimate" in capsys.readouterr().out) == (rotation == "auto")
