@@ -57,6 +57,7 @@ class AlignmentJson(Schema):
 
     `points`: x, y, z of some points one after the other, metres, in the camera frame without the correction.
     `up`: unit vector in the corrected camera frame. `adjusted` identifies the present correction and up direction.
+    `labels` and `drawn_images`: number of 3D boxes, and of images with drawn boxes, in the recording.
     """
 
     recording: int
@@ -71,6 +72,7 @@ class AlignmentJson(Schema):
     up_source: Literal["unknown", "files", "project"]
     images: list[ImageAt]
     labels: int
+    drawn_images: int
 
 
 class EstimatedUp(Schema):
@@ -170,4 +172,5 @@ def _alignment(ctx: Context, name: str, frame_id: int) -> AlignmentJson:
         up_source=shown.up_source,
         images=[ImageAt(frame=frame, seconds=seconds) for frame, seconds in shown.images],
         labels=shown.labels,
+        drawn_images=shown.drawn_images,
     )

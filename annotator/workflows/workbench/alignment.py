@@ -34,6 +34,7 @@ class Alignment:
         up_source: where `up` comes from.
         images: (id, seconds after this frame) of the frames whose images a time offset may show, nearest times first.
         labels: number of labels in the recording.
+        drawn_images: number of its frames with boxes on their image.
     """
 
     recorded: Frame
@@ -43,6 +44,7 @@ class Alignment:
     up_source: UpSource
     images: tuple[tuple[int, float], ...]
     labels: int
+    drawn_images: int
 
 
 def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
@@ -64,6 +66,7 @@ def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
         "unknown" if up is None else "files" if recording.up is None else "project",
         _images(project, cache, stored.recording_id, stored.key),
         len(project.labels.signals(recordings=[stored.recording_id])),
+        len(project.boxes.on_images([stored.recording_id])),
     )
 
 

@@ -48,6 +48,7 @@ export function mount(root, app) {
   );
   const offset = slider("Clouds' clock ahead", "time-offset", 1, 0.01, "s");
   const noTimes = h("p", { class: "help" }, "The frames have no times, so there is no time offset to correct.");
+  const offsetNote = h("p", { class: "bad", hidden: true, "data-testid": "offset-note" });
   const keep = button("Keep this correction", "keep-correction", () =>
     save("correction", { correction: correction() }),
   );
@@ -101,7 +102,7 @@ export function mount(root, app) {
         { class: "aside" },
         panel(
           "Calibration",
-          [...turns, ...shifts, offset].map((each) => each.root).concat(noTimes),
+          [...turns, ...shifts, offset].map((each) => each.root).concat(noTimes, offsetNote),
           [keep, back, zero],
           effect,
         ),
@@ -192,7 +193,7 @@ export function mount(root, app) {
 
   function show() {
     if (ended || known === null || frame === null) return;
-    const { camera, width, height, labels } = known;
+    const { camera, width, height, labels, drawn_images: drawn } = known;
     picture.set({
       image: app.path("frames", imageFrame() ?? frame, "recorded.jpg"),
       camera: { ...camera, width, height },
@@ -212,6 +213,10 @@ export function mount(root, app) {
       `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay where ` +
       "they are in the cloud, so they move on the image with it; their outlines and 2D boxes are projected anew. Boxes " +
       "drawn on images stay. The next training makes its pictures anew. Undo restores everything.";
+    offsetNote.textContent =
+      `${count(drawn, "frame has", "frames have")} boxes that were drawn on the image. With this time offset ` +
+      "they are on another image: draw them again.";
+    offsetNote.hidden = drawn === 0 || offset.value === known.correction.time_offset_s;
     source.textContent = describeUp();
     follows.textContent =
       "Stored boxes do not change. New boxes, views and proposals follow: " +
