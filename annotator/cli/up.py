@@ -74,8 +74,8 @@ def run(
 
 def _report(project: Project, recording_id: int, found: RecordingUp | None) -> UpReport:
     stored = project.recordings.get(recording_id)
-    frame = next(frame for frame in project.frames.of([recording_id]) if frame.index is not None)
-    up = FrameSource(project).read(frame).up
+    frame = next((frame for frame in project.frames.of([recording_id]) if frame.index is not None), None)
+    up = None if frame is None else FrameSource(project).read(frame).up
     return UpReport(
         recording=stored.name,
         up=None if up is None else tuple(up.tolist()),
