@@ -1,6 +1,6 @@
 /**
- * Alignment: how the cloud of a recording lies on its image, and which way is up. What is set here holds for all frames
- * of the recording, and can be undone.
+ * Alignment: how the cloud of a recording lies on its image, and which way is up. What is set here holds for all
+ * frames of the recording, and can be undone.
  */
 
 import { count, h } from "../dom.js";
@@ -210,9 +210,9 @@ export function mount(root, app) {
     offset.root.hidden = known.images.length === 0;
     noTimes.hidden = known.images.length > 0;
     effect.textContent =
-      `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay where ` +
-      "they are in the cloud, so they move on the image with it; their outlines and 2D boxes are projected anew. Boxes " +
-      "drawn on images stay. The next training makes the pictures of 3D boxes anew. Undo restores everything.";
+      `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay ` +
+      "where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected anew. " +
+      "Boxes drawn on images stay. The next training makes the pictures of 3D boxes anew. Undo restores everything.";
     offsetNote.textContent =
       `${count(drawn, "frame has", "frames have")} boxes that were drawn on the image. With this time offset ` +
       "they are on another image: draw them again.";
@@ -220,17 +220,21 @@ export function mount(root, app) {
     source.textContent = describeUp();
     follows.textContent =
       "Stored boxes do not change. New boxes, views and proposals follow: " +
-      `the project's rotation setting is ${app.state.project.settings.rotation}; auto makes boxes upright where up is known.`;
+      `the project's rotation setting is ${app.state.project.settings.rotation} ` +
+      "(auto: upright where up is known).";
   }
 
   function describeUp() {
     if (known === null) return "";
     if (estimate !== null && estimate.up === null) return `No proposal: ${estimate.reason}.`;
-    if (estimate !== null)
+    if (estimate !== null) {
+      const isSet = isUpChanged() ? "" : " It is set already.";
+      const spread = estimate.spread_deg.toFixed(1);
       return (
         `Proposed with certainty ${estimate.certainty.toFixed(2)}: ${estimate.reason}; ` +
-        `${estimate.agreeing} of ${count(estimate.frames, "frame")} agree within ${estimate.spread_deg.toFixed(1)}°.${isUpChanged() ? "" : " It is set already."}`
+        `${estimate.agreeing} of ${count(estimate.frames, "frame")} agree within ${spread}°.${isSet}`
       );
+    }
     if (isUpChanged()) return "Turned by hand, not kept yet (dashed).";
     const words = {
       unknown: "Not known: boxes may have any rotation. Propose a level, or turn one by hand.",
