@@ -15,6 +15,8 @@ READERS: dict[str, str] = {
     "kitti_raw": "annotator.recordings.kitti.raw_drive:open_kitti_raw",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
     "ros_bag": "annotator.recordings.ros.recording:open_ros_bag",
+    "nuscenes": "annotator.recordings.nuscenes.recording:open_nuscenes",
+    "argoverse2": "annotator.recordings.argoverse.log:open_argoverse2",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
     # last, because other formats contain cloud files, too
@@ -27,6 +29,8 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "stray_scanner": ("min_confidence",),
     "record3d": ("min_confidence",),
     "tum_rgbd": ("tolerance_s",),
+    "nuscenes": ("scene", "camera", "tolerance_s"),
+    "argoverse2": ("camera", "tolerance_s"),
 }
 
 # Faster recognition checks, for formats that are slow to open.
@@ -34,4 +38,6 @@ QUICK_CHECKS: dict[str, str] = {
     "record3d": "annotator.recordings.phones.record3d:is_record3d",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
     "ros_bag": "annotator.recordings.ros.files:is_bag",
+    "nuscenes": "annotator.recordings.nuscenes.recording:is_nuscenes",
+    "argoverse2": "annotator.recordings.argoverse.log:is_argoverse2",
 }

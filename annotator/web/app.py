@@ -29,6 +29,7 @@ ROUTES: tuple[str, ...] = (
     "review",
     "tracks",
     "queue",
+    "alignment",
     "reports",
     "images",
     "jobs",

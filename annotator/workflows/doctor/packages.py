@@ -35,6 +35,7 @@ EXTRAS = {
     "las": ("laspy", "lazrs"),
     "ros": ("rosbags", "google.protobuf"),
     "phones": ("lzfse",),
+    "argoverse": ("pyarrow",),
     "desktop": ("webview",),
 }
 # System libraries that open3d and OpenCV load, and their packages in Debian and Ubuntu, as in scripts/setup.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Run
@@ -12,9 +13,10 @@ from annotator.project.proposals import RunShare
 from annotator.project.writing import WriteContext
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
-from annotator.types.errors import FinalisedFrameError, StaleRevisionError
+from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 from annotator.workflows.proposing.engines.runner import failure
 from annotator.workflows.proposing.engines.tasks import FrameAnswer, RecordingSpec
+from annotator.workflows.rigs import Rigs
 from annotator.workflows.tracks.previous_boxes import followed_tracks
 
 AUTHOR = "rcv"
@@ -75,6 +77,11 @@ class Batch:
     box_kind: BoxKind
     specs: dict[int, RecordingSpec] = field(default_factory=dict)
 
+    @cached_property
+    def rigs(self) -> Rigs:
+        """The project's rigs."""
+        return Rigs(self.project)
+
     def pending(self) -> Iterator[StoredFrame]:
         """Yields the frames to do, page by page; those finalised since they were counted are skipped."""
         last: StoredFrame | None = None
@@ -95,7 +102,7 @@ class Batch:
         if recording_id not in self.specs:
             stored = self.project.recordings.get(recording_id)
             self.specs[recording_id] = RecordingSpec(
-                stored.path, stored.name, self.project.path.name, stored.up, stored.options
+                stored.path, stored.name, self.project.path.name, stored.up, stored.options, stored.correction
             )
         return self.specs[recording_id]
 
@@ -120,6 +127,7 @@ class Batch:
     def _replace(self, frame_id: int, result: FrameProposals, share: RunShare) -> None:
         for attempt in range(1, WRITE_ATTEMPTS + 1):
             frame, proposals = self.project.frames.get(frame_id), result.proposals
+            self._require_unadjusted(frame.recording_id)
             context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
             tracks = followed_tracks(self.project, frame, proposals)
             try:
@@ -131,12 +139,21 @@ class Batch:
                     run=share,
                     track_ids=tracks,
                     box_kind=self.box_kind,
+                    others=[other.label for other in self.rigs.others(frame)],
                 )
                 return
             except StaleRevisionError:
                 # An operator has changed the frame. Proposals replace only unreviewed ones, so trying again is safe.
                 if attempt == WRITE_ATTEMPTS:
                     raise
+
+    def _require_unadjusted(self, recording_id: int) -> None:
+        """Refuses results that were found before the recording's cloud was moved, or its up direction changed."""
+        stored, used = self.project.recordings.get(recording_id), self.spec(recording_id)
+        if (stored.up, stored.correction) != (used.up, used.correction):
+            raise ProjectError(
+                f"the up direction or the calibration of {stored.name} was changed during the run; annotate it again"
+            )
 
     def _fail(self, frame: StoredFrame, answer: FrameAnswer) -> None:
         reason = answer.reason or "unknown reason"
