@@ -90,13 +90,13 @@ WRONG_OPTIONS = [
     ({"image": "/points"}, "--image /points: is a sensor_msgs/PointCloud2"),
     ({"points": "/points", "depth": "/left/image_raw", "image": "/left/image_raw"}, "exclude each other"),
     ({"image": "/left/image_raw", "points": "/points", "camera_info": "/points"}, "--camera-info /points: is a"),
-    ({"look_around": 4}, "not --look-around"),
+    ({"columns": 4}, "not --columns"),
 ]
 
 
 @pytest.mark.parametrize(("options", "problem"), WRONG_OPTIONS)
 def test_options_that_do_not_fit_the_bag_are_errors(tmp_path: Path, options: dict[str, object], problem: str):
-    full = {"image": "/left/image_raw", "points": "/points"} | options if "look_around" in options else options
+    full = {"image": "/left/image_raw", "points": "/points"} | options if "columns" in options else options
     with pytest.raises(ConfigError, match=problem):
         open_recording(two_cameras(tmp_path), ReaderOptions.model_validate(full))
 
