@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,6 +27,7 @@ class IntrinsicFile(BaseModel):
         width, height: image size, pixels.
         intrinsic_matrix: the nine numbers of K, column by column.
         depth_scale: depth units per metre; default 1000 (millimetres).
+        depth_encoding: `plain`, or `sunrgbd` for SUN RGB-D's rotated bits; default plain, unless it looks rotated.
         distortion: OpenCV's coefficients, see `Camera`; default none.
     """
 
@@ -37,6 +38,7 @@ class IntrinsicFile(BaseModel):
     height: Side
     intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
     depth_scale: Positive = 1000.0
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
     distortion: tuple[Number, ...] = ()
 
 
@@ -56,11 +58,13 @@ class RgbdCamera:
         path: the file.
         camera: the colour camera, to which the depth is registered.
         depth_scale: depth units per metre.
+        depth_encoding: as in the file.
     """
 
     path: Path
     camera: Camera
     depth_scale: float
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
 
 
 def camera_file(folder: Path) -> Path:
@@ -110,7 +114,7 @@ def read_camera(path: Path) -> RgbdCamera:
         camera = Camera(content.width, content.height, fx, fy, cx, cy, content.distortion)
     except ValueError as error:
         raise FrameError(path, str(error), "correct the camera file") from error
-    return RgbdCamera(path, camera, content.depth_scale)
+    return RgbdCamera(path, camera, content.depth_scale, content.depth_encoding)
 
 
 def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:

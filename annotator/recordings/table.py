@@ -17,7 +17,12 @@ READERS: dict[str, str] = {
 }
 
 # The options (`ReaderOptions`) that readers take. Such a reader is called with the path and the options.
-OPTIONS: dict[str, tuple[str, ...]] = {}
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "kitti_object": ("columns",),
+    "kitti_tracking": ("columns",),
+    "kitti_raw": ("columns",),
+    "cloud_folder": ("columns",),
+}
 
 # Faster recognition checks, for formats that are slow to open.
 QUICK_CHECKS: dict[str, str] = {

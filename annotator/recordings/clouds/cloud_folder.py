@@ -1,4 +1,4 @@
-"""Folders of point clouds: PLY, PCD, KITTI's BIN, NPY, NPZ, LAS or LAZ, one file per frame.
+"""Folders of point clouds: PLY, PCD, BIN, NPY, NPZ, LAS or LAZ, one file per frame.
 
 KEY.ply (and so on)        in the folder itself, or in points/ (clouds/, pointcloud/, velodyne/, lidar/, pcd/, ply/)
 image/KEY.png|jpg          optional (images/, image_2/, color/, rgb/): needs a calibration
@@ -15,7 +15,7 @@ camera is in the middle of the cloud. Without images, the image is rendered from
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Never
 
@@ -34,9 +34,11 @@ from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, Number, read_camera, read_up
+from annotator.recordings.scan_file import Scans
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -93,11 +95,13 @@ class CloudFolder(KeyedFrames):
         clouds: the folder of the cloud files.
         images: the folder of the images; None without images.
         times_ns: capture times from `timestamps.csv`; None without that file.
+        scans: reads the clouds that are `.bin` files.
     """
 
     clouds: Path
     images: Path | None
     times_ns: Times | None = None
+    scans: Scans = field(default_factory=Scans)
     format: ClassVar[str] = "cloud_folder"
     is_sequence: ClassVar[bool] = True
 
@@ -110,7 +114,7 @@ class CloudFolder(KeyedFrames):
         """
         key = self.key(i)
         cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
-        raw = read_cloud(cloud_path)
+        raw = read_cloud(cloud_path, self.scans)
         if self.images is None:
             source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
             if source.camera.width_px * source.camera.height_px > MOST_PIXELS:
@@ -161,8 +165,8 @@ class CloudFolder(KeyedFrames):
         )
 
 
-def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
-    """Opens the folder of point clouds at `path`; `NotFound` if it is not one.
+def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFound:
+    """Opens the folder of point clouds at `path`; `NotFound` if it is not one. Takes the option `columns`.
 
     Raises:
         RecordingError: `timestamps.csv` is invalid.
@@ -176,7 +180,7 @@ def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
             if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
-            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered))
+            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns))
     return NotFound(LOOKED_FOR)
 
 

@@ -11,6 +11,7 @@ from annotator.recordings.kitti.calibration import KittiCalibration
 from annotator.recordings.kitti.frame import read_frame
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
 
 # The rotating LiDAR triggers KITTI's sensors ten times a second.
@@ -25,8 +26,10 @@ class KittiFolder(KeyedFrames, ABC):
 
     Attributes:
         images, scans: their folders, relative to `root`.
+        reader: reads the scans.
     """
 
+    reader: Scans
     images: ClassVar[str]
     scans: ClassVar[str]
 
@@ -45,6 +48,7 @@ class KittiFolder(KeyedFrames, ABC):
             i,
             frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin"),
             frame_file(self.root / self.scans, key, (".bin",), f"the image {key}"),
+            self.reader,
             self.calibration(key),
             self.time_ns(number),
         )

@@ -11,7 +11,9 @@ from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
+from annotator.recordings.scan_file import Scans
 
 LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
 
@@ -41,7 +43,7 @@ class KittiObject(KittiFolder):
         """Unrelated frames have no time."""
 
 
-def open_kitti_object(path: Path) -> KittiObject | NotFound:
+def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFound:
     """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none.
 
     Raises:
@@ -50,5 +52,5 @@ def open_kitti_object(path: Path) -> KittiObject | NotFound:
     for root in (path, path / "training"):
         keys = KittiObject.keys_in(root)
         if keys is not None:
-            return KittiObject(path, keys, root)
+            return KittiObject(path, keys, Scans(options.columns), root)
     return NotFound(LOOKED_FOR)

@@ -11,7 +11,9 @@ from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
+from annotator.recordings.scan_file import Scans
 
 LOOKED_FOR = "folders image_02/ and velodyne/ (and calib.txt)"
 
@@ -29,11 +31,11 @@ class KittiTracking(KittiFolder):
         return read_calibration(self.path / "calib.txt")
 
 
-def open_kitti_tracking(path: Path) -> KittiTracking | NotFound:
-    """Opens the KITTI tracking folder at `path`; `NotFound` if it is not one.
+def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | NotFound:
+    """Opens the KITTI tracking folder at `path`; `NotFound` if it is not one. Takes the option `columns`.
 
     Raises:
         RecordingError: the folders exist but have no frame.
     """
     keys = KittiTracking.keys_in(path)
-    return NotFound(LOOKED_FOR) if keys is None else KittiTracking(path, keys)
+    return NotFound(LOOKED_FOR) if keys is None else KittiTracking(path, keys, Scans(options.columns))
