@@ -1,7 +1,8 @@
 """3D boxes of objects whose class was never seen, or of which a few were taught, from 2D boxes on the image.
 
     python -m benchmarks.cold_start DIR [--taught 0 1 5 20] [--upright | --free] [--image-box projected|label]
-        [--minutes 3 | --epochs N | --untrained] [--no-sizes] [--seed N] [--json]
+        [--minutes 3 | --epochs N | --untrained] [--no-sizes] [--mirrored]
+        [--seed N] [--json]
 
 With `--taught 0` alone, the base detector is tried on all frames. Otherwise the first half of the recording teaches and
 the second half is tried, the same for every number. For each number of taught objects of each class, a project with
@@ -48,6 +49,7 @@ from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
 from benchmarks.clusters import cluster_box
+from benchmarks.mirrored import Mirrored
 from benchmarks.report import Table, finish, guarded
 
 LEVELS = {"recall_25": 0.25, "recall_50": 0.5, "recall_70": 0.7}
@@ -69,6 +71,8 @@ class Arguments:
     """Freely rotated boxes (default for other recordings)."""
     base: Path | None = None
     """Weights of a base detector for --taught 0; None = the one of the package."""
+    mirrored: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Average each view's boxes with those of its mirror image, with --taught 0."""
     no_sizes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Use no typical sizes, neither of well-known classes nor of taught objects."""
     minutes: float = 3.0
@@ -339,7 +343,8 @@ def run(args: Arguments) -> dict[str, object]:
     if 0 in args.taught:
         base = BaseDetector.load(args.base, args.backend, args.upright, args.free)
         config = RcvConfig(view=ViewConfig(size_px=base.size_px)).for_detector(BoxKind.BOX, True)
-        results += rows(tried(recording, indices[half:], base.detector, config, args), 0, 0.0)
+        detector = Mirrored(base.detector) if args.mirrored else base.detector
+        results += rows(tried(recording, indices[half:], detector, config, args), 0, 0.0)
         results += rows(guessed(recording, indices[half:], args), 0, 0.0)
     known = taught_objects(recording, indices[:half], args)
     for number in sorted(set(args.taught) - {0}):

@@ -75,7 +75,7 @@ def copy_next(
     label = stored.label
     box = _moved(project, frame, stored)
     if fit is not None:
-        box = fit(next_frame, box, label.label)
+        box = fit(next_frame, box, label)
     is_new = label.track_id is None
     track_id = next_track_id(project, frame.recording_id) if label.track_id is None else label.track_id
     proposal = NewProposal(label.label, box, track_id, box_kind=label.box_kind)

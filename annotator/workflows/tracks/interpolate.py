@@ -90,7 +90,7 @@ def interpolate(
                 finalised += 1
                 continue
             label = before.label
-            fitted = box if fit is None else fit(frame, box, label.label)
+            fitted = box if fit is None else fit(frame, box, label)
             proposal = NewProposal(label.label, fitted, track_id, box_kind=label.box_kind)
             payloads = proposal_events(project, frame, [proposal])
             covered += not payloads
