@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -188,10 +189,8 @@ def _rotating(rng: Rng) -> Callable[[Rng], Sweep]:
         elif order == "falling":
             ring = ring[::-1]
         azimuth = rng.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(steps) / steps
-        a, r = np.meshgrid(azimuth, ring, indexing="ij")
-        if order == "ring":
-            a, r = a.T, r.T
-        a, r = a.ravel(), r.ravel()
+        row: Literal["C", "F"] = "F" if order == "ring" else "C"
+        a, r = (grid.ravel(row) for grid in np.meshgrid(azimuth, ring, indexing="ij"))
         direction = np.stack(
             [np.cos(elevation[r]) * np.cos(a), np.cos(elevation[r]) * np.sin(a), np.sin(elevation[r])], axis=1
         )

@@ -183,11 +183,11 @@ def _holds_two_points(rows: Float32[np.ndarray, "n c"], length: int) -> bool:
         if len(pair) < LEAST_ROWS:
             continue
         pair -= np.median(pair, axis=0)
-        spread = np.sort(np.quantile(np.abs(pair), 0.8, axis=0))
-        if spread[1] > LARGEST_RATIO * spread[0]:
+        near, far = sorted(float(np.quantile(values, 0.8)) for values in np.abs(pair).T)
+        if far > LARGEST_RATIO * near:
             continue
         ranks = np.argsort(np.argsort(pair, axis=0), axis=0)
-        together += bool(np.corrcoef(ranks.T)[0, 1] > LEAST_CORRELATION)
+        together += bool(np.asarray(np.corrcoef(ranks.T))[0, 1] > LEAST_CORRELATION)
     return together >= 2
 
 

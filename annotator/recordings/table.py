@@ -12,6 +12,8 @@ READERS: dict[str, str] = {
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
+    "rcv": "annotator.recordings.exports.rcv_dataset:open_rcv",
+    "openlabel": "annotator.recordings.exports.openlabel_folder:open_openlabel",
     # last, because other formats contain cloud files, too
     "cloud_folder": "annotator.recordings.clouds.cloud_folder:open_cloud_folder",
 }

@@ -3,6 +3,7 @@
 KEY.ply (and so on)        in the folder itself, or in points/ (clouds/, pointcloud/, velodyne/, lidar/, pcd/, ply/)
 image/KEY.png|jpg          optional (images/, image_2/, color/, rgb/): needs a calibration
 calib/KEY.txt, calib.txt   optional: KITTI's calibration of a LiDAR and colour camera 2
+labels/_classes.json       optional: a project of labelCloud, with labels/KEY.json [read by annotator.formats]
 camera_intrinsic.json      optional alternative, as in an RGB-D folder; the clouds are in the camera's frame, or in the
                            frame that "cloud_to_camera" (4 x 4, row by row) maps to it
 gravity.json               optional, beside camera_intrinsic.json
@@ -15,7 +16,7 @@ camera is in the middle of the cloud. Without images, the image is rendered from
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Never
 
@@ -50,6 +51,8 @@ VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 # Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
 MOST_OFF_ROTATION = 1e-3
+# In labelCloud's projects, z of the clouds points up.
+LEVEL_MARK = "labels/_classes.json"
 # If the nearest point is farther away, the coordinates are map coordinates.
 FARTHEST_SEEN_M = 10_000.0
 Four = tuple[Number, Number, Number, Number]
@@ -152,7 +155,8 @@ class CloudFolder(KeyedFrames):
         """Returns the camera from the folder's calibration; None without one."""
         for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
             if path.is_file():
-                return _kitti_camera(path, rgb)
+                camera = _kitti_camera(path, rgb)
+                return replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera
         path = self.path / FILE_NAME
         return _json_camera(path, rgb) if path.is_file() else None
 
@@ -202,6 +206,11 @@ def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
             raise FrameError(path, f"P2 implies an image of {width} x {height} pixels", "correct the calibration")
         camera = calibration.camera(width, height)
     return CloudCamera(path, calibration.T_camera_lidar, camera, UP, calibration)
+
+
+def _z_of(source: CloudCamera) -> Float64[np.ndarray, "3"]:
+    """Returns the direction of the clouds' z axis in the camera frame."""
+    return np.asarray(source.T_camera_cloud.rotation.apply([0.0, 0.0, 1.0]))
 
 
 def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:

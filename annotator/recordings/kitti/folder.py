@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
@@ -29,7 +29,7 @@ class KittiFolder(KeyedFrames, ABC):
         reader: reads the scans.
     """
 
-    reader: Scans
+    reader: Scans = field(default_factory=Scans, kw_only=True)
     images: ClassVar[str]
     scans: ClassVar[str]
 

@@ -52,5 +52,5 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFo
     for root in (path, path / "training"):
         keys = KittiObject.keys_in(root)
         if keys is not None:
-            return KittiObject(path, keys, Scans(options.columns), root)
+            return KittiObject(path, keys, root, reader=Scans(options.columns))
     return NotFound(LOOKED_FOR)

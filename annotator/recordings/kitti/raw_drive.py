@@ -90,4 +90,4 @@ def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
         RecordingError: the folders exist but have no frame.
     """
     keys = KittiRaw.keys_in(path)
-    return NotFound(LOOKED_FOR) if keys is None else KittiRaw(path, keys, Scans(options.columns))
+    return NotFound(LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))

@@ -38,4 +38,4 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
         RecordingError: the folders exist but have no frame.
     """
     keys = KittiTracking.keys_in(path)
-    return NotFound(LOOKED_FOR) if keys is None else KittiTracking(path, keys, Scans(options.columns))
+    return NotFound(LOOKED_FOR) if keys is None else KittiTracking(path, keys, reader=Scans(options.columns))

@@ -18,7 +18,7 @@ from typing import ClassVar
 
 from annotator.geometry.projection import unproject_depth
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys
+from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys, unread_note
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rotated_depth import decode_depth
 from annotator.recordings.sunrgbd.calibration import read_scene_calibration
@@ -32,6 +32,9 @@ CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
 MOST_LEVELS = 5
 SCENE_MARKS = ("image", "extrinsics")
 DEPTH_FOLDERS = ("depth", "depth_bfx")
+LABELS = "annotation3Dfinal/index.json"
+# What is read here and by annotator.formats.
+READ = (MARK, *SCENE_MARKS, *DEPTH_FOLDERS, "annotation3Dfinal")
 KEY_SEPARATOR = "__"
 
 
@@ -46,6 +49,12 @@ class SunRgbdScenes(KeyedFrames):
     folders: tuple[str, ...]
     format: ClassVar[str] = "sunrgbd_scenes"
     is_sequence: ClassVar[bool] = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Names what the first scene has besides."""
+        note = unread_note(Path(self.folders[0]), READ, LABELS)
+        return () if note is None else (f"in the first scene, {note}",)
 
     @cached_property
     def scenes(self) -> tuple[Path, ...]:
