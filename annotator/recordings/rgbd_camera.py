@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole
+from annotator.recordings.rotated_depth import decode_depth, looks_rotated
 from annotator.types import Camera
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, UnclearError
 
 FILE_NAME = "camera_intrinsic.json"
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
@@ -115,6 +116,24 @@ def read_camera(path: Path) -> RgbdCamera:
     except ValueError as error:
         raise FrameError(path, str(error), "correct the camera file") from error
     return RgbdCamera(path, camera, content.depth_scale, content.depth_encoding)
+
+
+def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of the depth image at `path`.
+
+    Raises:
+        UnclearError: it looks like one of SUN RGB-D, and the camera file does not say whether it is.
+    """
+    if camera.depth_encoding == "sunrgbd":
+        return decode_depth(raw)
+    if camera.depth_encoding is None and looks_rotated(raw, camera.depth_scale):
+        raise UnclearError(
+            path,
+            f"its depth reaches {raw.max() / camera.depth_scale:.1f} m in steps of 8 units, as in SUN RGB-D, whose "
+            "depth has its bits rotated by three",
+            f'write "depth_encoding": "sunrgbd" (or "plain" to read it as it is) into {camera.path.name}',
+        )
+    return np.divide(raw, np.float32(camera.depth_scale), dtype=np.float32)
 
 
 def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:

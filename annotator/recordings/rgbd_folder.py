@@ -21,10 +21,9 @@ from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import RgbdCamera, camera_file, read_camera, read_up
-from annotator.recordings.rotated_depth import decode_depth, looks_rotated
+from annotator.recordings.rgbd_camera import RgbdCamera, camera_file, depth_metres, read_camera, read_up
 from annotator.types import Camera, Frame, PointCloud
-from annotator.types.errors import FrameError, UnclearError
+from annotator.types.errors import FrameError
 
 LOOKED_FOR = "folders color/ (or image/ and a camera_*.json) and depth/"
 
@@ -95,16 +94,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
 def _depth_m(path: Path, content: RgbdCamera) -> np.ndarray:
     raw = read_depth(path)
     _check_size(path, raw, content.camera, "the colour image")
-    if content.depth_encoding == "sunrgbd":
-        return decode_depth(raw)
-    if content.depth_encoding is None and looks_rotated(raw, content.depth_scale):
-        raise UnclearError(
-            path,
-            f"its depth reaches {raw.max() / content.depth_scale:.1f} m in steps of 8 units, as in SUN RGB-D, whose "
-            "depth has its bits rotated by three",
-            f'write "depth_encoding": "sunrgbd" (or "plain" to read it as it is) into {content.path.name}',
-        )
-    return np.divide(raw, np.float32(content.depth_scale), dtype=np.float32)
+    return depth_metres(path, raw, content)
 
 
 def _cloud(path: Path, camera: Camera, depth_m: np.ndarray, rgb: np.ndarray) -> PointCloud:

@@ -13,6 +13,7 @@ from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys
 from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
+from annotator.types.errors import RecordingError
 
 # The rotating LiDAR triggers KITTI's sensors ten times a second.
 PERIOD_NS = 100_000_000
@@ -81,3 +82,16 @@ class KittiFolder(KeyedFrames, ABC):
             return None
         expected = f"{cls.images}/KEY.png and {cls.scans}/KEY.bin"
         return sorted_keys(root, stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",)), expected)
+
+
+def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:
+    """Refuses a folder of images and scans without a calibration, in place of an error for each frame.
+
+    Raises:
+        RecordingError: there is no `name`.
+    """
+    if not (root / name).exists():
+        raise RecordingError(
+            f"{root}: looks like {looks_like}: {name} is missing; copy it from the data set, or give the path of "
+            f"{scans} to label the scans without images"
+        )

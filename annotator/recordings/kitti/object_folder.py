@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
-from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.kitti.folder import KittiFolder, require_calibration
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
 from annotator.recordings.scan_file import Scans
@@ -47,10 +47,11 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFo
     """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none.
 
     Raises:
-        RecordingError: the folders exist but have no frame.
+        RecordingError: the folders exist but have no frame, or there is no calibration.
     """
     for root in (path, path / "training"):
         keys = KittiObject.keys_in(root)
         if keys is not None:
+            require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
             return KittiObject(path, keys, root, reader=Scans(options.columns))
     return NotFound(LOOKED_FOR)

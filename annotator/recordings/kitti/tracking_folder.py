@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
-from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.kitti.folder import KittiFolder, require_calibration
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
 from annotator.recordings.scan_file import Scans
@@ -35,7 +35,10 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
     """Opens the KITTI tracking folder at `path`; `NotFound` if it is not one. Takes the option `columns`.
 
     Raises:
-        RecordingError: the folders exist but have no frame.
+        RecordingError: the folders exist but have no frame, or there is no calibration.
     """
     keys = KittiTracking.keys_in(path)
-    return NotFound(LOOKED_FOR) if keys is None else KittiTracking(path, keys, reader=Scans(options.columns))
+    if keys is None:
+        return NotFound(LOOKED_FOR)
+    require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")
+    return KittiTracking(path, keys, reader=Scans(options.columns))
