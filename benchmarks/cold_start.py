@@ -128,7 +128,7 @@ def given_boxes(
     Raises:
         ConfigError: a label has no 2D box.
     """
-    mask = load_mask(recording, frame) if args.image_box == "label" and has_masks(recording) else None
+    mask = load_mask(recording, frame) if _takes_masks(recording, args) else None
     for number, truth in enumerate(truths):
         if args.image_box == "projected":
             box = box_on_image(frame.camera, truth.box, truth.label)
@@ -139,6 +139,11 @@ def given_boxes(
         item = given(frame, truth, box, number, args.min_points, rng)
         if item is not None:
             yield item
+
+
+def _takes_masks(recording: Recording, args: Arguments) -> bool:
+    """Whether the 2D boxes are the extents of masks, which enclose what is seen."""
+    return args.image_box == "label" and has_masks(recording)
 
 
 def given(
@@ -224,6 +229,8 @@ def tried(
         config: with the settings of the detector.
     """
     ious: dict[str, list[float]] = defaultdict(list)
+    kind = BoxKind.SILHOUETTE if _takes_masks(recording, args) else BoxKind.BOX
+    config = config.for_detector(config.box_kind, config.class_agnostic, kind)
     if args.no_sizes:
         look = config.first_look.model_copy(update={"use_typical_sizes": False})
         config = config.model_copy(update={"first_look": look})

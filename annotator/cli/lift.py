@@ -9,13 +9,13 @@ from tyro.conf import arg
 
 from annotator.cli.annotate import summary_lines
 from annotator.cli.import_boxes import print_left_out, print_renamed
-from annotator.cli.options import BackendOption, ProjectName, Projects
+from annotator.cli.options import BackendOption, BoxKindOption, ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.detection.config import Backend
 from annotator.project import Project
-from annotator.types import DetectorKind
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import Detectors, active_model, load_detector
 from annotator.workflows.importing import FlatFormat
@@ -44,6 +44,7 @@ def run(
     detector: str | None = None,
     rename: Annotated[tuple[str, ...], arg(metavar="NAME=CLASS ...")] = (),
     detector_size: int = WEIGHTS_SIZE_PX,
+    box_kind: BoxKindOption = BoxKind.SILHOUETTE,
     backend: BackendOption[Backend] = "auto",
     projects: Projects = None,
 ) -> int:
@@ -51,7 +52,8 @@ def run(
 
     The 2D boxes are those drawn in the project, those of a file, or those of a 2D detector. The project's own
     pseudo-view detector measures the objects. A project without one uses the base detector, which needs no training, if
-    this installation has it. With --detector, --recording selects the frames on which the detector runs.
+    this installation has it. With --detector, --recording selects the frames on which the detector runs. Boxes that
+    were drawn in the project, and its own detector, know their --box-kind.
 
     Args:
         boxes: COCO file or YOLO folder with boxes on camera images named like the project's frames.
@@ -70,13 +72,17 @@ def run(
         view, config = require_view(opened), rcv_config(opened)
         if detector is not None:
             loaded, origin = _image_detector(opened, detector, names, detector_size, backend)
+            kind = active_model(opened, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
             require_known(view, loaded.labels)
             chosen = None if recording is None else [opened.recordings.find(recording).id]
-            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic)
+            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind)
             with counted("lift") as progress:
                 done = annotate(opened, pair, config, recordings=chosen, progress=progress)
         else:
-            given = drawn_boxes(opened) if boxes is None else boxes_of_file(opened, boxes, format, recording, names)
+            if boxes is None:
+                given = drawn_boxes(opened)
+            else:
+                given = boxes_of_file(opened, boxes, format, recording, names, box_kind)
             with counted("lift") as progress:
                 done = lift(opened, given, view, config, progress)
             origin = given.origin

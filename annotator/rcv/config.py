@@ -201,6 +201,13 @@ class FirstLookConfig(BaseModel):
     plane_noise_px: float = Field(
         2.0, ge=0, description="expected error of the image box's edges as bounds of the 3D box, pixels; 0: no bounds"
     )
+    silhouette_room: float = Field(
+        0.13,
+        ge=0,
+        le=1,
+        description="how far the outline of a whole 3D box lies outside a box around what is seen, share of its side",
+    )
+    silhouette_spread: float = Field(0.1, gt=0, le=1, description="standard deviation of that share")
     use_typical_sizes: bool = Field(
         True, description="whether objects whose class has a typical size start from boxes of about this size"
     )
@@ -214,6 +221,7 @@ class RcvConfig(BaseModel):
     strategy: Strategy = Strategy.CONSENSUS
     orientation: Orientation = Orientation.FREE
     box_kind: BoxKind = Field(BoxKind.BOX, description="what the view detector's boxes measure")
+    image_box_kind: BoxKind = Field(BoxKind.BOX, description="what the boxes on the camera image enclose")
     view: ViewConfig = ViewConfig()
     axes: AxesConfig = AxesConfig()
     consensus: ConsensusConfig = ConsensusConfig()
@@ -278,14 +286,16 @@ class RcvConfig(BaseModel):
         0.3, ge=0, le=1, description="if two boxes of a class have a higher IoU, only the better one is kept"
     )
 
-    def for_detector(self, kind: BoxKind, class_agnostic: bool = False) -> RcvConfig:
-        """The same settings for a view detector. Only this method sets `box_kind` and `class_agnostic`.
+    def for_detector(self, kind: BoxKind, class_agnostic: bool = False, image_kind: BoxKind = BoxKind.BOX) -> RcvConfig:
+        """The same settings for a view detector. Only this method sets these three settings.
 
         Args:
             kind: what its boxes measure.
             class_agnostic: whether it measures the object of a crop, whatever its class.
+            image_kind: what the boxes on the camera image enclose.
         """
-        return self.model_copy(update={"box_kind": kind, "class_agnostic": class_agnostic})
+        settings = {"box_kind": kind, "class_agnostic": class_agnostic, "image_box_kind": image_kind}
+        return self.model_copy(update=settings)
 
     @property
     def uses_typical_sizes(self) -> bool:
@@ -309,6 +319,8 @@ class RcvConfig(BaseModel):
             left_out["typical_sizes"] = True
         if not self.class_agnostic:
             left_out |= {"class_agnostic": True, "first_look": True}
+        if self.image_box_kind is BoxKind.BOX or self.box_kind is BoxKind.SILHOUETTE:  # it changes nothing
+            left_out["image_box_kind"] = True
         if self.fit.use_edge_errors:  # a detector that tells them has another fingerprint
             left_out["fit"] = {"use_edge_errors"}
         return self.model_dump(mode="json", exclude=left_out)

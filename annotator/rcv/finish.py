@@ -16,6 +16,7 @@ from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
+from annotator.rcv.first_look import expected_outline
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size.evidence import Candidates, best_expected
 from annotator.rcv.typical_size.placement import changed
@@ -137,13 +138,17 @@ def _rival_rank(camera: Camera, state: ObjectState, frustum: FrustumFacts | None
 
 
 def image_agreement(camera: Camera, state: ObjectState, box: OrientedBox, config: RcvConfig) -> float:
-    """IoU on the image between the projected 3D box (for silhouettes, the object's points) and the image box."""
+    """IoU on the image between the outline of the 3D box and the expected one.
+
+    For silhouettes, between the extent of the object's points and the image box.
+    """
     label = state.image_box.label
     if config.box_kind is BoxKind.SILHOUETTE:
         projected = points_on_image(camera, state.cloud.xyz_m, label)
     else:
         projected = box_on_image(camera, box, label)
-    return 0.0 if projected is None else box_iou(projected, state.image_box)
+    expected = expected_outline(camera, state.image_box, config).box
+    return 0.0 if projected is None else box_iou(projected, expected)
 
 
 def _final_box(state: ObjectState, config: RcvConfig) -> OrientedBox | None:

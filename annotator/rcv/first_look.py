@@ -7,6 +7,7 @@ All crops go through the recursion as rivals (`finish.best_rivals`).
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -14,9 +15,9 @@ from jaxtyping import Bool, Float, Float64
 
 from annotator.geometry.outline import edges_at_border
 from annotator.geometry.projection import project, undistort_px
-from annotator.rcv.config import FirstLookConfig
+from annotator.rcv.config import FirstLookConfig, RcvConfig
 from annotator.rcv.interval_fit import Intervals
-from annotator.types import Box2D, Camera
+from annotator.types import Box2D, BoxKind, Camera
 
 # Share of the image box, in width and height, that counts as its middle.
 MIDDLE = 0.5
@@ -67,16 +68,51 @@ def _mask_iou(a: np.ndarray, b: np.ndarray) -> float:
     return float((a & b).sum() / max((a | b).sum(), 1))
 
 
-def image_planes(camera: Camera, image_box: Box2D, depth_m: float, noise_px: float) -> Intervals | None:
-    """The planes through the camera and the edges of an image box, as intervals of the fit with one known end.
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The expected outline of a 3D box on the image.
 
-    A 3D box whose outline is the image box touches each of these planes from inside. Edges at the image's border are
+    Attributes:
+        box: the outline.
+        sigma_px: expected errors of its left, right, top and bottom edge, pixels.
+    """
+
+    box: Box2D
+    sigma_px: Float64[np.ndarray, "4"]
+
+
+def expected_outline(camera: Camera, image_box: Box2D, config: RcvConfig) -> Outline:
+    """The outline of the 3D box that belongs to a box on the image.
+
+    It is the box on the image, except that the outline of a whole 3D box lies outside a box around what is seen: its
+    corners are empty. Edges at the image's border stay there.
+    """
+    look, noise_px = config.first_look, np.full(4, config.first_look.plane_noise_px)
+    if (config.image_box_kind, config.box_kind) != (BoxKind.SILHOUETTE, BoxKind.BOX):
+        return Outline(image_box, noise_px)
+    sides = np.array([image_box.width_px, image_box.width_px, image_box.height_px, image_box.height_px])
+    room = look.silhouette_room * sides * ~np.array(edges_at_border(camera, image_box, BORDER_PX))
+    left, right, top, bottom = room.tolist()
+    outline = replace(
+        image_box,
+        x_min=max(image_box.x_min - left, -0.5),
+        x_max=min(image_box.x_max + right, camera.width_px - 0.5),
+        y_min=max(image_box.y_min - top, -0.5),
+        y_max=min(image_box.y_max + bottom, camera.height_px - 0.5),
+    )
+    return Outline(outline, np.hypot(noise_px, look.silhouette_spread * sides))
+
+
+def image_planes(camera: Camera, outline: Outline, depth_m: float) -> Intervals | None:
+    """The planes through the camera and the edges of an outline, as intervals of the fit with one known end.
+
+    A 3D box with this outline touches each of these planes from inside. Edges at the image's border are
     left out, because the object may extend beyond them.
 
     Args:
         depth_m: depth of the object, which turns the error of an edge into metres.
-        noise_px: expected error of an edge of the image box, pixels.
     """
+    image_box = outline.box
     known = ~np.array(edges_at_border(camera, image_box, BORDER_PX))
     u_middle, v_middle = (image_box.x_min + image_box.x_max) / 2, (image_box.y_min + image_box.y_max) / 2
     sides_px = [(image_box.x_min, v_middle), (image_box.x_max, v_middle)]
@@ -87,7 +123,7 @@ def image_planes(camera: Camera, image_box: Box2D, depth_m: float, noise_px: flo
     if not known.any():
         return None
     directions: Float64[np.ndarray, "k 3"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    sigma_m = noise_px * depth_m / np.array([camera.fx, camera.fx, camera.fy, camera.fy])
+    sigma_m = outline.sigma_px * depth_m / np.array([camera.fx, camera.fx, camera.fy, camera.fy])
     sigma_m = sigma_m / np.linalg.norm(normals, axis=1)
     ends = np.zeros((int(known.sum()), 2))
     return Intervals(directions[known], ends, np.stack([np.full(4, np.inf), sigma_m], axis=1)[known])

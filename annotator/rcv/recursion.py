@@ -19,7 +19,7 @@ from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
-from annotator.rcv.first_look import depth_crops, image_planes, in_middle
+from annotator.rcv.first_look import depth_crops, expected_outline, image_planes, in_middle
 from annotator.rcv.frustum_views import frustum_views, is_deep
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
@@ -171,7 +171,8 @@ def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[
     facts = FrustumFacts(state.cloud, middle[:: max(len(middle) // MIDDLE_POINTS, 1)], camera)
     typical = config.typical_size(state.image_box.label)
     if typical is not None:
-        evidence = Evidence.of(camera, xyz_m, state.image_box, typical, state.up)
+        outline = expected_outline(camera, state.image_box, config)
+        evidence = Evidence.of(camera, xyz_m, state.image_box, outline, typical, state.up)
         if evidence is not None:
             return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), config)
     crops = depth_crops(camera, xyz_m, state.image_box, config.first_look, config.min_points)
@@ -271,7 +272,7 @@ def _planes(state: ObjectState, config: RcvConfig) -> Intervals | None:
     if state.frustum is None or state.box is None or not config.first_look.plane_noise_px:
         return None
     depth_m = max(float(state.box.center_m[2]), NEAR_M)
-    return image_planes(state.frustum.camera, state.image_box, depth_m, config.first_look.plane_noise_px)
+    return image_planes(state.frustum.camera, expected_outline(state.frustum.camera, state.image_box, config), depth_m)
 
 
 def _absorb_first(

@@ -35,16 +35,18 @@ class Detectors:
     Attributes:
         box_kind: what the view detector's boxes measure.
         class_agnostic: whether it measures objects of any class, as the base detector does.
+        image_kind: what the image detector's boxes enclose.
     """
 
     image: Detector
     view: Detector
     box_kind: BoxKind = BoxKind.BOX
     class_agnostic: bool = False
+    image_kind: BoxKind = BoxKind.BOX
 
     def settings(self, config: RcvConfig) -> RcvConfig:
         """Adapts the settings `config` to these detectors."""
-        return config.for_detector(self.box_kind, self.class_agnostic)
+        return config.for_detector(self.box_kind, self.class_agnostic, self.image_kind)
 
     @property
     def backends(self) -> tuple[str, str]:
@@ -108,6 +110,7 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
         load_detector(view.path, backend, threads=threads),
         view.box_kind,
         view.class_agnostic,
+        image.box_kind,
     )
 
 

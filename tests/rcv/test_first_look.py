@@ -12,7 +12,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig
-from annotator.rcv.first_look import depth_crops, image_planes, width_at
+from annotator.rcv.first_look import Outline, depth_crops, expected_outline, image_planes, width_at
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.warm_start import WarmStart
 from annotator.recordings import open_recording
@@ -69,7 +69,7 @@ def test_a_crop_is_as_long_as_the_image_box_is_wide_there() -> None:
 
 def test_a_box_touches_the_planes_of_its_outline_from_inside() -> None:
     outline = box_on_image(CAMERA, BOX, "object")
-    planes = image_planes(CAMERA, outline, 2.0, 2.0)
+    planes = image_planes(CAMERA, Outline(outline, np.full(4, 2.0)), 2.0)
     heights = box_corners(BOX) @ planes.directions.T
     assert len(planes.directions) == 4
     assert heights.max(axis=0) == pytest.approx(0, abs=1e-9)
@@ -79,10 +79,22 @@ def test_a_box_touches_the_planes_of_its_outline_from_inside() -> None:
 
 def test_edges_at_the_image_border_bound_nothing() -> None:
     outline = Box2D("object", -0.5, 20.0, 319.5, 239.5)
-    planes = image_planes(CAMERA, outline, 2.0, 2.0)
+    planes = image_planes(CAMERA, Outline(outline, np.full(4, 2.0)), 2.0)
     assert len(planes.directions) == 1
     assert planes.directions[0, 1] < 0  # the upper edge
-    assert image_planes(CAMERA, Box2D("object", -0.5, -0.5, 319.5, 239.5), 2.0, 2.0) is None
+    assert image_planes(CAMERA, Outline(Box2D("object", -0.5, -0.5, 319.5, 239.5), np.full(4, 2.0)), 2.0) is None
+
+
+def test_the_outline_of_a_whole_box_lies_outside_what_is_seen() -> None:
+    config, image_box = RcvConfig(), Box2D("object", 100.0, 50.0, 200.0, 239.0)
+    for image_kind, kind in ((BoxKind.BOX, BoxKind.BOX), (BoxKind.SILHOUETTE, BoxKind.SILHOUETTE)):
+        same = expected_outline(CAMERA, image_box, config.for_detector(kind, True, image_kind))
+        assert same.box is image_box and same.sigma_px == pytest.approx(2.0)
+    whole = expected_outline(CAMERA, image_box, config.for_detector(BoxKind.BOX, True, BoxKind.SILHOUETTE))
+    room = config.first_look.silhouette_room
+    # the object may go on beyond the lower border of the image
+    assert whole.box.xyxy == pytest.approx((100 - 100 * room, 50 - 189 * room, 200 + 100 * room, 239.0))
+    assert (whole.sigma_px > 2).all()
 
 
 @pytest.mark.parametrize(("name", "least"), [("people", 0.85), ("hands", 0.75)])

@@ -13,6 +13,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv import finish
 from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig
+from annotator.rcv.first_look import Outline
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import TYPICAL_SIZE, start
@@ -45,11 +46,15 @@ def surface(box: OrientedBox, camera: Camera = CAMERA, step_px: int = 4) -> np.n
     return (rays[hit] * enter[hit, None]).astype(np.float32)
 
 
+def as_drawn(image_box: Box2D) -> Outline:
+    return Outline(image_box, np.full(4, 2.0))
+
+
 def evidence_of(
     box: OrientedBox, extra: Sequence[np.ndarray] = (), typical: TypicalSize = TYPICAL, up: np.ndarray | None = UP
 ) -> Evidence:
     image_box = box_on_image(CAMERA, box, typical.label)
-    evidence = Evidence.of(CAMERA, np.concatenate([surface(box), *extra]), image_box, typical, up)
+    evidence = Evidence.of(CAMERA, np.concatenate([surface(box), *extra]), image_box, as_drawn(image_box), typical, up)
     assert evidence is not None
     return evidence
 
@@ -156,7 +161,7 @@ def test_of_two_depths_the_one_that_fits_the_typical_size_is_taken() -> None:
     for truth in (BOX, far):
         length, width, height = (float(side) for side in truth.size_m)
         typical = TypicalSize(label="crate", size_m=(length, width, height), spread=(0.1, 0.1, 0.1))
-        evidence = Evidence.of(CAMERA, cloud, image_box, typical, UP)
+        evidence = Evidence.of(CAMERA, cloud, image_box, as_drawn(image_box), typical, UP)
         assert evidence is not None
         best = place(evidence).boxes[0]
         assert iou_3d(best, truth) > 0.6
@@ -191,8 +196,9 @@ def test_a_given_size_counts_more_than_the_name() -> None:
 def test_an_image_box_where_the_distortion_has_no_inverse_gives_no_evidence() -> None:
     camera = Camera(640, 480, 400.0, 400.0, 319.5, 239.5, (-0.35, 0.0, 0.0, 0.0, 0.0))
     xyz = np.random.default_rng(0).uniform((-1, -0.3, 2), (-0.5, 0.3, 3), (100, 3)).astype(np.float32)
-    assert Evidence.of(camera, xyz, Box2D("crate", 0.0, 150.0, 150.0, 330.0), TYPICAL, UP) is None
-    inner = Evidence.of(camera, xyz, Box2D("crate", 250.0, 180.0, 390.0, 300.0), TYPICAL, UP)
+    outer, middle = Box2D("crate", 0.0, 150.0, 150.0, 330.0), Box2D("crate", 250.0, 180.0, 390.0, 300.0)
+    assert Evidence.of(camera, xyz, outer, as_drawn(outer), TYPICAL, UP) is None
+    inner = Evidence.of(camera, xyz, middle, as_drawn(middle), TYPICAL, UP)
     assert inner is not None
     assert np.isfinite(inner.score(Candidates.of([BOX]))).all()
 

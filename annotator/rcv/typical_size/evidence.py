@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float64
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.projection import undistort_px
-from annotator.rcv.first_look import in_middle
+from annotator.rcv.first_look import Outline, in_middle
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.typical_size.sizes import TypicalSize
 from annotator.types import Box2D, Camera, OrientedBox
@@ -24,9 +24,9 @@ from annotator.types import Box2D, Camera, OrientedBox
 POINTS = 300
 # Margin around a box within which points count as inside, share of its mean side.
 MARGIN = 0.03
-# Expected error of an edge of the image box: pixels, and share of the box's width or height. The outline of a 3D box is
-# often larger than the object's own box on the image, because its corners are empty, but seldom smaller.
-EDGE_PX, LARGER_SHARE, SMALLER_SHARE = 2.0, 0.1, 0.05
+# Expected error of an outline's edge besides that of the image box, share of its width or height: the outline of a
+# 3D box is often larger than a box around the object, because its corners are empty, but seldom smaller.
+LARGER_SHARE, SMALLER_SHARE = 0.1, 0.05
 # The direction in which each edge of an outline leaves the object: left, right, top, bottom.
 OUTWARD = np.array([-1.0, 1.0, -1.0, 1.0])
 # Limit of an edge's error, a side's deviation and a measured end's error, standard deviations.
@@ -85,9 +85,9 @@ class Evidence:
     Attributes:
         points: a sample of the points in its frustum, camera frame.
         middle: which of them project into the middle of the image box.
-        window: left, right, top and bottom end of the image box, normalised (x/z, y/z).
+        window: left, right, top and bottom end of the expected outline, normalised (x/z, y/z).
+        sigma: expected errors of these ends, normalised.
         image: the ends of the image, in the same way.
-        pixel: size of a pixel, normalised.
         typical: size of its class.
         up: unit vector against gravity for an upright box, None for a free one.
     """
@@ -96,7 +96,7 @@ class Evidence:
     middle: Bool[np.ndarray, "n"]
     window: Float64[np.ndarray, "4"]
     image: Float64[np.ndarray, "4"]
-    pixel: float
+    sigma: Float64[np.ndarray, "4"]
     typical: TypicalSize
     up: Float64[np.ndarray, "3"] | None
 
@@ -106,23 +106,25 @@ class Evidence:
         camera: Camera,
         xyz_m: Float[np.ndarray, "n 3"],
         image_box: Box2D,
+        outline: Outline,
         typical: TypicalSize,
         up: Float64[np.ndarray, "3"] | None,
     ) -> Evidence | None:
         """From the points in the frustum of an image box; other arguments as the attributes.
 
-        None if the camera's distortion has no inverse at the edges of the image box.
+        None if the camera's distortion has no inverse at the edges of the outline.
         """
         chosen = np.random.default_rng(0).permutation(len(xyz_m))[:POINTS]
         points = xyz_m[chosen].astype(np.float64)
         ends = (-0.5, camera.width_px - 0.5, -0.5, camera.height_px - 0.5)
-        edges = (image_box.x_min, image_box.x_max, image_box.y_min, image_box.y_max)
+        edges = (outline.box.x_min, outline.box.x_max, outline.box.y_min, outline.box.y_max)
         window, image = _normalised(camera, edges), _normalised(camera, ends)
         if not np.isfinite(window).all():
             return None
         # where the distortion has no inverse at the image's border, outlines are not clipped
         image = np.where(np.isfinite(image), image, [-np.inf, np.inf, -np.inf, np.inf])
-        return cls(points, in_middle(camera, points, image_box), window, image, 1 / camera.fx, typical, up)
+        sigma = outline.sigma_px / np.array([camera.fx, camera.fx, camera.fy, camera.fy])
+        return cls(points, in_middle(camera, points, image_box), window, image, sigma, typical, up)
 
     @property
     def size_orders(self) -> list[tuple[int, ...]]:
@@ -141,7 +143,7 @@ class Evidence:
         sides = np.array([right - left, right - left, bottom - top, bottom - top])
         beyond = (self.outlines(boxes) - self.window) * OUTWARD
         share = np.where(beyond > 0, LARGER_SHARE, SMALLER_SHARE)
-        errors = np.abs(beyond) / np.hypot(EDGE_PX * self.pixel, share * sides)
+        errors = np.abs(beyond) / np.hypot(self.sigma, share * sides)
         return np.asarray(np.minimum(errors, FURTHEST).mean(axis=1))
 
     def score(self, boxes: Candidates, measured: Sequence[Intervals] = ()) -> Float64[np.ndarray, "k"]:

@@ -176,7 +176,7 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
     view = require_view(project) if request.lift else None
     job.progress("read the file")
     if view is not None:
-        given = boxes_of_file(project, upload.path, upload.format, recording, request.names)
+        given = boxes_of_file(project, upload.path, upload.format, recording, request.names, request.box_kind)
         require_known(view, {box.label for boxes in given.of_frame.values() for box in boxes})
     done = import_image_boxes(
         project,

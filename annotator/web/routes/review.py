@@ -11,7 +11,7 @@ from pydantic import Field
 from annotator.project import WriteContext
 from annotator.project.views import png
 from annotator.rcv.config import RcvConfig
-from annotator.types import DetectorKind
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.frame_json import drawn_view, frame_state, quality_json, stale_response
@@ -153,7 +153,9 @@ def _ready(ctx: Context, name: str, frame_id: int, operator: str) -> tuple[OpenF
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)
     ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
-    return opened, frame_config(project, opened.frame, ready.detector), ready
+    drawn = project.boxes.on_image(frame_id)
+    image_kind = BoxKind.BOX if drawn is None else drawn.box_kind
+    return opened, frame_config(project, opened.frame, ready.detector, image_kind=image_kind), ready
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)

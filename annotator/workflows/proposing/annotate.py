@@ -90,7 +90,7 @@ def annotate_with(
     rotation = rotation or project.config.settings.rotation
     try:
         identity = engine.start()
-        config = config.for_detector(identity.box_kind, identity.class_agnostic)
+        config = config.for_detector(identity.box_kind, identity.class_agnostic, identity.image_kind)
         run = project.jobs.start(**_description(identity, config, rotation, from_reviewed))
         present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
         frames = pending if limit is None else min(pending, limit)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from annotator.project import Project, StoredFrame
 from annotator.rcv.config import REVISION, RcvConfig
-from annotator.types import Box2D, Detector, Image
+from annotator.types import Box2D, BoxKind, Detector, Image
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource
@@ -43,6 +43,7 @@ class GivenBoxes:
         unmatched: image names without a frame in the project.
         unreadable: images left out because their frame, which gives their size, cannot be read; as `key: reason`.
         renamed: the dataset's only recording, if it was matched with one of another name.
+        silhouettes: the frames whose boxes enclose what is seen; the others enclose the projected 3D box.
     """
 
     origin: str
@@ -51,6 +52,7 @@ class GivenBoxes:
     unmatched: tuple[str, ...] = ()
     unreadable: tuple[str, ...] = ()
     renamed: Renamed | None = None
+    silhouettes: Collection[int] = ()
 
 
 def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBoxes:
@@ -62,7 +64,9 @@ def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBox
     Raises:
         ConfigError: there are none.
     """
-    boxes = {drawn.frame_id: drawn.boxes for drawn in project.boxes.on_images() if drawn.boxes}
+    drawn = [on_image for on_image in project.boxes.on_images() if on_image.boxes]
+    boxes = {on_image.frame_id: on_image.boxes for on_image in drawn}
+    silhouettes = {on_image.frame_id for on_image in drawn if on_image.box_kind is BoxKind.SILHOUETTE}
     if only_without_labels:
         without = project.boxes.frames_without_labels()
         # a box may have been drawn since the first read
@@ -73,17 +77,23 @@ def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBox
         raise ConfigError(
             f"project {project.config.name} has no boxes on its images; give --boxes or --detector, or draw some"
         )
-    return GivenBoxes("boxes drawn on the images", boxes, {})
+    return GivenBoxes("boxes drawn on the images", boxes, {}, silhouettes=silhouettes)
 
 
 def boxes_of_file(
-    project: Project, path: Path, format: FlatFormat, recording: str | None, names: Mapping[str, str]
+    project: Project,
+    path: Path,
+    format: FlatFormat,
+    recording: str | None,
+    names: Mapping[str, str],
+    kind: BoxKind = BoxKind.SILHOUETTE,
 ) -> GivenBoxes:
     """Returns the boxes of a COCO or YOLO dataset of camera images.
 
     Args:
         recording: name of the recording of the images, if several recordings have such frames.
         names: the project's class of each class of the file; classes that are not listed keep their names.
+        kind: what the boxes enclose.
 
     Raises:
         FormatError: the dataset is invalid, or has no box of a class of the project.
@@ -103,6 +113,7 @@ def boxes_of_file(
         unmatched=images.unmatched,
         unreadable=images.unreadable,
         renamed=images.renamed,
+        silhouettes=chosen.of_frame if kind is BoxKind.SILHOUETTE else (),
     )
 
 
@@ -166,7 +177,10 @@ def lift(
     begin = time.perf_counter()
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
     frames = [project.frames.get(frame_id) for frame_id, given in boxes.of_frame.items() if given]
-    config, rotation = config.for_detector(view.box_kind, view.class_agnostic), project.config.settings.rotation
+    rotation = project.config.settings.rotation
+    configs = {kind: config.for_detector(view.box_kind, view.class_agnostic, kind) for kind in BoxKind}
+    kinds = {stored.id: _kind(boxes, stored.id) for stored in frames}
+    config = configs[BoxKind.SILHOUETTE if BoxKind.SILHOUETTE in kinds.values() else BoxKind.BOX]
     settings = {**config.record(), "rotation": rotation.value, "method": REVISION, LIFTED_FROM: boxes.origin}
     run = project.jobs.start(
         image_detector=_fingerprint(boxes), view_detector=view.fingerprint, config_json=json.dumps(settings)
@@ -178,7 +192,7 @@ def lift(
         started = time.perf_counter()
         try:
             given = [replace(box, score=max(box.score, config.min_image_score)) for box in boxes.of_frame[stored.id]]
-            (result,) = propose_image_boxes([source.read(stored)], [given], view, config, rotation)
+            (result,) = propose_image_boxes([source.read(stored)], [given], view, configs[kinds[stored.id]], rotation)
         except Exception as error:
             return failure(error, time.perf_counter() - started)
         return FrameAnswer(result, None, time.perf_counter() - started)
@@ -190,6 +204,10 @@ def lift(
     project.jobs.finish(run.id)
     batch.summary.seconds = time.perf_counter() - begin
     return batch.summary
+
+
+def _kind(boxes: GivenBoxes, frame_id: int) -> BoxKind:
+    return BoxKind.SILHOUETTE if frame_id in boxes.silhouettes else BoxKind.BOX
 
 
 def require_known(view: ReadyDetector, labels: Collection[str]) -> None:

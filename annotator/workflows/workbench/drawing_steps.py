@@ -101,20 +101,25 @@ class Labelling:
 
 
 def frame_config(
-    project: Project, frame: Frame, detector: ReadyDetector | None = None, kind: BoxKind | None = None
+    project: Project,
+    frame: Frame,
+    detector: ReadyDetector | None = None,
+    kind: BoxKind | None = None,
+    image_kind: BoxKind = BoxKind.BOX,
 ) -> RcvConfig:
     """Returns the recursion's settings for a frame of a project.
 
     Args:
         detector: the view detector that will be used; None = one with the project's classes, for whole boxes.
         kind: what a class-agnostic detector, which knows both, should measure; None = its usual kind.
+        image_kind: what the boxes on the image enclose.
     """
     orientation = orientation_for(project.config.settings.rotation, frame)
     config = rcv_config(project).model_copy(update={"orientation": orientation})
     if detector is None:
         return config
     own_kind = kind if kind is not None and detector.class_agnostic else detector.box_kind
-    return config.for_detector(own_kind, detector.class_agnostic)
+    return config.for_detector(own_kind, detector.class_agnostic, image_kind)
 
 
 def label_config(project: Project, frame: Frame) -> RcvConfig:
@@ -147,7 +152,7 @@ def label_object(
     """
     fit = None
     if detector is not None:
-        settings = frame_config(project, opened.frame, detector, kind)
+        settings = frame_config(project, opened.frame, detector, kind, kind)
         fit = partial(_fit_or_note, opened, image_box, settings, detector)
     config = label_config(project, opened.frame)
     return label_steps(opened, image_box, boxes, config, kind, axes=axes, fit=fit)

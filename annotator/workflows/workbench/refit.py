@@ -30,7 +30,7 @@ from annotator.geometry.thinning import thin
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import traced_intervals
-from annotator.rcv.first_look import image_planes
+from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.operator import Span, cut_out
 from annotator.rcv.propose import propose_from_boxes
@@ -198,10 +198,10 @@ def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config:
     sigma_m = np.full(ends_m.shape, KNOWN_DOUBT * float(detected.sigma_m.min()))
     parts = [detected, Intervals(directions, ends_m, sigma_m)]
     depth_m = max(float(found.box.center_m[2]), NEAR_M)
-    noise_px = config.first_look.plane_noise_px
-    planes = image_planes(frame.camera, found.image_box, depth_m, noise_px) if noise_px else None
-    if config.class_agnostic and planes is not None:
-        parts.append(planes)
+    if config.class_agnostic and config.first_look.plane_noise_px:
+        outline = expected_outline(frame.camera, found.image_box, config)
+        planes = image_planes(frame.camera, outline, depth_m)
+        parts += [] if planes is None else [planes]
     up = held_direction(frame.up, config)
     fit = fit_box(Intervals.concatenate(parts), up, found.box.rotation, config.fit)
     if fit is None:

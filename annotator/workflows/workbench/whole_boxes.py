@@ -42,7 +42,7 @@ class WholeBoxes:
         seen = next((one for one in self._objects(stored, frame) if one.image_box == image_box), None)
         if cut is None or cut.points is None or seen is None:
             return []
-        config = frame_config(self.project, frame, detector, BoxKind.BOX)
+        config = frame_config(self.project, frame, detector, BoxKind.BOX, BoxKind.SILHOUETTE)
         view = detector if config.box_kind is BoxKind.BOX else None
         cloud = frame.cloud.select(cut.points)
         before, after = self._others(stored, image_box.label)

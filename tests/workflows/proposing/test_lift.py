@@ -79,6 +79,7 @@ def test_drawn_boxes_become_proposals(people: Project, base: ReadyDetector) -> N
     run = people.jobs.all()[-1]
     assert json.loads(run.config)["lifted from"] == "boxes drawn on the images"
     assert run.view_detector == "any class"
+    assert "image_box_kind" not in json.loads(run.config)
 
 
 def test_boxes_of_a_coco_file_are_lifted_with_their_classes_mapped(
@@ -101,6 +102,10 @@ def test_boxes_of_a_coco_file_are_lifted_with_their_classes_mapped(
         boxes_of_file(people, file, FlatFormat.COCO, None, {})
     given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"})
     assert given.other_classes == {"cat": 1}
+    assert list(given.silhouettes) == [people.frames.of()[0].id]
+    lift(people, given, base, rcv_config(people))
+    assert json.loads(people.jobs.all()[-1].config)["image_box_kind"] == BoxKind.SILHOUETTE
+    given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"}, BoxKind.BOX)
     done = lift(people, given, base, rcv_config(people))
     assert (done.done, done.proposals) == (1, len(boxes))
 

@@ -59,9 +59,8 @@ class TaskRunner:
     def identity(self) -> Identity:
         """The detectors' identity."""
         pair = self.detectors
-        return Identity(
-            pair.image.fingerprint, pair.view.fingerprint, pair.backends, pair.box_kind, pair.class_agnostic
-        )
+        kinds = (pair.box_kind, pair.class_agnostic, pair.image_kind)
+        return Identity(pair.image.fingerprint, pair.view.fingerprint, pair.backends, *kinds)
 
     def do(self, task: Task) -> Answer:
         """Runs a task. Every exception becomes the answer of its frame, so that one frame cannot end a long batch."""

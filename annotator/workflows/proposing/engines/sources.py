@@ -49,7 +49,7 @@ class TrainedDetectors:
         image, view: weights files, in the folders of their trainings.
         box_kind: what the boxes of the view detector measure.
         backend: as for `load_detector`.
-        class_agnostic: as in `Detectors`.
+        class_agnostic, image_kind: as in `Detectors`.
     """
 
     image: Path
@@ -57,6 +57,7 @@ class TrainedDetectors:
     box_kind: BoxKind
     backend: Backend = "auto"
     class_agnostic: bool = False
+    image_kind: BoxKind = BoxKind.BOX
 
     def load(self, threads: int | None) -> Detectors:
         """Loads the detectors.
@@ -69,6 +70,7 @@ class TrainedDetectors:
             load_detector(self.view, self.backend, threads=threads),
             self.box_kind,
             self.class_agnostic,
+            self.image_kind,
         )
 
 
@@ -79,7 +81,7 @@ def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDet
         DetectionError: one of them has not been trained yet.
     """
     image, view = active_model(project, DetectorKind.IMAGE), view_model(project)
-    return TrainedDetectors(image.path, view.path, view.box_kind, backend, view.class_agnostic)
+    return TrainedDetectors(image.path, view.path, view.box_kind, backend, view.class_agnostic, image.box_kind)
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class PackedDetectors:
 
     Attributes:
         image, view: files of the two trainings.
-        box_kind, backend, class_agnostic: as in `TrainedDetectors`.
+        box_kind, backend, class_agnostic, image_kind: as in `TrainedDetectors`.
     """
 
     image: _Files
@@ -137,6 +139,7 @@ class PackedDetectors:
     box_kind: BoxKind
     backend: Backend
     class_agnostic: bool = False
+    image_kind: BoxKind = BoxKind.BOX
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
@@ -146,7 +149,7 @@ class PackedDetectors:
             DetectionError: they cannot be read.
         """
         image, view = _Files.of(trained.image), _Files.of(trained.view)
-        return cls(image, view, trained.box_kind, trained.backend, trained.class_agnostic)
+        return cls(image, view, trained.box_kind, trained.backend, trained.class_agnostic, trained.image_kind)
 
     def load(self, threads: int | None) -> Detectors:
         """Writes the files into the machine's temporary folder, where they stay, and loads the detectors.
@@ -156,4 +159,5 @@ class PackedDetectors:
         """
         folder = scratch_folder() / "detectors"
         image, view = self.image.unpacked(folder), self.view.unpacked(folder)
-        return TrainedDetectors(image, view, self.box_kind, self.backend, self.class_agnostic).load(threads)
+        trained = TrainedDetectors(image, view, self.box_kind, self.backend, self.class_agnostic, self.image_kind)
+        return trained.load(threads)

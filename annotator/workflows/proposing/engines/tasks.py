@@ -101,6 +101,7 @@ class Identity:
         backends: their backends, e.g. ("openvino", "openvino").
         box_kind: what the boxes of the view detector measure.
         class_agnostic: whether it measures objects of any class.
+        image_kind: what the boxes of the image detector enclose.
     """
 
     image: str
@@ -108,6 +109,7 @@ class Identity:
     backends: tuple[str, str]
     box_kind: BoxKind
     class_agnostic: bool = False
+    image_kind: BoxKind = BoxKind.BOX
 
 
 def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:
