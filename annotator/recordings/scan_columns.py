@@ -25,7 +25,7 @@ FEWEST, MOST = 3, 8
 # Longer rows are recognised, so that they are not taken for one of their divisors.
 LONGEST = 16
 # Of each scan, this many blocks of this many values are examined.
-BLOCKS, BLOCK = 4, 1 << 14
+BLOCKS, BLOCK = 8, 1 << 11
 # Information that columns of different kinds have at least, bits; few values need more, since chance gives some.
 LEAST_BITS, BITS_OF_CHANCE = 0.1, 50.0
 # A number of columns explains the values if it has this share of the highest information. Below the second share it
@@ -39,7 +39,7 @@ WHOLE = 0.999
 # Two points in one row: two of their coordinates have at least this rank correlation, and similar spreads. Measured on
 # some blocks of rows.
 LEAST_CORRELATION, LARGEST_RATIO = 0.3, 60.0
-ROW_BLOCKS, BLOCK_ROWS = 4, 1024
+ROW_BLOCKS, BLOCK_ROWS = 8, 256
 LEAST_ROWS = 50
 # Kinds of value: zero, not finite, denormal, then 61 magnitudes (powers of two) by sign and by being whole.
 FIRST_EXPONENT, LAST_EXPONENT = 100, 160

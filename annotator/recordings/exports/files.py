@@ -13,7 +13,7 @@ from annotator.files import is_within
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_rgb
 from annotator.types import Camera, Frame, PointCloud
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import FrameError
 
 REMEDY = "export the dataset again"
 
@@ -22,12 +22,12 @@ def read_document(path: Path) -> Any:
     """Returns the content of a JSON file.
 
     Raises:
-        RecordingError: it cannot be read, or is not JSON.
+        FrameError: it cannot be read, or is not JSON.
     """
     try:
         return json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: cannot be read as JSON ({str(error)[:80]}); {REMEDY}") from error
+        raise FrameError(path, f"cannot be read as JSON ({str(error)[:80]})", REMEDY) from error
 
 
 def exported_frame(

@@ -20,10 +20,11 @@ import numpy as np
 
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
 from annotator.recordings.frame_times import MOST_NS
+from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
 from annotator.recordings.plausible import LARGEST_SIDE_PX, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Camera, Frame
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import FrameError
 
 LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"
@@ -47,20 +48,20 @@ class OpenLabelFolder(KeyedFrames):
     """A `Recording` of exported OpenLABEL documents; labels are in the camera's frame.
 
     Attributes:
-        frames: the frames in the order of the keys.
+        documents: the documents; they are large, and read with the first frame.
     """
 
-    frames: tuple[DocumentFrame, ...]
+    documents: tuple[Path, ...]
     format: ClassVar[str] = "openlabel"
     is_sequence: ClassVar[bool] = False
 
     def document(self, key: str) -> Path:
-        """Returns the document of a frame, which has its labels."""
-        return self._documents[key]
+        """Returns the document of a frame, which has its labels.
 
-    @cached_property
-    def _documents(self) -> dict[str, Path]:
-        return {key: frame.document for key, frame in zip(self.keys, self.frames, strict=True)}
+        Raises:
+            FrameError: a document is damaged, or none has the frame.
+        """
+        return self.documents[0] if len(self.documents) == 1 else self._listed(key).document
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its up direction is unknown.
@@ -69,34 +70,45 @@ class OpenLabelFolder(KeyedFrames):
             FrameError: a missing or broken file.
             IndexError: there is no such frame.
         """
-        key, listed = self.key(i), self.frames[i]
+        key = self.key(i)
+        listed = self._listed(key)
         camera = _camera(listed.document, key, listed.intrinsics)
         return exported_frame(key, i, self.path, (listed.image, listed.cloud), camera, None, listed.timestamp_ns)
+
+    def _listed(self, key: str) -> DocumentFrame:
+        if key not in self._frames:
+            names = ", ".join(document.name for document in self.documents)
+            raise FrameError(self.path / "images" / key, f"is in no document ({names})", REMEDY)
+        return self._frames[key]
+
+    @cached_property
+    def _frames(self) -> dict[str, DocumentFrame]:
+        frames: dict[str, DocumentFrame] = {}
+        for document in self.documents:
+            try:
+                for frame in _frames(document, read_document(document)["openlabel"]):
+                    frames[PurePosixPath(frame.image).stem] = frame
+            except (KeyError, TypeError, AttributeError, ValueError) as error:
+                problem = f"is not a document of annotator ({type(error).__name__} {str(error)[:60]})"
+                raise FrameError(document, problem, REMEDY) from error
+        return frames
 
 
 def open_openlabel(path: Path) -> OpenLabelFolder | NotFound:
     """Opens the exported documents in the folder `path`; `NotFound` if there are none.
 
     Raises:
-        RecordingError: a document is damaged, or there is no frame.
+        RecordingError: there is no frame.
     """
-    parts = [path / "images", path / "clouds"]
-    if not all(map(Path.is_dir, parts)) or not any((folder / ORIGINS).is_file() for folder in (path, path.parent)):
+    images = path / "images"
+    if not (images.is_dir() and (path / "clouds").is_dir()):
         return NotFound(LOOKED_FOR)
-    documents = [file for file in sorted(path.glob("*.json")) if _is_ours(file)]
+    if not any((folder / ORIGINS).is_file() for folder in (path, path.parent)):
+        return NotFound(LOOKED_FOR)
+    documents = tuple(file for file in sorted(path.glob("*.json")) if _is_ours(file))
     if not documents:
         return NotFound(LOOKED_FOR)
-    frames: dict[str, DocumentFrame] = {}
-    for document in documents:
-        try:
-            for frame in _frames(document, read_document(document)["openlabel"]):
-                frames[PurePosixPath(frame.image).stem] = frame
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            problem = f"is not a document of annotator ({type(error).__name__} {str(error)[:60]})"
-            raise RecordingError(f"{document}: {problem}; {REMEDY}") from error
-    if not frames:
-        raise RecordingError(f"{path}: its documents have no frames; {REMEDY}")
-    return OpenLabelFolder(path, tuple(frames), tuple(frames.values()))
+    return OpenLabelFolder(path, sorted_keys(path, stems(images, IMAGE_SUFFIXES), "images/KEY.png"), documents)
 
 
 def _is_ours(file: Path) -> bool:

@@ -175,7 +175,7 @@ def test_damaged_exports_are_errors(people: Project, tmp_path: Path) -> None:
     (document,) = openlabel.glob("*.json")
     changed(document, lambda content: content["openlabel"]["streams"]["camera"].pop("stream_properties"))
     with pytest.raises(RecordingError, match=r"is not a document of annotator \(KeyError 'stream_properties'\)"):
-        open_recording(openlabel)
+        open_recording(openlabel).frame(0)
     (rcv / "dataset.json").write_text('{"format": "annotator-rcv", "version": 1, "frames": []}')
     with pytest.raises(RecordingError, match="no frames"):
         open_recording(rcv)
