@@ -82,6 +82,16 @@ class Scans:
             raise FrameError(path, "every point is NaN or infinite", REMEDY)
         return Scan(points[valid, :3], None if reflectance is None else fractions(reflectance[valid]))
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was found by the values of the scans that were read so far."""
+        return tuple(
+            f"points in {folder.name}/*{SCAN_SUFFIX} have {found.columns} values each, which only their values say; "
+            "--columns sets another number"
+            for folder, found in self._found.items()
+            if found.columns is not None
+        )
+
     def _columns(self, path: Path, data: bytes) -> int:
         if self.columns is not None:
             return self.columns

@@ -68,7 +68,9 @@ def test_other_files_are_refused(tmp_path: Path, name: str):
 def test_a_folder_of_scans_is_read_by_its_values(tmp_path: Path, columns: int):
     for number in range(3):
         put(tmp_path, f"{number}.bin", columns, COUNT - number)
-    cloud = open_recording(tmp_path).frame(1).cloud
+    recording = open_recording(tmp_path)
+    cloud = recording.frame(1).cloud
+    assert f"have {columns} values each, which only their values say" in recording.notes[0]
     assert len(cloud) == COUNT - 1
     np.testing.assert_allclose(cloud.xyz_m[:, 2], SCAN[: COUNT - 1, 0], atol=1e-6)
     assert (cloud.reflectance is None) == (columns == 3)

@@ -108,6 +108,10 @@ class CloudFolder(KeyedFrames):
     format: ClassVar[str] = "cloud_folder"
     is_sequence: ClassVar[bool] = True
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return self.scans.notes
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
 
