@@ -104,6 +104,18 @@ def test_a_part_of_a_divided_export_opens(people: Project, tmp_path: Path, forma
         assert sum(len(load_truth(recording, i, recording.frame(i))) for i in range(frames)) > 0
 
 
+def test_the_clouds_of_a_nuscenes_export_are_read_with_five_values_a_point(people: Project, tmp_path: Path) -> None:
+    """Read with four, they were noise, or called truncated."""
+    export_project(people, tmp_path / "out", ExportFormat.NUSCENES, choose=ALL)
+    recording = open_recording(tmp_path / "out" / "samples" / "LIDAR_TOP")
+    source = FrameSource(people)
+    counts = sorted(len(source.read(stored).cloud) for stored in people.frames.of())
+    assert sorted(len(recording.frame(i).cloud) for i in range(len(recording))) == counts
+    first = np.sort(np.linalg.norm(recording.frame(0).cloud.xyz_m, axis=1))
+    known = [np.sort(np.linalg.norm(source.read(stored).cloud.xyz_m, axis=1)) for stored in people.frames.of()]
+    assert min(np.abs(first - each).max() for each in known if len(each) == len(first)) < 1e-5
+
+
 @pytest.mark.parametrize("vertices", [False, True])
 def test_labelclouds_forms_of_boxes_are_read(people: Project, tmp_path: Path, vertices: bool) -> None:
     options = ExportOptions(vertices=vertices)
