@@ -63,6 +63,14 @@ def pixel_rays(camera: Camera) -> Float32[np.ndarray, "h w 2"]:
     return _pixel_rays(camera_key(camera))
 
 
+def resized(camera: Camera, width_px: int, height_px: int) -> Camera:
+    """The same camera with images of another size, which show the same part of the scene."""
+    # pixel (0, 0) is half a pixel from the image's corner, at any size
+    x, y = width_px / camera.width_px, height_px / camera.height_px
+    cx, cy = (camera.cx + 0.5) * x - 0.5, (camera.cy + 0.5) * y - 0.5
+    return Camera(width_px, height_px, camera.fx * x, camera.fy * y, cx, cy, camera.distortion)
+
+
 def camera_key(camera: Camera) -> CameraKey:
     """A hashable key of a camera, for caches; equal cameras have equal keys."""
     return (camera.width_px, camera.height_px, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion)

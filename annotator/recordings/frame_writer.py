@@ -1,6 +1,6 @@
 """Writes frames one at a time to a folder that `open_recording` reads; it is a valid recording after every frame.
 
-Frames with registered depth become an RGB-D folder, colour as JPEG and depth in whole millimetres:
+Frames whose cloud is that of their depth image become an RGB-D folder, colour as JPEG and depth in whole millimetres:
 
     color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json  timestamps.csv
 
@@ -79,7 +79,7 @@ class FrameWriter:
         return key
 
     def _begin(self, frame: Frame) -> None:
-        self._camera, self._has_depth, self._up = frame.camera, frame.depth_m is not None, frame.up
+        self._camera, self._has_depth, self._up = frame.camera, _is_depth_image(frame), frame.up
         for name in (COLOR, DEPTH if self._has_depth else CLOUDS):
             (self.folder / name).mkdir()
         intrinsics = {
@@ -95,7 +95,7 @@ class FrameWriter:
 
     def _require_same(self, frame: Frame) -> None:
         assert self._camera is not None
-        if camera_key(frame.camera) != camera_key(self._camera) or (frame.depth_m is not None) != self._has_depth:
+        if camera_key(frame.camera) != camera_key(self._camera) or _is_depth_image(frame) != self._has_depth:
             raise RecordingError(
                 f"{self.folder}: frame {frame.key} has a different camera; a recording has only one; "
                 "stop recording before the camera changes"
@@ -127,6 +127,10 @@ def trim(folder: Path) -> int:
         valid = [text for text in lines[1:] if text.endswith("\n") and text.rpartition(",")[0] in complete]
         times.write_text("".join([frame_times.HEADER + "\n", *valid]), encoding="utf-8")
     return len(complete)
+
+
+def _is_depth_image(frame: Frame) -> bool:
+    return frame.depth_m is not None and frame.cloud.pixel_index is not None
 
 
 def _put(path: Path, content: bytes) -> None:

@@ -32,15 +32,28 @@ def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
     Raises:
         FrameError: the file is missing, truncated, not an image, or not 16-bit with one channel.
     """
+    return _plane(path, np.uint16, "a depth image", "save the sensor's depth as a 16-bit grey PNG, millimetres")
+
+
+def read_confidence(path: Path) -> UInt8[np.ndarray, "h w"]:
+    """Reads an image of the depth's confidence.
+
+    Raises:
+        FrameError: the file is missing, truncated, not an image, or not 8-bit with one channel.
+    """
+    return _plane(path, np.uint8, "an image of confidence", REMEDY)
+
+
+def _plane(path: Path, dtype: type[np.generic], what: str, remedy: str) -> np.ndarray:
     import cv2
 
     raw = _decode(path, cv2.IMREAD_UNCHANGED)
-    if raw.ndim != 2 or raw.dtype != np.uint16:
-        channels = 1 if raw.ndim == 2 else raw.shape[2]
+    if raw.ndim != 2 or raw.dtype != dtype:
+        channels, bits = 1 if raw.ndim == 2 else raw.shape[2], 8 * np.dtype(dtype).itemsize
         raise FrameError(
             path,
-            f"a depth image must be 16-bit with one channel, not {8 * raw.itemsize}-bit with {channels}",
-            "save the sensor's depth as a 16-bit grey PNG, millimetres",
+            f"{what} must be {bits}-bit with one channel, not {8 * raw.itemsize}-bit with {channels}",
+            remedy,
         )
     return raw
 

@@ -3,9 +3,10 @@
 A reader lists a recording's folder when it opens it, and reads the files of one frame when that is requested. So the
 local copy has all file names from the start, as empty files. Files of a frame, and shared files (calibrations, times),
 are downloaded before they are read. The least recently used frames are emptied again, so that the copy stays within its
-limit. A recording that is a single file (`.mkv`) is copied whole.
+limit. A recording that is a single file (`.mkv`, `.r3d`) is copied whole.
 
-A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key.
+A file's frame follows from its name: `KEY.suffix` in any folder, or a scene folder whose path is the key. Readers of
+other formats tell it (`file_owners`).
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
-# Suffixes of the small files beside a recording's folders, which readers need when they open it.
-DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml")
-LARGEST_DESCRIPTION_BYTES = 10**6
+# Ends of the names of files beside a recording's folders that readers need when they open it.
+DESCRIPTIONS = (".json", ".txt", ".xml", ".csv", ".yaml", ".yml", "metadata")
+# An hour of poses is smaller.
+LARGEST_DESCRIPTION_BYTES = 3 * 10**7
 
 
 def open_mirror(url: str, folder: Path, limit_bytes: int, options: ReaderOptions = NO_OPTIONS) -> Mirror:
@@ -80,8 +82,9 @@ class Mirror:
         self._of_key: dict[str, list[str]] = {}
         self._shared: list[str] = []
         keys = set(opened.keys)
+        listed: dict[str, str] = getattr(opened, "file_owners", {})
         for path in store.files:
-            owner = _owner(path, keys)
+            owner = listed.get(path) or _owner(path, keys)
             (self._shared if owner is None else self._of_key.setdefault(owner, [])).append(path)
 
     @property

@@ -13,6 +13,8 @@ from annotator.types.errors import RecordingError
 # What each format's folder must have; `|` separates alternatives. Optional files are left out.
 PARTS: dict[str, tuple[str, ...]] = {
     "an RGB-D folder": ("color/|rgb/", "depth/", "camera_*.json"),
+    "a TUM RGB-D recording": ("rgb.txt", "depth.txt", "rgb/", "depth/"),
+    "a Stray Scanner recording": ("rgb.mp4", "odometry.csv", "camera_matrix.csv", "depth/"),
     "a KITTI object folder": ("image_2/", "velodyne/", "calib/"),
     "a KITTI tracking folder of one sequence": ("image_02/", "velodyne/", "calib.txt"),
     "a KITTI raw drive": ("image_02/data/", "velodyne_points/data/"),

@@ -14,7 +14,7 @@ from annotator.recordings.table import OPTIONS, QUICK_CHECKS, READERS
 from annotator.types.errors import ConfigError, UnknownFormatError
 
 # Suffixes of single files that are recordings.
-FILE_SUFFIXES = (".mkv",)
+FILE_SUFFIXES = (".mkv", ".r3d")
 MOST_PROBLEMS = 2
 NO_OPTIONS = ReaderOptions()
 

@@ -1,23 +1,28 @@
-"""The camera and gravity files of an RGB-D folder."""
+"""The camera, depth camera and gravity files of an RGB-D folder."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from scipy.spatial.transform import RigidTransform
 
-from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole
+from annotator.geometry.projection import resized
+from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.recordings.rotated_depth import decode_depth, looks_rotated
 from annotator.types import Camera
 from annotator.types.errors import FrameError, UnclearError
 
-FILE_NAME = "camera_intrinsic.json"
+FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
+MM_PER_M = 1000.0
+MOST_OFF_ROTATION = 1e-3
 Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
 Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+Four = tuple[Number, Number, Number, Number]
 Positive = Annotated[FiniteFloat, Field(ge=1 / LARGEST, le=LARGEST)]
 
 
@@ -27,7 +32,7 @@ class IntrinsicFile(BaseModel):
     Attributes:
         width, height: image size, pixels.
         intrinsic_matrix: the nine numbers of K, column by column.
-        depth_scale: depth units per metre; default 1000 (millimetres).
+        depth_scale: depth units per metre; default that of the format, 1000 (millimetres) for most.
         depth_encoding: `plain`, or `sunrgbd` for SUN RGB-D's rotated bits; default plain, unless it looks rotated.
         distortion: OpenCV's coefficients, see `Camera`; default none.
     """
@@ -38,9 +43,22 @@ class IntrinsicFile(BaseModel):
     width: Side
     height: Side
     intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
-    depth_scale: Positive = 1000.0
+    depth_scale: Positive | None = None
     depth_encoding: Literal["plain", "sunrgbd"] | None = None
     distortion: tuple[Number, ...] = ()
+
+
+class DepthFile(BaseModel):
+    """What `depth_intrinsic.json` has in addition to `IntrinsicFile`; its default `depth_scale` is the colour camera's.
+
+    Attributes:
+        depth_to_color: the transform from the depth camera's frame to the colour camera's, metres, row by row; default
+            none: both look from the same place in the same direction.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    depth_to_color: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
 
 
 class GravityFile(BaseModel):
@@ -57,15 +75,22 @@ class RgbdCamera:
 
     Attributes:
         path: the file.
-        camera: the colour camera, to which the depth is registered.
+        camera: the camera.
         depth_scale: depth units per metre.
         depth_encoding: as in the file.
+        T_color_depth: for a depth camera, the transform from its frame to the colour camera's; else None.
     """
 
     path: Path
     camera: Camera
     depth_scale: float
     depth_encoding: Literal["plain", "sunrgbd"] | None = None
+    T_color_depth: RigidTransform | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its images, pixels."""
+        return self.camera.width_px, self.camera.height_px
 
 
 def camera_file(folder: Path) -> Path:
@@ -93,8 +118,8 @@ def camera_file(folder: Path) -> Path:
     )
 
 
-def read_camera(path: Path) -> RgbdCamera:
-    """Reads a camera file.
+def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
+    """Reads a camera file; `depth_scale` is used if it has none.
 
     Raises:
         FrameError: not JSON, a missing key, or numbers that do not describe a pinhole camera.
@@ -110,12 +135,12 @@ def read_camera(path: Path) -> RgbdCamera:
             "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1, or a focal length is implausible",
             "write it column by column",
         )
-    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     try:
-        camera = Camera(content.width, content.height, fx, fy, cx, cy, content.distortion)
+        camera = pinhole(K, content.width, content.height, content.distortion)
     except ValueError as error:
         raise FrameError(path, str(error), "correct the camera file") from error
-    return RgbdCamera(path, camera, content.depth_scale, content.depth_encoding)
+    scale = depth_scale if content.depth_scale is None else content.depth_scale
+    return RgbdCamera(path, camera, scale, content.depth_encoding)
 
 
 def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
@@ -134,6 +159,59 @@ def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera)
             f'write "depth_encoding": "sunrgbd" (or "plain" to read it as it is) into {camera.path.name}',
         )
     return np.divide(raw, np.float32(camera.depth_scale), dtype=np.float32)
+
+
+def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
+    """Returns the camera with matrix K."""
+    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(width_px, height_px, fx, fy, cx, cy, distortion)
+
+
+def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[int, int]) -> RgbdCamera | None:
+    """Returns the camera of a depth image of `size` (width, height); None if it is registered to the colour camera.
+
+    Without `depth_intrinsic.json`, depth images of another size but the same proportions are taken to show the same
+    part of the scene, as a phone's do.
+
+    Raises:
+        FrameError: the file is invalid, or missing for an `image` of other proportions.
+    """
+    path = folder / DEPTH_FILE_NAME
+    if not path.is_file():
+        if size == color.size:
+            return None
+        if size[0] * color.size[1] != size[1] * color.size[0]:
+            raise FrameError(
+                image,
+                f"the image is {size[0]} x {size[1]} pixels, but the colour image has "
+                f"{color.size[0]} x {color.size[1]}",
+                f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
+                "intrinsic_matrix, depth_to_color)",
+            )
+        return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
+    read = read_camera(path, color.depth_scale)
+    try:
+        more = DepthFile.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise FrameError(
+            path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
+        ) from error
+    T_color_depth = rigid_transform(path, "depth_to_color", more.depth_to_color)
+    return replace(read, T_color_depth=T_color_depth)
+
+
+def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:
+    """Returns the transform with these rows, the identity for None; `name` is the key in the file.
+
+    Raises:
+        FrameError: not a rotation and a translation.
+    """
+    if rows is None:
+        return RigidTransform.identity()
+    matrix = np.array(rows)
+    if not is_rotation(matrix[:3, :3], MOST_OFF_ROTATION) or tuple(matrix[3]) != (0, 0, 0, 1):
+        raise FrameError(path, f"{name} is not a rigid transform (last row 0 0 0 1)", "write it row by row")
+    return RigidTransform.from_matrix(matrix)
 
 
 def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:

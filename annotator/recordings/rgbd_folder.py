@@ -1,8 +1,9 @@
-"""The Open3D RGB-D folder: colour images, registered 16-bit depth images and one pinhole camera.
+"""The Open3D RGB-D folder: colour images, 16-bit depth images and a pinhole camera.
 
-color/KEY.jpg|png   (or image/, if a camera file is in the folder itself)
-depth/KEY.png       uint16, millimetres, or `depth_scale` units per metre
+color/KEY.jpg|png   (or rgb/, or image/ if a camera file is in the folder itself)
+depth/KEY.png       uint16, millimetres, or `depth_scale` units per metre; registered to the colour images, or
 camera_intrinsic.json
+depth_intrinsic.json   of another camera; optional
 gravity.json        optional: {"up": [x, y, z]} in the camera frame
 timestamps.csv      optional: capture time of each frame (`frame_times`)
 mask/, boxes.json   optional labels; read by annotator.formats, not here
@@ -15,17 +16,30 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float32, UInt8
 
 from annotator.geometry.projection import unproject_depth
+from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import RgbdCamera, camera_file, depth_metres, read_camera, read_up
-from annotator.types import Camera, Frame, PointCloud
+from annotator.recordings.rgbd_camera import (
+    RgbdCamera,
+    camera_file,
+    depth_metres,
+    read_camera,
+    read_depth_camera,
+    read_up,
+)
+from annotator.recordings.two_cameras import registered
+from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError
 
-LOOKED_FOR = "folders color/ (or image/ and a camera_*.json) and depth/"
+LOOKED_FOR = "folders color/ or rgb/ (or image/ and a camera_*.json) and depth/"
+
+# A PNG file's signature and first chunk.
+PNG_HEAD_BYTES = 33
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,29 +59,44 @@ class RgbdFolder(KeyedFrames):
     is_sequence: ClassVar[bool] = True
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
+        """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered.
 
         Raises:
-            FrameError: a missing or broken file, different sizes, or no depth at all.
+            FrameError: a missing or broken file, different sizes, or no depth in the image.
             IndexError: there is no such frame.
         """
         key = self.key(i)
         depth_folder = self.path / "depth"
         color_path = frame_file(self.color, key, IMAGE_SUFFIXES, f"{depth_folder.name}/{key}.png")
         depth_path = frame_file(depth_folder, key, (".png",), f"{self.color.name}/{color_path.name}")
-        content = read_camera(camera_file(self.path))
-        rgb = read_rgb(color_path)
-        _check_size(color_path, rgb, content.camera, f"the camera in {content.path.name}")
-        depth_m = _depth_m(depth_path, content)
+        color = read_camera(camera_file(self.path))
+        rgb, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
         return Frame(
             key=key,
             index=i,
-            camera=content.camera,
+            camera=color.camera,
             rgb=rgb,
-            cloud=_cloud(depth_path, content.camera, depth_m, rgb),
+            cloud=cloud,
             depth_m=depth_m,
             up=read_up(self.path / "gravity.json"),
             timestamp_ns=None if self.times_ns is None else self.times_ns[i],
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        try:
+            color = read_camera(camera_file(self.path))
+            first = next(file for key in self.keys if (file := self.path / "depth" / f"{key}.png").is_file())
+            with first.open("rb") as opened:
+                size = declared_size(opened.read(PNG_HEAD_BYTES))
+            depth = read_depth_camera(self.path, color, first, size) if all(size) else None
+        except (OSError, FrameError, StopIteration):  # each frame reports it
+            return ()
+        if depth is None or depth.path != color.path:
+            return ()
+        return (
+            f"The depth images of {size[0]} x {size[1]} pixels are taken to show the same as the colour images of "
+            f"{color.size[0]} x {color.size[1]}; if another camera took them, write depth_intrinsic.json.",
         )
 
 
@@ -81,7 +110,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
         RecordingError: the folders exist but have no image, or `timestamps.csv` is invalid.
     """
     depth = path / "depth"
-    color = path / "color"
+    color = next((path / name for name in ("color", "rgb") if (path / name).is_dir()), path / "color")
     if not color.is_dir() and any(path.glob("camera_*.json")):
         color = path / "image"
     if not (color.is_dir() and depth.is_dir()):
@@ -91,24 +120,44 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
     return RgbdFolder(path, ordered, color, read_times(path, ordered))
 
 
-def _depth_m(path: Path, content: RgbdCamera) -> np.ndarray:
-    raw = read_depth(path)
-    _check_size(path, raw, content.camera, "the colour image")
-    return depth_metres(path, raw, content)
+def read_images(
+    folder: Path, color_path: Path, depth_path: Path, color: RgbdCamera
+) -> tuple[UInt8[np.ndarray, "h w 3"], PointCloud, Float32[np.ndarray, "h w"]]:
+    """Reads a colour and a depth image of a folder.
+
+    Returns:
+        The colour image; the depth image's cloud, with `pixel_index` if it is registered; and the depth in the colour
+        image's pixels, metres.
+
+    Raises:
+        FrameError: a missing or broken file, different sizes, or no depth in the image.
+    """
+    rgb = read_rgb(color_path)
+    _check_size(color_path, rgb, color, "make images and camera the same size")
+    raw = read_depth(depth_path)
+    depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
+    if depth is None or depth.T_color_depth is None:
+        depth_m = depth_metres(depth_path, raw, color)
+        xyz_m, pixel = unproject_depth(color.camera, depth_m)
+        cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel)
+        problem = "no pixel has a depth, so the cloud is empty"
+    else:
+        _check_size(depth_path, raw, depth, "correct the file")
+        cloud, depth_m = registered(
+            depth_metres(depth_path, raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera
+        )
+        problem = f"no pixel with a depth lies in the colour image, so the cloud is empty (by {depth.path.name})"
+    if len(cloud) == 0:
+        raise FrameError(depth_path, problem, "record the frame again, or remove it")
+    return rgb, cloud, depth_m
 
 
-def _cloud(path: Path, camera: Camera, depth_m: np.ndarray, rgb: np.ndarray) -> PointCloud:
-    xyz_m, pixel_index = unproject_depth(camera, depth_m)
-    if len(xyz_m) == 0:
-        raise FrameError(path, "no pixel has a depth, so the cloud is empty", "record the frame again, or remove it")
-    return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel_index, axis=0), pixel_index=pixel_index)
-
-
-def _check_size(path: Path, image: np.ndarray, camera: Camera, other: str) -> None:
+def _check_size(path: Path, image: np.ndarray, camera: RgbdCamera, remedy: str) -> None:
     height, width = image.shape[:2]
-    if (width, height) != (camera.width_px, camera.height_px):
+    if (width, height) != camera.size:
         raise FrameError(
             path,
-            f"the image is {width} x {height} pixels, but {other} has {camera.width_px} x {camera.height_px}",
-            "make images, registered depth and camera the same size",
+            f"the image is {width} x {height} pixels, but the camera in {camera.path.name} has "
+            f"{camera.size[0]} x {camera.size[1]}",
+            remedy,
         )

@@ -5,6 +5,10 @@ from __future__ import annotations
 # Tried in this order; the first reader that recognises a path opens it. A reader takes the path and returns a
 # Recording, or NotFound with what it looked for.
 READERS: dict[str, str] = {
+    "stray_scanner": "annotator.recordings.phones.stray_scanner:open_stray_scanner",
+    "record3d": "annotator.recordings.phones.record3d:open_record3d",
+    # before rgbd_folder, whose names differ only by the lists of images
+    "tum_rgbd": "annotator.recordings.tum_rgbd:open_tum_rgbd",
     "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
     "kitti_object": "annotator.recordings.kitti.object_folder:open_kitti_object",
     "kitti_tracking": "annotator.recordings.kitti.tracking_folder:open_kitti_tracking",
@@ -24,9 +28,13 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "kitti_tracking": ("columns",),
     "kitti_raw": ("columns",),
     "cloud_folder": ("columns",),
+    "stray_scanner": ("min_confidence",),
+    "record3d": ("min_confidence",),
+    "tum_rgbd": ("tolerance_s",),
 }
 
 # Faster recognition checks, for formats that are slow to open.
 QUICK_CHECKS: dict[str, str] = {
+    "record3d": "annotator.recordings.phones.record3d:is_record3d",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
 }

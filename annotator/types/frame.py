@@ -23,7 +23,8 @@ class Frame:
         camera: the colour camera.
         rgb: (H, W, 3) uint8 image of the colour camera, RGB order.
         cloud: all valid points, in the camera frame.
-        depth_m: (H, W) float32 depth registered to the image, metres, 0 = no measurement; None for a LiDAR.
+        depth_m: (H, W) float32 depth registered to the image, metres, 0 = no measurement; None for a LiDAR. If another
+            camera measured it, the cloud has no `pixel_index`, and there are gaps between its pixels.
         up: unit vector against gravity in the camera frame; None if unknown.
         T_camera_label: from the frame in which the recording's own label files are written to the camera
             frame (KITTI: rectified camera 0; SUN RGB-D: upright depth); None if they are the same.

@@ -16,13 +16,14 @@ import numpy as np
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
+from annotator.geometry.projection import project
 from annotator.project import REVIEWED, NewLabel, Project, StoredFrame, WriteContext
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.normals import frame_with_normals
 from annotator.rcv.operator import DrawnObject, draw_object
 from annotator.rcv.teach import TaughtObject, project_box, span_on_view
 from annotator.recordings import Recording
-from annotator.types import Box2D, BoxKind, Frame, PointCloud, PseudoView, Source, Truth
+from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_mask, load_truth
@@ -66,7 +67,7 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
         return _masked_objects(frame, mask, only_class(recording, classes))
     # the numbers of the mask count all labelled objects, those of other classes included
     objects = [
-        TaughtObject(t.label, t.box, _own_points(t, number, frame.cloud, mask))
+        TaughtObject(t.label, t.box, _own_points(t, number, frame, mask))
         for number, t in enumerate(load_truth(recording, index, frame), 1)
         if t.label in classes
     ]
@@ -101,8 +102,9 @@ def require_boxes_for(kind: BoxKind, recording: Recording) -> None:
 
 
 def _masked_objects(frame: Frame, mask: np.ndarray, label: str) -> list[TaughtObject]:
-    assert frame.cloud.pixel_index is not None  # has_masks
-    number_of_point = mask.ravel()[frame.cloud.pixel_index]
+    pixel = _pixel_of_points(frame)
+    assert pixel is not None  # has_masks
+    number_of_point = mask.ravel()[pixel]
     numbers, counts = np.unique(number_of_point, return_counts=True)
     objects = []
     for number in numbers[(numbers > 0) & (counts >= MIN_VISIBLE_POINTS)]:
@@ -111,11 +113,22 @@ def _masked_objects(frame: Frame, mask: np.ndarray, label: str) -> list[TaughtOb
     return objects
 
 
-def _own_points(truth: Truth, number: int, cloud: PointCloud, mask: np.ndarray | None) -> np.ndarray:
+def _own_points(truth: Truth, number: int, frame: Frame, mask: np.ndarray | None) -> np.ndarray:
     """Returns the mask of the object's points: from the image mask if there is one, else those in its true box."""
-    if mask is None or cloud.pixel_index is None:
-        return contains(truth.box, cloud.xyz_m)
-    return mask.ravel()[cloud.pixel_index] == number
+    pixel = None if mask is None else _pixel_of_points(frame)
+    if mask is None or pixel is None:
+        return contains(truth.box, frame.cloud.xyz_m)
+    return mask.ravel()[pixel] == number
+
+
+def _pixel_of_points(frame: Frame) -> np.ndarray | None:
+    """Returns the image's pixel that each point is seen in, `v * width + u`; None for a LiDAR."""
+    if frame.depth_m is None or frame.cloud.pixel_index is not None:
+        return frame.cloud.pixel_index
+    # a depth camera beside the colour camera, whose points all lie in the image
+    size = np.array([frame.camera.width_px, frame.camera.height_px])
+    u, v = np.floor(project(frame.camera, frame.cloud.xyz_m) + 0.5).astype(np.int64).clip(0, size - 1).T
+    return np.asarray(v * frame.camera.width_px + u)
 
 
 def draw_frame(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
+import phone_samples as made
 import pytest
 from cloud_samples import SCAN, camera_file, put_image
 from hypothesis import given, settings
@@ -76,6 +78,15 @@ def rgbd_folder(folder: Path) -> None:
     put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
 
 
+def rgbd_folder_of_two_cameras(folder: Path) -> None:
+    rgbd_folder(folder)
+    put(folder / "depth" / "0.png", png(np.full((30, 50), 1500, np.uint16)))
+    K = [40.0, 0, 0, 0, 40.0, 0, 25.0, 15.0, 1]
+    pose = [[1, 0, 0, 0.05], [0, 1, 0, 0.01], [0, 0, 1, -0.02], [0, 0, 0, 1]]
+    camera = {"width": 50, "height": 30, "intrinsic_matrix": K, "depth_scale": 500.0, "depth_to_color": pose}
+    put(folder / "depth_intrinsic.json", json.dumps(camera))
+
+
 def cloud_folder(folder: Path) -> None:
     put(folder / "0.bin", SCAN.tobytes())
     pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
@@ -103,6 +114,25 @@ def openlabel(folder: Path) -> None:
     write_openlabel(folder, exported_items(folder), "annotator")
 
 
+def record3d(folder: Path) -> None:
+    folder.rmdir()
+    made.write_record3d(folder, made.frames(2))
+
+
+def stray_scanner(folder: Path) -> None:
+    made.write_stray_scanner(folder, made.frames(3))
+
+
+def tum_rgbd(folder: Path) -> None:
+    for number, name in enumerate(("rgb", "depth")):
+        content = np.full((48, 64, 3), 90, np.uint8) if name == "rgb" else np.full((48, 64), 7500, np.uint16)
+        put(folder / name / "1.5.png", png(content))
+        put(folder / f"{name}.txt", f"# comment\n1305031102.0{number} {name}/1.5.png\n")
+    put(folder / "groundtruth.txt", "1305031102.01 1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986\n")
+    K = [50.0, 0, 0, 0, 50.0, 0, 32.0, 24.0, 1]
+    put(folder / "camera_intrinsic.json", json.dumps({"width": 64, "height": 48, "intrinsic_matrix": K}))
+
+
 BUILDERS: list[Callable[[Path], None]] = [
     kitti_object,
     kitti_tracking,
@@ -110,9 +140,13 @@ BUILDERS: list[Callable[[Path], None]] = [
     sunrgbd_extracted,
     sunrgbd_scene,
     rgbd_folder,
+    rgbd_folder_of_two_cameras,
     cloud_folder,
     rcv,
     openlabel,
+    tum_rgbd,
+    record3d,
+    stray_scanner,
 ]
 
 
@@ -121,12 +155,12 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, lis
     """One small recording per format, and its files."""
     found = []
     for build in BUILDERS:
-        folder = tmp_path_factory.mktemp(build.__name__)
+        folder = tmp_path_factory.mktemp(f"{build.__name__}_freiburg")
         if build is sunrgbd_scene:
             folder.rmdir()
         build(folder)
         recording = open_recording(folder)
-        assert recording.format.startswith(build.__name__)
+        assert build.__name__.startswith(recording.format) or recording.format.startswith(build.__name__)
         assert len(recording.frame(0).cloud) > 20
         files = [file for file in sorted(folder.rglob("*")) if file.is_file() and "annotation" not in str(file)]
         found.append((folder, files))
@@ -134,7 +168,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, lis
 
 
 NUMBERS = ["nan", "-inf", "1e308", "-1e308", "1e-320", "0", "-1", "1e17", "99999999999999999999", "x", "", "null", "[]"]
-TEXT = {".txt", ".json"}
+TEXT = {".txt", ".json", ".csv", ""}
 
 
 def damaged(content: bytes, is_text: bool, data: st.DataObject) -> bytes:
@@ -154,7 +188,7 @@ def damaged(content: bytes, is_text: bool, data: st.DataObject) -> bytes:
 
 
 @given(st.data())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_damaged_files_give_a_frame_or_an_error_that_names_the_file(
     recordings: list[tuple[Path, list[Path]]], data: st.DataObject
 ):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
+import phone_samples
 import pytest
 
 from annotator.recordings import open_recording
@@ -62,6 +64,32 @@ def test_only_files_of_the_frame_and_shared_files_are_copied(tmp_path: Path) -> 
     assert np.array_equal(mirror.frame(1).cloud.xyz_m, plain.frame(1).cloud.xyz_m)
     copied = {path.name: path.stat().st_size for path in (tmp_path / "copy").rglob("*") if path.is_file()}
     assert copied["000007.bin"] == 0 and copied["all.txt"] == 10
+
+
+@pytest.mark.parametrize("write", [phone_samples.write_record3d, phone_samples.write_stray_scanner])
+def test_folders_of_phones_have_the_same_frames(tmp_path: Path, write: Callable[..., Path]) -> None:
+    folder = write(tmp_path / "take", phone_samples.frames(3))
+    mirror, plain = open_mirror(folder.as_uri(), tmp_path / "copy", MEGABYTE), open_recording(folder)
+    assert mirror.keys == plain.keys
+    for i in (2, 0):
+        ours, theirs = mirror.frame(i), plain.frame(i)
+        assert np.array_equal(ours.rgb, theirs.rgb) and np.array_equal(ours.cloud.xyz_m, theirs.cloud.xyz_m)
+
+
+def test_images_with_a_partner_of_another_name_belong_to_one_frame(tmp_path: Path) -> None:
+    folder = tmp_path / "take"
+    for name, dtype, shift in (("rgb", np.uint8, 0), ("depth", np.uint16, 0.01)):
+        (folder / name).mkdir(parents=True)
+        lines = []
+        for number in range(3):
+            time = f"{number + shift:.2f}"
+            cv2.imwrite(str(folder / name / f"{time}.png"), np.full((480, 640), 90 + number, dtype))
+            lines.append(f"{time} {name}/{time}.png\n")
+        (folder / f"{name}.txt").write_text("".join(lines))
+    mirror = open_mirror(folder.as_uri(), tmp_path / "copy", MEGABYTE)
+    assert np.array_equal(mirror.frame(2).cloud.xyz_m, open_recording(folder).frame(2).cloud.xyz_m)
+    copied = {path.name for path in (tmp_path / "copy").rglob("*.png") if path.stat().st_size}
+    assert copied == {"2.00.png", "2.01.png"}
 
 
 def test_errors_of_unreadable_frames_name_the_url(bucket: str, tmp_path: Path) -> None:

@@ -103,6 +103,47 @@ def test_a_folder_image_is_read_as_colour_if_there_is_a_camera_file(folder: Path
     assert len(open_recording(folder).frame(0).cloud) > 0
 
 
+def test_a_folder_rgb_is_the_same_as_color(folder: Path, color: np.ndarray):
+    (folder / "color").rename(folder / "rgb")
+    np.testing.assert_array_equal(open_recording(folder).frame(0).rgb, color)
+
+
+def test_depth_of_another_size_shows_the_same_unless_a_file_says_otherwise(folder: Path, color: np.ndarray):
+    small = 1500 + 5 * np.arange(6, dtype=np.uint16).reshape(2, 3)
+    for key in ("000000", "000001"):
+        (folder / "depth" / f"{key}.png").write_bytes(png(small))
+    recording = open_recording(folder)
+    frame = recording.frame(0)
+    assert recording.notes[0].startswith("The depth images of 3 x 2 pixels are taken to show the same")
+    # a depth pixel is a block of four by four pixels of the image
+    np.testing.assert_allclose(project(frame.camera, frame.cloud.xyz_m)[1], [5.5, 1.5], atol=1e-5)
+    np.testing.assert_allclose(frame.cloud.xyz_m[:, 2], small.ravel() / 1000)
+    assert frame.cloud.pixel_index is None
+    v, u = np.nonzero(frame.depth_m)
+    np.testing.assert_array_equal(frame.cloud.rgb, color[v, u])
+    np.testing.assert_array_equal(frame.depth_m[v, u], frame.cloud.xyz_m[:, 2])
+    # a depth camera 0.4 m to the left of the colour camera, with a wider view, and two units a millimetre
+    pose = [[1, 0, 0, -0.4], [0, 1, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]
+    content = {"width": 3, "height": 2, "intrinsic_matrix": [4.0, 0, 0, 0, 4.0, 0, 1, 0.5, 1]}
+    content |= {"depth_scale": 2000, "depth_to_color": pose}
+    (folder / "depth_intrinsic.json").write_text(json.dumps(content))
+    frame = recording.frame(0)
+    assert recording.notes == ()
+    x = (np.array([0, 1, 2]) - 1) / 4 * small / 2000 - 0.4
+    y = np.array([[-0.5], [0.5]]) / 4 * small / 2000
+    expected = np.stack([x, y, small / 2000 + 0.05], axis=-1).reshape(-1, 3)
+    expected = expected[(np.abs(project(frame.camera, expected) - [5.5, 3.5]) <= [6, 4]).all(axis=1)]
+    assert len(expected) == 4  # the left column is outside the image
+    np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
+
+
+def test_a_depth_camera_that_sees_nothing_of_the_image_is_an_error(folder: Path):
+    turned = [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
+    (folder / "depth_intrinsic.json").write_text(json.dumps(INTRINSICS | {"depth_to_color": turned}))
+    with pytest.raises(FrameError, match=r"000000\.png: no pixel with a depth lies in the colour image"):
+        open_recording(folder).frame(0)
+
+
 def test_a_missing_image_affects_only_its_frame(folder: Path):
     (folder / "depth" / "000000.png").unlink()
     (folder / "color" / "000001.png").rename(folder / "color" / "000002.png")
@@ -140,7 +181,12 @@ def image(array: np.ndarray) -> Callable[[Path], None]:
     return lambda path: path.write_bytes(png(array)) and None
 
 
+def depth_camera(**change: object) -> Callable[[Path], None]:
+    return lambda path: path.write_text(json.dumps(INTRINSICS | change)) and None
+
+
 COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic.json"
+DEPTH_CAMERA = "depth_intrinsic.json"
 DAMAGES = [
     pytest.param(COLOR, truncate, "the PNG image is truncated", id="truncated-colour"),
     pytest.param(DEPTH, truncate, "the PNG image is truncated", id="truncated-depth"),
@@ -150,12 +196,18 @@ DAMAGES = [
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH, 3), np.uint16)), "16-bit with 3", id="colour-depth"),
     pytest.param(
-        DEPTH, image(np.ones((HEIGHT, 9), np.uint16)), "the image is 9 x 8 pixels, but the colour", id="depth-size"
+        DEPTH,
+        image(np.ones((HEIGHT, 9), np.uint16)),
+        "the image is 9 x 8 pixels, but the colour image has 12 x 8; .* depth_intrinsic.json",
+        id="depth-size",
     ),
     pytest.param(
         COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="colour-size"
     ),
     pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
+    pytest.param(DEPTH_CAMERA, lambda p: p.write_text("{"), "not a camera file", id="depth-camera-no-json"),
+    pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[1]]), "depth_to_color.0", id="depth-pose-short"),
+    pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[2, 0, 0, 0]] * 4), "not a rigid", id="depth-pose"),
     pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
     pytest.param(CAMERA, lambda p: p.write_text("{"), "not a camera file", id="camera-no-json"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[1, 2]), "intrinsic_matrix", id="camera-short"),

@@ -196,6 +196,28 @@ def test_silhouettes_can_be_drawn_from_masks_alone(people: Project, own_copy: Ca
     assert all(len(b.boxes) == 3 for b in without)
 
 
+@pytest.mark.parametrize("boxes", [True, False])
+def test_masks_belong_to_the_image_if_the_depth_has_another_size(own_copy: Callable[[str], Path], boxes: bool) -> None:
+    folder = own_copy("people") if boxes else masks_only(own_copy("people"))
+    path = folder / "depth" / "000000.png"
+    cv2.imwrite(str(path), np.ascontiguousarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::2, ::2]))
+    recording = open_recording(folder)
+    frame = recording.frame(0)
+    assert frame.cloud.pixel_index is None
+    mask = cv2.imread(str(folder / "truth" / "mask" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    objects = visible_objects(recording, 0, frame, ("person",))
+    assert len(objects) > 1
+    # a depth pixel covers two by two pixels of the image
+    for number, item in enumerate(objects, 1):
+        around = np.stack([mask[dv::2, du::2] for dv in (0, 1) for du in (0, 1)]) == number
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0
+        assert (
+            np.count_nonzero(raw & around.all(axis=0))
+            <= item.points.sum()
+            <= np.count_nonzero(raw & around.any(axis=0))
+        )
+
+
 def test_a_mask_of_0_and_255_is_one_object(own_copy: Callable[[str], Path]) -> None:
     folder = masks_only(own_copy("people"))
     path = folder / "truth" / "mask" / "000000.png"

@@ -36,9 +36,8 @@ from annotator.recordings.kitti.calibration import KittiCalibration, read_calibr
 from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.options import ReaderOptions
-from annotator.recordings.plausible import is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import FILE_NAME, Number, read_camera, read_up
+from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.scan_file import Scans
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -50,12 +49,10 @@ IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
 VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 # Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
-MOST_OFF_ROTATION = 1e-3
 # In labelCloud's projects, z of the clouds points up.
 LEVEL_MARK = "labels/_classes.json"
 # If the nearest point is farther away, the coordinates are map coordinates.
 FARTHEST_SEEN_M = 10_000.0
-Four = tuple[Number, Number, Number, Number]
 
 
 class CloudPoseFile(BaseModel):
@@ -230,16 +227,9 @@ def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
         rows = CloudPoseFile.model_validate_json(path.read_bytes()).cloud_to_camera
     except (OSError, ValidationError) as error:
         raise FrameError(path, "cloud_to_camera is not four rows of four numbers", "correct the camera file") from error
-    return CloudCamera(path, _pose(path, rows), camera, read_up(path.with_name("gravity.json")))
-
-
-def _pose(path: Path, rows: tuple[Four, ...] | None) -> RigidTransform:
-    if rows is None:
-        return RigidTransform.identity()
-    matrix = np.array(rows)
-    if not is_rotation(matrix[:3, :3], MOST_OFF_ROTATION) or tuple(matrix[3]) != (0, 0, 0, 1):
-        raise FrameError(path, "cloud_to_camera is not a rigid transform (last row 0 0 0 1)", "write it row by row")
-    return RigidTransform.from_matrix(matrix)
+    return CloudCamera(
+        path, rigid_transform(path, "cloud_to_camera", rows), camera, read_up(path.with_name("gravity.json"))
+    )
 
 
 def _seen(camera: Camera, cloud: PointCloud, rgb: np.ndarray) -> PointCloud:

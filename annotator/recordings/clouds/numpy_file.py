@@ -34,7 +34,7 @@ def parse_npy(path: Path, data: bytes) -> RawCloud:
     Raises:
         FrameError: a damaged header, fewer values than declared, an unsupported shape, or no valid point.
     """
-    return from_columns(path, _columns(path, _array(path, io.BytesIO(data), len(data))))
+    return from_columns(path, _columns(path, read_array(path, io.BytesIO(data), len(data))))
 
 
 def parse_npz(path: Path, data: bytes) -> RawCloud:
@@ -68,11 +68,15 @@ def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.n
             "save fewer points",
         )
     with archive.open(info) as file:
-        return _array(path, file, info.file_size)
+        return read_array(path, file, info.file_size)
 
 
-def _array(path: Path, file: Stream, size: int) -> np.ndarray:
-    """Reads the array at the position of `file`, which holds `size` bytes."""
+def read_array(path: Path, file: Stream, size: int) -> np.ndarray:
+    """Reads the array of an `.npy` file at the position of `file`, which holds `size` bytes.
+
+    Raises:
+        FrameError: a damaged header, other values than numbers, or fewer than declared.
+    """
     try:
         shape, is_fortran, dtype = _header(file)
     # the header is a Python expression: a damaged one can raise any exception

@@ -9,15 +9,15 @@ model is Brown-Conrady with six radial coefficients, as in OpenCV.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, UInt16
+from jaxtyping import Float, Float32, Float64, Int32, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.projection import CameraKey, camera_key, pixel_rays, undistort_px
+from annotator.geometry.projection import undistort_px
+from annotator.recordings.two_cameras import seen_points
 from annotator.types import Camera
 
 MM_PER_M = 1000.0
@@ -137,25 +137,12 @@ class KinectCalibration:
         rays[~((rays[:, :2] ** 2).sum(axis=1) <= self.depth_reach**2)] = np.nan
         return rays * np.asarray(depth_m, np.float64)[:, None]
 
-    def color_points(self, depth_mm: UInt16[np.ndarray, "rows w"], first_row: int = 0) -> Float32[np.ndarray, "n 3"]:
-        """Returns the points of some rows of a depth image, in the colour camera's frame, metres, in pixel order.
-
-        Args:
-            depth_mm: the rows, 0 = no depth.
-            first_row: index of the first of them in the image.
-        """
-        rays, is_known = _color_rays(
-            camera_key(self.depth), self.depth_reach, tuple(self.T_color_depth.as_matrix().ravel())
-        )
-        depth = depth_mm.reshape(-1)
-        span = slice(first_row * self.depth.width_px, first_row * self.depth.width_px + len(depth))
-        measured = np.flatnonzero((depth > 0) & is_known[span])
-        z_m = depth.take(measured).astype(np.float32) / np.float32(MM_PER_M)
-        # coordinate by coordinate: faster than indexing rows of three numbers
-        xyz = np.stack([ray[span].take(measured) for ray in rays])
-        xyz *= z_m
-        xyz += self.T_color_depth.translation.astype(np.float32)[:, None]
-        return xyz.T
+    def seen_points(
+        self, depth_mm: UInt16[np.ndarray, "h w"]
+    ) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
+        """Returns the points of a depth image (0 = no depth) that the colour camera sees, as `two_cameras` does."""
+        depth_m = depth_mm.astype(np.float32) / np.float32(MM_PER_M)
+        return seen_points(depth_m, self.depth, self.T_color_depth, self.color, self.depth_reach)
 
 
 def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> KinectCalibration:
@@ -180,20 +167,3 @@ def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> Kin
         if accelerometer
         else None,
     )
-
-
-@lru_cache(maxsize=4)
-def _color_rays(
-    depth: CameraKey, reach: float, pose: tuple[float, ...]
-) -> tuple[Float32[np.ndarray, "3 n"], Bool[np.ndarray, "n"]]:
-    """Returns each depth pixel's ray in the colour camera's frame, and whether the pixel is calibrated.
-
-    A ray is the vector to the point at depth 1 m in the depth camera's frame, without the translation.
-    """
-    xy = pixel_rays(Camera(*depth)).reshape(-1, 2).astype(np.float64)
-    is_known = (xy**2).sum(axis=1) <= reach**2
-    rays = np.array(pose).reshape(4, 4)[:3, :3] @ np.stack([xy[:, 0], xy[:, 1], np.ones(len(xy))])
-    rays = rays.astype(np.float32)
-    for each in (rays, is_known):
-        each.flags.writeable = False
-    return rays, is_known

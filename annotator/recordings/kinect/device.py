@@ -1,7 +1,7 @@
 """A connected Azure Kinect through pyk4a (the extra `kinect`), which contains Microsoft's Sensor SDK 1.4.
 
 Both cameras and the accelerometer run. A frame is a colour and a depth image of the same moment, combined as in a
-recording (`cloud.py`). Interface: pyk4a 1.5.0 (github.com/etiennedub/pyk4a, MIT).
+recording (`two_cameras.py`). Interface: pyk4a 1.5.0 (github.com/etiennedub/pyk4a, MIT).
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
 from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
-from annotator.recordings.kinect.cloud import seen_points
 from annotator.recordings.kinect.connection import NAME, load_pyk4a, open_device
 from annotator.recordings.kinect.imu import SAMPLE, WITHIN_NS, up_at_rest
 from annotator.types import Frame, PointCloud
@@ -185,7 +184,7 @@ class KinectDevice:
         time_ns = int(capture.color_timestamp_usec) * NS_PER_US
         self._read_accelerations(time_ns)
         rgb = _rgb(self.name, capture.color)
-        xyz_m, pixel = seen_points(self.calibration, _depth_mm(self.name, capture.depth, self._mode.size))
+        xyz_m, pixel = self.calibration.seen_points(_depth_mm(self.name, capture.depth, self._mode.size))
         cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0))
         key, self._frames = f"{self._frames:06d}", self._frames + 1
         frame = Frame(

@@ -3,7 +3,8 @@
 Tracks COLOR (MJPEG, NV12, YUY2 or BGRA), DEPTH and IR (16 bits per pixel, big-endian, depth in millimetres), IMU; the
 calibration is attached. Tags hold the recording's start on the device's clock and the delay of the depth images.
 
-A frame's camera is the colour camera. Its cloud holds the points of the depth image that this camera sees (`cloud.py`).
+A frame's camera is the colour camera. Its cloud holds the points of the depth image that this camera sees
+(`two_cameras.py`).
 `up` is known while the device is at rest (`imu.py`).
 """
 
@@ -23,7 +24,6 @@ from jaxtyping import Float64, UInt8, UInt16
 from annotator.recordings.kinect.attachments import REMEDY, tagged_ns, tags_and_calibration
 from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
 from annotator.recordings.kinect.captures import Capture, find_captures
-from annotator.recordings.kinect.cloud import seen_points
 from annotator.recordings.kinect.color import FORMATS, decode_color
 from annotator.recordings.kinect.imu import blocks_near, parse_samples, up_at_rest
 from annotator.recordings.kinect.matroska import Block, MatroskaIndex, Track, read_index, read_tracks
@@ -76,7 +76,7 @@ class AzureKinect(KeyedFrames):
         # the image is decoded in parallel with the geometry: both take a similar time
         with ThreadPoolExecutor(1) as executor:
             decoding = executor.submit(self.color_image, i)
-            xyz_m, pixel = seen_points(self.calibration, self.depth_image(i))
+            xyz_m, pixel = self.calibration.seen_points(self.depth_image(i))
             color = decoding.result()
         cloud = PointCloud(xyz_m, rgb=color.reshape(-1, 3).take(pixel, axis=0))
         if len(cloud) == 0:

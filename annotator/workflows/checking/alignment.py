@@ -96,7 +96,8 @@ def turns_deg() -> Float64[np.ndarray, "k 3"]:
 
 def depth_edges(frame: Frame) -> Float64[np.ndarray, "n 2"]:
     """Returns the pixels (u, v) of foreground edges in depth."""
-    if frame.depth_m is None:
+    # depth from another camera has gaps between its pixels
+    if frame.depth_m is None or frame.cloud.pixel_index is None:
         return _edges_of_points(frame)
     return _edges_of_image(np.where(frame.depth_m > 0, frame.depth_m, np.float32(FAR_M)))
 

@@ -33,6 +33,7 @@ EXTRAS = {
     "ray": ("ray",),
     "onnx": ("onnxruntime", "onnx"),
     "las": ("laspy", "lazrs"),
+    "phones": ("lzfse",),
     "desktop": ("webview",),
 }
 # System libraries that open3d and OpenCV load, and their packages in Debian and Ubuntu, as in scripts/setup.

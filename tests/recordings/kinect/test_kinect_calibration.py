@@ -79,7 +79,7 @@ def test_there_are_no_points_beyond_the_calibrated_radius():
     content = json.dumps(made.calibration(MetricRadius=0.3)).encode()
     calibration = parse_calibration(content, (320, 288), (1280, 720))
     image = np.full((288, 320), 1000, np.uint16)
-    in_depth = calibration.color_points(image) + np.array([made.BASELINE_M, 0, 0], np.float32)
+    in_depth = calibration.seen_points(image)[0] + np.array([made.BASELINE_M, 0, 0], np.float32)
     assert 0 < len(in_depth) < image.size
     assert np.linalg.norm(in_depth[:, :2], axis=1).max() <= 0.3001
     assert np.isnan(calibration.depth_to_3d(np.array([[0.0, 0.0]]), np.array([1.0]))).all()

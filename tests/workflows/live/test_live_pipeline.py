@@ -92,6 +92,7 @@ class FakeRecording:
 
     root = path
     is_sequence = True
+    notes = ()
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -1,0 +1,1 @@
+"""Recordings of phones and tablets with a depth sensor."""

@@ -1,0 +1,250 @@
+"""Record3D (`.r3d`), an app for iPhones and iPads: a zip archive, or the folder with its content.
+
+metadata          JSON: w h (image size), dw dh (depth size), K (column by column), poses, fps, ...
+rgbd/N.jpg        the colour image
+rgbd/N.depth      LZFSE: float32, metres, row by row, NaN without a measurement
+rgbd/N.conf       LZFSE: uint8, confidence 0 to 2; optional
+
+The format is described in issues of github.com/marek-simonik/record3d (7, 27, 33, 36). `poses` are qx qy qz qw x y z,
+camera to world, with OpenGL's camera axes (x right, y up, z backward). Older versions of the app recorded them relative
+to the first image, so that the direction of gravity is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import Rotation
+
+from annotator.geometry.projection import resized
+from annotator.image_bytes import decode_image
+from annotator.recordings.listing import sorted_keys
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
+from annotator.recordings.phones.lzfse_api import decompress
+from annotator.recordings.phones.zip_entries import Entries, list_entries, read_entry
+from annotator.recordings.plausible import is_pinhole
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rgbd_camera import Number, Positive, Side, pinhole
+from annotator.types import Camera, Frame
+from annotator.types.errors import FrameError, RecordingError
+
+LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
+SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"
+REMEDY = "export the recording again"
+# Depth sizes of the back and the front camera (long side, short side), for files that do not name them.
+DEPTH_SIZES = {4 * 256 * 192: (256, 192), 4 * 640 * 480: (640, 480)}
+OPENGL = np.array([1.0, -1.0, -1.0])
+# The first pose of a recording is the identity up to single precision if poses are relative to it.
+IDENTITY_RAD = 1e-3
+S_TO_NS = 1e9
+
+
+class Metadata(BaseModel):
+    """`metadata`; other keys (cameraType, initPose, ...) are ignored.
+
+    Attributes:
+        w, h: size of the colour images.
+        dw, dh: size of the depth images; missing in older files.
+        K: the camera matrix of the colour images, column by column.
+        perFrameIntrinsicCoeffs: fx fy cx cy of each image; missing in older files.
+        poses: qx qy qz qw x y z of each image.
+        frameTimestamps: seconds since the first image; missing in older files.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    w: Side
+    h: Side
+    dw: Side | None = None
+    dh: Side | None = None
+    K: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
+    fps: Positive | None = None
+    perFrameIntrinsicCoeffs: tuple[tuple[Number, Number, Number, Number], ...] = ()
+    poses: tuple[tuple[Number, Number, Number, Number, Number, Number, Number], ...] = ()
+    frameTimestamps: tuple[Number, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Record3D(KeyedFrames):
+    """A `Recording` of Record3D. Frames are named by their numbers.
+
+    Attributes:
+        metadata: the recording's metadata.
+        entries: the files in the archive.
+        min_confidence: the option; None for the default.
+    """
+
+    metadata: Metadata
+    entries: Entries = field(repr=False)
+    min_confidence: int | None = None
+    format: ClassVar[str] = "record3d"
+    is_sequence: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        return self.path.resolve().stem
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        notes = []
+        if self.metadata.poses and not self._knows_gravity:
+            notes.append("The recording's poses start at its first image, so the direction of gravity is not known.")
+        if self.min_confidence is not None and not any(name.endswith(".conf") for name in self.entries):
+            notes.append("The recording has no confidence, so that --min-confidence has no effect.")
+        return tuple(notes)
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; its cloud has `rgb`.
+
+        Raises:
+            FrameError: a missing or damaged image, sizes that do not fit, or no depth of this confidence.
+            MissingExtraError: the package for LZFSE is not installed.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        rgb = self._image(key)
+        camera = self._camera(i, rgb)
+        depth_path, depth_m = self._plane(key, "depth", np.float32, camera)
+        confidence = self._plane(key, "conf", np.uint8, camera)[1] if f"{FOLDER}{key}.conf" in self.entries else None
+        cloud, in_color_m = phone_cloud(depth_path, camera, rgb, depth_m, confidence, self.min_confidence)
+        return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=self._time_ns(i))
+
+    def _image(self, key: str) -> UInt8[np.ndarray, "h w 3"]:
+        import cv2
+
+        path, data = self._read(f"{key}.jpg")
+        try:
+            bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        except ValueError as error:
+            raise FrameError(path, str(error), REMEDY) from error
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+
+    def _camera(self, i: int, rgb: UInt8[np.ndarray, "h w 3"]) -> Camera:
+        """Returns the colour camera of an image, whose intrinsics change while the phone focuses."""
+        meta, (height, width) = self.metadata, rgb.shape[:2]
+        K = np.array(meta.K).reshape(3, 3).T
+        at = self._place(i, len(meta.perFrameIntrinsicCoeffs))
+        if at is not None:
+            (K[0, 0], K[1, 1], K[0, 2], K[1, 2]) = meta.perFrameIntrinsicCoeffs[at]
+        if not is_pinhole(K):
+            raise FrameError(self.path / METADATA, "K is not a camera matrix, column by column", REMEDY)
+        if width * meta.h != height * meta.w:
+            raise FrameError(
+                self.path / f"{FOLDER}{self.keys[i]}.jpg",
+                f"the image is {width} x {height} pixels, but the metadata has {meta.w} x {meta.h}",
+                REMEDY,
+            )
+        camera = pinhole(K, meta.w, meta.h)
+        return camera if (width, height) == (meta.w, meta.h) else resized(camera, width, height)
+
+    def _plane(self, key: str, suffix: str, dtype: type[np.generic], camera: Camera) -> tuple[Path, np.ndarray]:
+        """Returns the path and the pixels of a depth or confidence image."""
+        path, data = self._read(f"{key}.{suffix}")
+        meta, bytes_each = self.metadata, np.dtype(dtype).itemsize
+        try:
+            if meta.dw is None or meta.dh is None:
+                long, short = self._depth_size
+                size = (short, long) if camera.height_px > camera.width_px else (long, short)
+            else:
+                size = (meta.dw, meta.dh)
+            pixels = decompress(data, bytes_each * size[0] * size[1])
+        except ValueError as error:
+            raise FrameError(path, str(error), REMEDY) from error
+        return path, np.frombuffer(pixels, np.dtype(dtype).newbyteorder("<")).astype(dtype).reshape(size[::-1])
+
+    @cached_property
+    def _depth_size(self) -> tuple[int, int]:
+        """The long and the short side of the depth images, which the metadata does not name."""
+        _, data = self._read(next(name for name in self.entries if name.endswith(".depth")).removeprefix(FOLDER))
+        for expected, size in DEPTH_SIZES.items():
+            try:
+                decompress(data, expected)
+            except ValueError:
+                continue
+            return size
+        raise ValueError("the size of the depth images is unknown (no dw and dh in metadata)")
+
+    def _read(self, name: str) -> tuple[Path, bytes]:
+        path = self.path / f"{FOLDER}{name}"
+        if FOLDER + name not in self.entries:
+            raise FrameError(path, "missing", REMEDY)
+        try:
+            return path, read_entry(self.path, FOLDER + name, self.entries[FOLDER + name])
+        except (OSError, ValueError) as error:
+            raise FrameError(path, f"cannot be read: {error}", REMEDY) from error
+
+    def _place(self, i: int, length: int) -> int | None:
+        """Returns the place of frame `i` in a list of the metadata: by order, or by number if some were removed."""
+        place = i if length == len(self.keys) else int(self.keys[i])
+        return place if place < length else None
+
+    def _time_ns(self, i: int) -> int | None:
+        times, fps = self.metadata.frameTimestamps, self.metadata.fps
+        place = self._place(i, len(times))
+        if place is not None:
+            return round(times[place] * S_TO_NS)
+        return None if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
+
+    @cached_property
+    def _knows_gravity(self) -> bool:
+        """True unless poses are missing, or relative to the first one."""
+        first = self._orientation(0)
+        return first is not None and bool(first.magnitude() > IDENTITY_RAD)
+
+    def _orientation(self, i: int) -> Rotation | None:
+        place = self._place(i, len(self.metadata.poses))
+        return None if place is None else rotation_of(self.metadata.poses[place][:4])
+
+    def _up(self, i: int) -> Float64[np.ndarray, "3"] | None:
+        orientation = self._orientation(i)
+        if orientation is None or not self._knows_gravity:
+            return None
+        return up_in_camera(orientation) * OPENGL
+
+
+def is_record3d(path: Path) -> bool:
+    """True for a file or folder of Record3D, by its name; much faster than opening it."""
+    is_file = path.suffix.lower() == SUFFIX and path.is_file()
+    return is_file or ((path / METADATA).is_file() and (path / FOLDER).is_dir())
+
+
+def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
+    """Opens the Record3D recording at `path`; `NotFound` if it is not one.
+
+    Raises:
+        RecordingError: a damaged archive, unusable metadata, or no frame.
+    """
+    if not is_record3d(path):
+        return NotFound(LOOKED_FOR)
+    try:
+        entries = list_entries(path)
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}; {REMEDY}") from error
+    keys = {
+        name[len(FOLDER) : -len(suffix)]
+        for suffix in (".jpg", ".depth")
+        for name in entries
+        if name.startswith(FOLDER) and name.endswith(suffix)
+    }
+    ordered = sorted_keys(path, {key for key in keys if key.isascii() and key.isdecimal()}, f"{FOLDER}0.jpg and so on")
+    return Record3D(path, ordered, _metadata(path, entries), entries, options.min_confidence)
+
+
+def _metadata(path: Path, entries: Entries) -> Metadata:
+    if METADATA not in entries:
+        raise RecordingError(f"{path}: has no file {METADATA}; {REMEDY}")
+    try:
+        return Metadata.model_validate_json(read_entry(path, METADATA, entries[METADATA]))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise RecordingError(f"{path}/{METADATA}: {where} {first['msg']}".rstrip() + f"; {REMEDY}") from error
+    except ValueError as error:
+        raise RecordingError(f"{path}/{METADATA}: {error}; {REMEDY}") from error

@@ -1,0 +1,221 @@
+"""Stray Scanner, an app for iPhones and iPads: a folder for each recording.
+
+rgb.mp4                 the colour images (HEVC)
+depth/NNNNNN.png        uint16, millimetres; in older versions NNNNNN.npy
+confidence/NNNNNN.png   uint8, 0 to 2; optional
+camera_matrix.csv       the camera matrix of the colour images, three rows
+odometry.csv            a row for each image: timestamp (s), frame, x y z (m), qx qy qz qw; since 2024 also fx fy cx cy
+
+`imu.csv` is not read. Format: github.com/strayrobots/scanner, docs/format.md. The poses are camera to world, with
+OpenCV's camera axes (x right, y down, z forward) and ARKit's world (y up). The video's images belong to the rows in
+their order. Images are recorded as the sensor lies, so those of a phone that was held upright are turned by a quarter.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import ClassVar, Never
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from annotator.recordings.clouds.numpy_file import read_array
+from annotator.recordings.image_file import read_confidence, read_depth
+from annotator.recordings.listing import frame_file
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
+from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rgbd_camera import pinhole
+from annotator.recordings.video_file import VideoFile, open_video
+from annotator.types import Camera, Frame
+from annotator.types.errors import FrameError, RecordingError
+
+LOOKED_FOR = "rgb.mp4, odometry.csv and depth/ of Stray Scanner"
+VIDEO, POSES, MATRIX, DEPTH, CONFIDENCE = "rgb.mp4", "odometry.csv", "camera_matrix.csv", "depth", "confidence"
+QUATERNION, INTRINSICS = ("qx", "qy", "qz", "qw"), ("fx", "fy", "cx", "cy")
+REMEDY = "copy the recording from the phone again, or remove the frame"
+MM_PER_M, S_TO_NS = 1000.0, 1e9
+# Number of frames that tell how the phone was held.
+SOME = 200
+
+
+@dataclass(frozen=True, eq=False)
+class StrayScanner(KeyedFrames):
+    """A `Recording` of Stray Scanner. Frames are named by the numbers in `odometry.csv`.
+
+    Attributes:
+        rows: the rows of `odometry.csv`, as text by column.
+        turns: quarter turns clockwise that bring the images upright.
+        min_confidence: the option; None for the default.
+    """
+
+    rows: tuple[dict[str, str], ...] = field(repr=False)
+    turns: int = 0
+    min_confidence: int | None = None
+    format: ClassVar[str] = "stray_scanner"
+    is_sequence: ClassVar[bool] = True
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        notes = []
+        if self.turns:
+            notes.append(f"The images are turned clockwise by {90 * self.turns} degrees, since the phone was held so.")
+        if self.min_confidence is not None and not (self.path / CONFIDENCE).is_dir():
+            notes.append(f"There is no {CONFIDENCE}/, so that --min-confidence has no effect.")
+        try:
+            images = len(open_video(self.path / VIDEO))
+            if images != len(self):
+                lengths = f"{VIDEO} has {images} images, but {POSES} has {len(self)} rows"
+                notes.append(f"{lengths}; they are taken to begin at the same time.")
+        except (OSError, ValueError):  # each frame reports it
+            pass
+        return tuple(notes)
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; its cloud has `rgb`.
+
+        Raises:
+            FrameError: a missing or damaged image, calibration or row, or no depth of this confidence.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        rgb = self._image(i)
+        camera = turned(self._camera(i, rgb), self.turns)
+        rgb = self._turned(rgb)
+        depth_path = frame_file(self.path / DEPTH, key, (".png", ".npy"), VIDEO)
+        depth_m = self._turned(_depth_m(depth_path))
+        cloud, in_color_m = phone_cloud(
+            depth_path, camera, rgb, depth_m, self._confidence(key, depth_m), self.min_confidence
+        )
+        time_ns = round(self._numbers(i, ("timestamp",))[0] * S_TO_NS)
+        return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=time_ns)
+
+    def _image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
+        path = self.path / VIDEO
+        try:
+            video: VideoFile = open_video(path)
+            return video.image(i)
+        except (OSError, ValueError) as error:
+            raise FrameError(path, f"frame {self.keys[i]}: {error}", REMEDY) from error
+
+    def _confidence(self, key: str, depth_m: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"] | None:
+        folder = self.path / CONFIDENCE
+        if not folder.is_dir():
+            return None
+        path = frame_file(folder, key, (".png",), f"{DEPTH}/{key}.png")
+        confidence = self._turned(read_confidence(path))
+        if confidence.shape != depth_m.shape:
+            raise FrameError(
+                path,
+                f"it has {confidence.shape[1]} x {confidence.shape[0]} pixels, but the depth image has "
+                f"{depth_m.shape[1]} x {depth_m.shape[0]}",
+                REMEDY,
+            )
+        return confidence
+
+    def _camera(self, i: int, rgb: UInt8[np.ndarray, "h w 3"]) -> Camera:
+        """Returns the colour camera of an image, whose intrinsics change while the phone focuses."""
+        path, K = self.path / POSES, np.eye(3)
+        if all(self.rows[i].get(name) for name in INTRINSICS):
+            (K[0, 0], K[1, 1], K[0, 2], K[1, 2]) = self._numbers(i, INTRINSICS)
+        else:
+            path = self.path / MATRIX
+            K = _matrix(path)
+        if not is_pinhole(K):
+            raise FrameError(path, f"frame {self.keys[i]}: it has no camera matrix", REMEDY)
+        return pinhole(K, rgb.shape[1], rgb.shape[0])
+
+    def _up(self, i: int) -> Float64[np.ndarray, "3"]:
+        orientation = rotation_of(self._numbers(i, QUATERNION))
+        if orientation is None:
+            self._raise(i, "qx qy qz qw is not a rotation")
+        x, y, z = up_in_camera(orientation)
+        for _ in range(self.turns):
+            x, y = -y, x
+        return np.array([x, y, z])
+
+    def _turned(self, image: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.rot90(image, -self.turns))
+
+    def _numbers(self, i: int, columns: Sequence[str]) -> list[float]:
+        try:
+            numbers = [float(self.rows[i][name]) for name in columns]
+        except (KeyError, ValueError):
+            self._raise(i, f"{' '.join(columns)} must be numbers")
+        return numbers if are_plausible(np.array(numbers)) else self._raise(i, f"{' '.join(columns)} is implausible")
+
+    def _raise(self, i: int, problem: str) -> Never:
+        raise FrameError(self.path / POSES, f"line {i + 2}: {problem}", REMEDY)
+
+
+def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | NotFound:
+    """Opens the recording of Stray Scanner at `path`; `NotFound` if it is not one.
+
+    Raises:
+        RecordingError: `odometry.csv` has no rows, no header, or two rows of one frame.
+    """
+    poses = path / POSES
+    if not ((path / VIDEO).is_file() and poses.is_file() and (path / DEPTH).is_dir()):
+        return NotFound(LOOKED_FOR)
+    try:
+        lines = csv.reader(io.StringIO(poses.read_text(encoding="utf-8")), skipinitialspace=True)
+        header = [name.strip() for name in next(lines, [])]
+        rows = tuple({name: text.strip() for name, text in zip(header, line, strict=False)} for line in lines if line)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{poses}: not a table ({error}); copy the recording from the phone again") from error
+    keys = tuple(row.get("frame", "") for row in rows)
+    if not {"timestamp", "frame", *QUATERNION} <= {*header}:
+        raise RecordingError(
+            f"{poses}:1: must name the columns timestamp, frame, qx, qy, qz, qw; record with a newer app"
+        )
+    if not rows:
+        raise RecordingError(f"{poses}: no frames; record again, and stop the recording before leaving the app")
+    seen: set[str] = set()
+    for number, key in enumerate(keys, 2):
+        if not (key.isascii() and key.isdecimal()) or key in seen:
+            raise RecordingError(
+                f"{poses}:{number}: frame {key[:40]!r} is not a number, or has a row already; {REMEDY}"
+            )
+        seen.add(key)
+    recording = StrayScanner(path, keys, rows, min_confidence=options.min_confidence)
+    return replace(recording, turns=turns_to_upright(_some_ups(recording)))
+
+
+def _some_ups(recording: StrayScanner) -> Float64[np.ndarray, "n 3"]:
+    """Returns the up directions of some frames with a sound row."""
+    ups = []
+    for i in range(0, len(recording), len(recording) // SOME + 1):
+        try:
+            ups.append(recording._up(i))
+        except FrameError:  # when the frame is read
+            continue
+    return np.array(ups).reshape(-1, 3)
+
+
+def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
+    if path.suffix.lower() == ".png":
+        raw: np.ndarray = read_depth(path)
+    else:
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
+        raw = read_array(path, io.BytesIO(data), len(data))
+        if raw.ndim != 2 or raw.dtype.names is not None:
+            raise FrameError(path, "it is not an image of numbers", REMEDY)
+    return np.divide(raw, np.float32(MM_PER_M), dtype=np.float32)
+
+
+def _matrix(path: Path) -> Float64[np.ndarray, "3 3"]:
+    try:
+        numbers = [float(text) for line in path.read_text(encoding="utf-8").splitlines() for text in line.split(",")]
+    except (OSError, ValueError) as error:
+        raise FrameError(path, f"cannot be read ({error})", REMEDY) from error
+    if len(numbers) != 9 or not np.all(np.abs(numbers) <= LARGEST):
+        raise FrameError(path, "it is not a camera matrix of three rows", REMEDY)
+    return np.array(numbers).reshape(3, 3)

@@ -1,0 +1,227 @@
+"""TUM's RGB-D format: images that are named by time, and lists of them.
+
+rgb.txt, depth.txt    a line `timestamp file` for each image; seconds, `#` begins a comment
+rgb/, depth/          PNG or JPEG; uint16, 5000 units per metre, registered to the colour images
+groundtruth.txt       optional: `timestamp tx ty tz qx qy qz qw`, pose of the colour camera
+camera_intrinsic.json optional; also depth_intrinsic.json, as in an RGB-D folder
+
+Format: cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Each colour image is paired with the depth image nearest
+in time, closest pairs first, as TUM's own tool does. The data set's world has z up, so poses tell the direction of
+gravity; the worlds of other recordings in this format are not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.spatial.transform import Rotation
+
+from annotator.recordings.frame_times import MOST_NS
+from annotator.recordings.listing import IMAGE_SUFFIXES
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.plausible import are_plausible
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rgbd_camera import FILE_NAME, RgbdCamera, read_camera
+from annotator.recordings.rgbd_folder import read_images
+from annotator.types import Camera, Frame
+from annotator.types.errors import FrameError, RecordingError
+
+LOOKED_FOR = "rgb.txt and depth.txt of TUM's RGB-D format"
+RGB_LIST, DEPTH_LIST, POSES = "rgb.txt", "depth.txt", "groundtruth.txt"
+UNITS_PER_M = 5000.0
+# The camera that TUM recommends for all its recordings, whose depth was registered with it.
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+# Part of the names of TUM's own recordings.
+OWN_NAME = "freiburg"
+TOLERANCE_S = 0.02
+S_TO_NS = 10**9
+# A colour image is compared with this many depth images before and after it.
+NEIGHBOURS = 3
+REMEDY = "correct the line, or remove it"
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Orientations of the colour camera in TUM's world, in time order.
+
+    Attributes:
+        times_ns: (n,)
+        quaternions: (n, 4) x y z w, camera to world.
+    """
+
+    times_ns: Int64[np.ndarray, "n"]
+    quaternions: Float64[np.ndarray, "n 4"]
+
+    def up(self, time_ns: int, tolerance_ns: int) -> Float64[np.ndarray, "3"] | None:
+        """Returns the unit vector against gravity in the camera's frame; None without a pose near this time."""
+        after = int(np.searchsorted(self.times_ns, time_ns))
+        near = min(
+            (abs(int(self.times_ns[at]) - time_ns), at) for at in (after - 1, after) if 0 <= at < len(self.times_ns)
+        )
+        if near[0] > tolerance_ns:
+            return None
+        return np.asarray(Rotation.from_quat(self.quaternions[near[1]]).inv().apply([0.0, 0.0, 1.0]))
+
+
+@dataclass(frozen=True, eq=False)
+class TumRgbd(KeyedFrames):
+    """A `Recording` in TUM's format. Frames are named by their colour images.
+
+    Attributes:
+        images: the colour and the depth image of each frame, relative to the folder.
+        times_ns: the times of the colour images.
+        tolerance_ns: largest difference in time of an image and its partner.
+        unpaired: number of colour images without a depth image within the tolerance.
+        poses: None if the direction of gravity is not known.
+    """
+
+    images: tuple[tuple[str, str], ...] = field(repr=False)
+    times_ns: tuple[int, ...] = field(repr=False)
+    tolerance_ns: int
+    unpaired: int
+    poses: Poses | None
+    format: ClassVar[str] = "tum_rgbd"
+    is_sequence: ClassVar[bool] = True
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        notes = []
+        if self.unpaired:
+            within_s = self.tolerance_ns / S_TO_NS
+            notes.append(f"{self.unpaired} colour images have no depth image within {within_s:g} s, and are no frames.")
+        if not (self.path / FILE_NAME).is_file() and OWN_NAME not in self.name:
+            notes.append(
+                f"The camera is the one that TUM recommends for its own recordings; write {FILE_NAME} for others."
+            )
+        return tuple(notes)
+
+    @property
+    def file_owners(self) -> dict[str, str]:
+        """The key of the frame that each image belongs to."""
+        return {file: key for key, files in zip(self.keys, self.images, strict=True) for file in files}
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
+
+        Raises:
+            FrameError: a missing or broken file, different sizes, or no depth at all.
+            IndexError: there is no such frame.
+        """
+        key, (color, depth) = self.key(i), self.images[i]
+        camera = RgbdCamera(self.path / FILE_NAME, CAMERA, UNITS_PER_M)
+        if camera.path.is_file():
+            camera = read_camera(camera.path, UNITS_PER_M)
+        rgb, cloud, depth_m = read_images(self.path, self._file(color), self._file(depth), camera)
+        up = None if self.poses is None else self.poses.up(self.times_ns[i], self.tolerance_ns)
+        return Frame(key, i, camera.camera, rgb, cloud, depth_m, up=up, timestamp_ns=self.times_ns[i])
+
+    def _file(self, name: str) -> Path:
+        path = self.path / name
+        if not path.resolve().is_relative_to(self.path.resolve()):
+            raise FrameError(path, "lies outside the recording's folder", "move it there, and correct the list")
+        return path
+
+
+def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
+    """Opens the recording in TUM's format at `path`; `NotFound` if it is not one.
+
+    Raises:
+        RecordingError: a line that is not a time and a file, two images of one name, or no pair of images.
+    """
+    if not ((path / RGB_LIST).is_file() and (path / DEPTH_LIST).is_file()):
+        return NotFound(LOOKED_FOR)
+    tolerance_s = TOLERANCE_S if options.tolerance_s is None else options.tolerance_s
+    tolerance_ns = round(tolerance_s * S_TO_NS)
+    (color_times, colors), (depth_times, depths) = (_listed(path / name) for name in (RGB_LIST, DEPTH_LIST))
+    pairs = _pairs(color_times, depth_times, tolerance_ns)
+    keys = tuple(Path(colors[at]).stem for at, _ in pairs)
+    if not pairs:
+        raise RecordingError(
+            f"{path}: no frames; none of {len(colors)} colour images has a depth image within {tolerance_s:g} s; "
+            "give a larger --tolerance"
+        )
+    if len({*keys}) < len(keys):
+        raise RecordingError(f"{path / RGB_LIST}: two images have the same name; rename one of them")
+    return TumRgbd(
+        path,
+        keys,
+        tuple((colors[at], depths[partner]) for at, partner in pairs),
+        tuple(int(color_times[at]) for at, _ in pairs),
+        tolerance_ns,
+        len(colors) - len(pairs),
+        _poses(path / POSES) if OWN_NAME in path.resolve().name and (path / POSES).is_file() else None,
+    )
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Returns the numbers and the words of all lines that are not comments."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: cannot be read ({error})") from error
+    split = ((number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1))
+    return [(number, words) for number, words in split if words and not words[0].startswith("#")]
+
+
+def _time_ns(path: Path, number: int, text: str) -> int:
+    try:
+        time_s = Decimal(text)
+        if 0 <= time_s <= MOST_NS // S_TO_NS:
+            return int(time_s * S_TO_NS)
+    except InvalidOperation:
+        pass
+    raise RecordingError(f"{path}:{number}: must begin with a time in seconds, not {text[:40]!r}; {REMEDY}")
+
+
+def _listed(path: Path) -> tuple[Int64[np.ndarray, "n"], list[str]]:
+    """Returns the times (ns) and files of a list, in time order."""
+    images = []
+    for number, words in _lines(path):
+        if len(words) < 2 or Path(words[1]).suffix.lower() not in IMAGE_SUFFIXES:
+            raise RecordingError(f"{path}:{number}: must be a time and a PNG or JPEG file; {REMEDY}")
+        images.append((_time_ns(path, number, words[0]), words[1]))
+    images.sort()
+    return np.array([time for time, _ in images], np.int64), [name for _, name in images]
+
+
+def _pairs(times: Int64[np.ndarray, "n"], others: Int64[np.ndarray, "m"], tolerance_ns: int) -> list[tuple[int, int]]:
+    """Pairs each time with at most one of the others, closest pairs first; returns them by time."""
+    if not len(others):
+        return []
+    near = np.searchsorted(others, times)[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS)
+    possible = (near >= 0) & (near < len(others))
+    apart = np.abs(others[near.clip(0, len(others) - 1)] - times[:, None])
+    first, column = np.nonzero(possible & (apart <= tolerance_ns))
+    order = np.argsort(apart[first, column], kind="stable")
+    partner: dict[int, int] = {}
+    taken: set[int] = set()
+    for at, other in zip(first[order].tolist(), near[first, column][order].tolist(), strict=True):
+        if at not in partner and other not in taken:
+            partner[at] = other
+            taken.add(other)
+    return sorted(partner.items())
+
+
+def _poses(path: Path) -> Poses | None:
+    """Reads the poses; None if there are none."""
+    rows = [(_time_ns(path, number, words[0]), _quaternion(path, number, words)) for number, words in _lines(path)]
+    rows.sort(key=lambda row: row[0])
+    if not rows:
+        return None
+    return Poses(np.array([time for time, _ in rows], np.int64), np.array([quaternion for _, quaternion in rows]))
+
+
+def _quaternion(path: Path, number: int, words: Sequence[str]) -> list[float]:
+    try:
+        numbers = [float(word) for word in words[4:8]]
+    except ValueError:
+        numbers = []
+    if len(words) != 8 or not are_plausible(np.array(numbers)) or not 0.99 < np.linalg.norm(numbers) < 1.01:
+        raise RecordingError(f"{path}:{number}: must be a time, a place and a unit quaternion; {REMEDY}")
+    return numbers

@@ -1,0 +1,320 @@
+"""Record3D and Stray Scanner: what is written is read, from generated and from real images; and damage."""
+
+from __future__ import annotations
+
+import json
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import numpy as np
+import phone_samples as made
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from annotator.geometry.projection import project
+from annotator.recordings import open_recording
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.video_file import open_video
+from annotator.types import Frame
+from annotator.types.errors import FrameError, MissingExtraError, RecordingError
+
+Images = list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
+
+
+def record3d(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
+    return made.write_record3d(folder / "take.r3d", images, matrix)
+
+
+def record3d_unpacked(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
+    return made.write_record3d(folder / "take", images, matrix)
+
+
+def record3d_deflated(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
+    return made.write_record3d(folder / "take.r3d", images, matrix, compression=zipfile.ZIP_DEFLATED)
+
+
+def stray_scanner(folder: Path, images: Images, matrix: np.ndarray = made.K) -> Path:
+    return made.write_stray_scanner(folder / "take", images, matrix)
+
+
+WRITERS = [record3d, record3d_unpacked, record3d_deflated, stray_scanner]
+Writer = Callable[..., Path]
+
+
+def require_same(frame: Frame, written: tuple[np.ndarray, np.ndarray, np.ndarray | None], least: int, most_off: int):
+    """Compares a frame with what was written. Image compression changes colours by at most `most_off` (99 of 100)."""
+    rgb, depth_m, confidence = written
+    assert np.percentile(np.abs(frame.rgb.astype(int) - rgb), 99) <= most_off
+    kept = depth_m > 0 if confidence is None else (depth_m > 0) & (confidence >= least)
+    np.testing.assert_allclose(frame.cloud.xyz_m[:, 2], depth_m[kept], atol=5.1e-4)
+    # each point lies in the middle of the part of the image that its depth pixel covers
+    v, u = np.nonzero(kept)
+    scale = rgb.shape[1] / depth_m.shape[1]
+    px = project(frame.camera, frame.cloud.xyz_m)
+    np.testing.assert_allclose(px, np.c_[u, v] * scale + (scale - 1) / 2, atol=2e-3)
+    at = np.floor(px + 0.5).astype(int)
+    clear = (np.abs(px % 1 - 0.5) > 0.01).all(axis=1)
+    np.testing.assert_array_equal(frame.cloud.rgb[clear], frame.rgb[at[clear, 1], at[clear, 0]])
+    assert np.count_nonzero(frame.depth_m) == len(frame.cloud)
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_what_is_written_is_read(tmp_path: Path, write: Writer):
+    images = made.frames()
+    path = write(tmp_path, images)
+    for least in (0, 1, 2):
+        recording = open_recording(path, ReaderOptions(min_confidence=least))
+        for i in (2, 0, 3, 1):
+            require_same(recording.frame(i), images[i], least, 4)
+    recording = open_recording(path)
+    assert (recording.name, len(recording), recording.is_sequence, recording.notes) == ("take", 4, True, ())
+    frame = recording.frame(3)
+    require_same(frame, images[3], 1, 4)  # without the option, low confidence is left out
+    camera = frame.camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (303.0, 304.0, 159.5, 119.5)  # of this image
+    np.testing.assert_allclose(frame.up, made.orientation(3).inv().apply([0, 1, 0]), atol=1e-6)
+    assert frame.up[1] < -0.9  # the camera was held upright
+    start, step = (0, 1 / 30) if recording.format == "record3d" else (5000, 1 / 60)
+    assert frame.timestamp_ns == pytest.approx((start + 3 * step) * 1e9, abs=100)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("write", [record3d, stray_scanner])
+def test_real_images_come_back(shared: Path, tmp_path: Path, write: Writer):
+    """With depth of a fifth of the image's resolution, as a phone has."""
+    real = open_recording(shared / "data" / "human_turn")
+    images: Images = []
+    for i in (0, 20, 40):
+        frame = real.frame(i)
+        images.append((frame.rgb, np.ascontiguousarray(frame.depth_m[2::5, 2::5]), None))
+    path = write(tmp_path, images, real.frame(0).camera.matrix)
+    (tmp_path / "take" / "confidence").exists() and (tmp_path / "take" / "confidence").rmdir()
+    recording = open_recording(path)
+    for i, written in enumerate(images):
+        frame = recording.frame(i)
+        require_same(frame, written, 1, 12)
+        original = real.frame((0, 20, 40)[i])
+        # the points are where they were, and have the colours that they had
+        pixel = original.depth_m[2::5, 2::5] > 0
+        grid = np.flatnonzero(pixel)
+        assert len(frame.cloud) == len(grid) > 5000
+        was = np.zeros((*original.rgb.shape[:2], 3), np.float32)
+        was.reshape(-1, 3)[original.cloud.pixel_index] = original.cloud.xyz_m
+        camera = frame.camera
+        moved = was[2::5, 2::5][pixel] * [original.camera.fx / camera.fx, original.camera.fy / camera.fy, 1]
+        np.testing.assert_allclose(frame.cloud.xyz_m, moved, atol=2e-3)
+
+
+def test_older_record3d_files_have_fewer_keys_and_no_gravity(tmp_path: Path):
+    relative = [[1e-9, 0, 0, 1, 0, 0, 0], [0, 0.1, 0, 0.995, 0, 0, 0]]
+    newer = ("dw", "dh", "perFrameIntrinsicCoeffs", "frameTimestamps", "initPose")
+    depth = np.linspace(1, 2, 192 * 256, dtype=np.float32)
+    for name, shape, size in (("wide.r3d", (192, 256), (1024, 768)), ("tall.r3d", (256, 192), (768, 1024))):
+        rgb = np.full((*size[::-1], 3), 90, np.uint8)
+        images: Images = [(rgb, depth.reshape(shape), None)] * 2
+        recording = open_recording(made.write_record3d(tmp_path / name, images, without=newer, poses=relative))
+        frame = recording.frame(1)
+        assert len(frame.cloud) == 192 * 256
+        np.testing.assert_array_equal(frame.cloud.xyz_m[:, 2], depth)
+        assert (frame.up, frame.timestamp_ns, frame.camera.fx) == (None, round(1e9 / 60), 300.0)
+        assert "gravity is not known" in recording.notes[0]
+
+
+def test_a_smaller_image_than_the_metadata_names_has_a_smaller_camera(tmp_path: Path):
+    path = made.write_record3d(tmp_path / "take.r3d", made.frames(1), w=640, h=480)
+    camera = open_recording(path).frame(0).camera
+    assert (camera.width_px, camera.fx, camera.cx) == (320, 150.0, (159.5 + 0.5) / 2 - 0.5)
+
+
+def test_removed_images_keep_the_numbers_of_the_others(tmp_path: Path):
+    path = made.write_record3d(tmp_path / "take", made.frames())
+    for suffix in ("jpg", "depth", "conf"):
+        (path / "rgbd" / f"1.{suffix}").unlink()
+    recording = open_recording(path)
+    assert recording.keys == ("0", "2", "3")
+    assert recording.frame(1).camera.fx == 302.0
+
+
+def test_older_stray_scanner_folders_share_one_camera_matrix_and_have_numpy_depth(tmp_path: Path):
+    images = made.frames(3)
+    path = made.write_stray_scanner(tmp_path / "take", images, own_intrinsics=False)
+    for number in range(3):
+        depth_mm = np.rint(np.nan_to_num(images[number][1]) * 1000).astype(np.uint16)
+        (path / "depth" / f"{number:06d}.png").unlink()
+        np.save(path / "depth" / f"{number:06d}.npy", depth_mm)
+    frame = open_recording(path).frame(2)
+    require_same(frame, images[2], 1, 4)
+    assert frame.camera.fx == 300.0
+
+
+@pytest.mark.parametrize(("rolled", "turns"), [(90, 1), (-90, 3), (180, 2), (80, 1), (30, 0)])
+def test_images_of_a_turned_phone_are_upright(tmp_path: Path, rolled: int, turns: int):
+    images = made.frames(2)
+    path = made.write_stray_scanner(tmp_path / "take", images, rolled=rolled)
+    recording = open_recording(path)
+    frame = recording.frame(1)
+    upright = tuple(np.rot90(image, -turns) for image in images[1])
+    require_same(frame, upright, 1, 4)
+    assert frame.up[1] < -0.75
+    assert (recording.notes == ()) == (turns == 0)
+
+
+def test_confidence_that_was_not_recorded_is_told(tmp_path: Path):
+    rgb, depth_m, _ = made.scene(0)
+    (tmp_path / "r").mkdir()
+    for path in (
+        record3d(tmp_path / "r", [(rgb, depth_m, None)]),
+        stray_scanner(tmp_path / "s", [(rgb, depth_m, None)]),
+    ):
+        if path.is_dir():
+            (path / "confidence").rmdir()
+        (note,) = open_recording(path, ReaderOptions(min_confidence=2)).notes
+        assert note.endswith("--min-confidence has no effect.")
+        assert open_recording(path).notes == ()
+
+
+@pytest.mark.parametrize("codec", ["libx264", "libx265"])
+def test_images_of_a_video_are_decoded_in_any_order(tmp_path: Path, codec: str):
+    images = [rgb for rgb, _, _ in made.frames(16)]
+    path = tmp_path / "rgb.mp4"
+    for _ in range(20):  # PyAV's x265 sometimes writes a head that its own container refuses
+        try:
+            made.write_video(path, images, codec, keyframes=5)
+            break
+        except av.error.PatchWelcomeError:
+            continue
+    video = open_video(path)
+    assert (len(video), video.size) == (16, (320, 240))
+    for i in (15, 3, 3, 4, 9, 0, 14, 13, 7, 8):
+        assert np.percentile(np.abs(video.image(i).astype(int) - images[i]), 99) <= 4
+
+
+def test_a_video_of_another_length_is_told(tmp_path: Path):
+    path = made.write_stray_scanner(tmp_path / "take", made.frames())
+    table = (path / "odometry.csv").read_text().splitlines(keepends=True)
+    (path / "odometry.csv").write_text("".join(table[:4]))
+    assert "rgb.mp4 has 4 images, but odometry.csv has 3 rows" in open_recording(path).notes[0]
+    (path / "odometry.csv").write_text("".join([*table, table[-1].replace("000003", "000004")]))
+    with pytest.raises(FrameError, match=r"rgb\.mp4: frame 000004: there is no image 4; it has 4"):
+        open_recording(path).frame(4)
+
+
+def test_confidence_that_leaves_nothing_is_an_error(tmp_path: Path):
+    rgb, depth_m, _ = made.scene(0)
+    path = record3d(tmp_path, [(rgb, depth_m, np.zeros(depth_m.shape, np.uint8))])
+    with pytest.raises(FrameError, match=r"0\.depth: no pixel has a depth of confidence 1 or more.*--min-confidence"):
+        open_recording(path).frame(0)
+    assert len(open_recording(path, ReaderOptions(min_confidence=0)).frame(0).cloud) > 1000
+
+
+def test_without_lzfse_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = record3d(tmp_path, made.frames(1))
+    monkeypatch.setitem(sys.modules, "lzfse", None)
+    with pytest.raises(MissingExtraError, match=r'pip install "rcv-annotator\[phones\]"'):
+        open_recording(path).frame(0)
+
+
+def metadata(**changes: object) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        content = json.loads((path / "metadata").read_text()) | changes
+        (path / "metadata").write_text(json.dumps(content))
+
+    return change
+
+
+def write(name: str, content: bytes) -> Callable[[Path], None]:
+    return lambda path: (path / name).write_bytes(content) and None
+
+
+R3D_DAMAGES = [
+    pytest.param(metadata(K=[1, 0, 0, 0, 1, 0, 0, 0, 1], w=0), "metadata: w ", id="width"),
+    pytest.param(write("metadata", b"{"), "metadata: .*JSON", id="no-json"),
+    pytest.param(metadata(K=[1, 0, 5, 0, 1, 5, 0, 0, 1], perFrameIntrinsicCoeffs=[]), "column by column", id="rows"),
+    pytest.param(metadata(h=400), "the image is 320 x 240 pixels, but the metadata has 320 x 400", id="size"),
+    pytest.param(metadata(dw=81), "it has 19200 bytes instead of 19440", id="depth-size"),
+    pytest.param(write("rgbd/0.depth", b"bvx2 nothing"), "compression .LZFSE. is damaged", id="depth"),
+    pytest.param(write("rgbd/0.depth", bytes(100_000)), "too many for an image of 19200", id="huge-depth"),
+    pytest.param(lambda path: (path / "rgbd/0.depth").unlink(), "0.depth: missing", id="no-depth"),
+    pytest.param(lambda path: (path / "rgbd/0.jpg").unlink(), "0.jpg: missing", id="no-image"),
+    pytest.param(write("rgbd/0.jpg", b"\xff\xd8"), "0.jpg: ", id="image"),
+]
+
+
+@pytest.mark.parametrize(("damage", "complaint"), R3D_DAMAGES)
+def test_damaged_record3d_names_the_file(tmp_path: Path, damage: Callable[[Path], None], complaint: str):
+    path = made.write_record3d(tmp_path / "take", made.frames(2))
+    damage(path)
+    with pytest.raises(RecordingError, match=complaint) as caught:
+        open_recording(path).frame(0)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_file_that_is_no_archive_is_an_error(tmp_path: Path):
+    path = tmp_path / "take.r3d"
+    path.write_bytes(b"RED1" + bytes(100))
+    with pytest.raises(RecordingError, match=r"take\.r3d: not a complete zip archive .*; export"):
+        open_recording(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("rgbd/0.jpg", b"")
+    with pytest.raises(RecordingError, match="has no file metadata"):
+        open_recording(path)
+
+
+def replaced(name: str, old: str, new: str) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        text = (path / name).read_text()
+        assert old in text
+        (path / name).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+STRAY_DAMAGES = [
+    pytest.param(replaced("odometry.csv", "qw", "w"), "csv:1: must name the columns", id="header"),
+    pytest.param(
+        replaced("odometry.csv", "000001", "000000"), "csv:3: frame '000000' is not a number, or has", id="twice"
+    ),
+    pytest.param(replaced("odometry.csv", ", 0.1, 0.2, 0.3, ", ", 0, 0, 0, 9"), "line 2: qx qy qz qw is not a", id="q"),
+    pytest.param(replaced("odometry.csv", "5000.0", "x"), "line 2: timestamp must be numbers", id="time"),
+    pytest.param(replaced("odometry.csv", "300.0", "-1"), "frame 000000: it has no camera matrix", id="focal"),
+    pytest.param(lambda path: (path / "depth/000000.png").unlink(), "000000.png: missing", id="no-depth"),
+    pytest.param(lambda path: (path / "confidence/000000.png").unlink(), "000000.png: missing", id="no-confidence"),
+    pytest.param(write("rgb.mp4", b"nothing"), "rgb.mp4: frame 000000: not a readable video", id="video"),
+]
+
+
+@pytest.mark.parametrize(("damage", "complaint"), STRAY_DAMAGES)
+def test_damaged_stray_scanner_names_the_file(tmp_path: Path, damage: Callable[[Path], None], complaint: str):
+    path = made.write_stray_scanner(tmp_path / "take", made.frames(2))
+    damage(path)
+    with pytest.raises(RecordingError, match=complaint) as caught:
+        open_recording(path).frame(0)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("whole") / "take.r3d"
+    return made.write_record3d(path, made.frames(2), compression=zipfile.ZIP_DEFLATED).read_bytes()
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_random_damage_of_an_archive_gives_a_frame_or_an_error_that_names_it(
+    archive: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+):
+    path = tmp_path_factory.getbasetemp() / "damaged.r3d"
+    content = bytearray(archive[: data.draw(st.sampled_from([len(archive)] * 3 + [len(archive) // 2]))])
+    # the list of files is at the end
+    for at in data.draw(st.lists(st.integers(0, 700) | st.integers(-700, -1), max_size=6)):
+        content[at] = data.draw(st.integers(0, 255))
+    path.write_bytes(content)
+    try:
+        frame = open_recording(path).frame(0)
+        assert np.isfinite(frame.cloud.xyz_m).all() and len(frame.cloud) > 0
+    except RecordingError as error:
+        assert str(error).startswith(str(path))

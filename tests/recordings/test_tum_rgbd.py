@@ -1,0 +1,187 @@
+"""TUM's RGB-D format: pairs by time, depth units, gravity from its poses; and damage."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.recordings import open_recording
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.tum_rgbd import _pairs
+from annotator.types.errors import FrameError, RecordingError
+
+START_S = 1305031102
+# The first pose of TUM's fr1/xyz, whose camera looks down on a desk.
+POSE = "1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986"
+
+
+def png(image: np.ndarray) -> bytes:
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+def image(number: int) -> np.ndarray:
+    return np.random.default_rng(number).integers(0, 255, (480, 640, 3)).astype(np.uint8)
+
+
+def depth(number: int) -> np.ndarray:
+    raw = np.random.default_rng(number).integers(2500, 20_000, (480, 640)).astype(np.uint16)
+    raw[:100] = 0
+    return raw
+
+
+def write_tum(
+    folder: Path, rgb_ms: list[int], depth_ms: list[int], images: Callable[[int], np.ndarray] = image
+) -> Path:
+    """Writes images of these times (ms after the start), numbered in this order."""
+    for name, times, make in (("rgb", rgb_ms, images), ("depth", depth_ms, depth)):
+        (folder / name).mkdir(parents=True)
+        lines = [f"# {name} images", "# file: 'made.bag'", "# timestamp filename"]
+        for number, time_ms in enumerate(times):
+            text = f"{START_S + time_ms / 1000:.6f}"
+            content = make(number)
+            (folder / name / f"{text}.png").write_bytes(png(content[..., ::-1] if name == "rgb" else content))
+            lines.append(f"{text} {name}/{text}.png")
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    poses = [f"{START_S + time_ms / 1000:.4f} {POSE}" for time_ms in range(-5, 200, 10)]
+    (folder / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(poses) + "\n")
+    return folder
+
+
+def test_images_are_paired_by_time_and_depth_has_5000_units_per_metre(tmp_path: Path):
+    path = write_tum(tmp_path / "rgbd_dataset_freiburg1_xyz", [0, 33, 66, 133], [12, 41, 97, 130])
+    recording = open_recording(path)
+    assert (recording.format, recording.is_sequence) == ("tum_rgbd", True)
+    assert recording.keys == ("1305031102.000000", "1305031102.033000", "1305031102.133000")
+    assert recording.notes == ("1 colour images have no depth image within 0.02 s, and are no frames.",)
+    for i, (color, partner) in enumerate(((0, 0), (1, 1), (3, 3))):
+        frame = recording.frame(i)
+        np.testing.assert_array_equal(frame.rgb, image(color))
+        np.testing.assert_array_equal(frame.depth_m, (depth(partner) / np.float32(5000)).astype(np.float32))
+        assert len(frame.cloud) == np.count_nonzero(depth(partner)) == len(frame.cloud.pixel_index)
+    assert frame.timestamp_ns == START_S * 10**9 + 133_000_000
+    assert (frame.camera.fx, frame.camera.cx, frame.camera.cy) == (525.0, 319.5, 239.5)
+    # the camera looks down by about 27 degrees
+    np.testing.assert_allclose(
+        frame.up, Rotation.from_quat([0.6132, 0.5962, -0.3311, -0.3986]).as_matrix()[2], atol=1e-6
+    )
+    assert frame.up[1] < -0.85 and frame.up[2] == pytest.approx(-np.sin(np.radians(27.6)), abs=0.01)
+    wider = open_recording(path, ReaderOptions(tolerance_s=0.05))
+    assert (len(wider), wider.notes) == (4, ())
+    with pytest.raises(RecordingError, match=r"no frames; none of 4 colour images .* within 0\.001 s; give a larger"):
+        open_recording(path, ReaderOptions(tolerance_s=0.001))
+
+
+def test_other_recordings_have_their_own_camera_and_no_known_gravity(tmp_path: Path):
+    path = write_tum(tmp_path / "lab", [0], [1])
+    recording = open_recording(path)
+    assert "write camera_intrinsic.json for others" in recording.notes[0]
+    assert recording.frame(0).up is None
+    camera = {"width": 640, "height": 480, "intrinsic_matrix": [500.0, 0, 0, 0, 501.0, 0, 320, 240, 1]}
+    (path / "camera_intrinsic.json").write_text(json.dumps(camera))
+    frame = recording.frame(0)
+    assert (frame.camera.fx, recording.notes) == (500.0, ())
+    assert frame.depth_m.max() == depth(0).max() / np.float32(5000)
+    (path / "camera_intrinsic.json").write_text(json.dumps(camera | {"depth_scale": 1000}))
+    assert recording.frame(0).depth_m.max() == depth(0).max() / np.float32(1000)
+
+
+@pytest.mark.shared
+def test_real_images_come_back(shared: Path, tmp_path: Path):
+    real = open_recording(shared / "data" / "hand_gesture")
+    path = write_tum(tmp_path / "freiburg", [0, 40], [1, 41], lambda number: real.frame(number).rgb)
+    K = real.frame(0).camera.matrix.T.ravel().tolist()
+    (path / "camera_intrinsic.json").write_text(json.dumps({"width": 640, "height": 480, "intrinsic_matrix": K}))
+    for number, file in enumerate(sorted((path / "depth").iterdir())):
+        file.write_bytes(png(np.rint(real.frame(number).depth_m * 5000).astype(np.uint16)))
+    for i in range(2):
+        frame, was = open_recording(path).frame(i), real.frame(i)
+        np.testing.assert_array_equal(frame.rgb, was.rgb)
+        np.testing.assert_allclose(frame.cloud.xyz_m, was.cloud.xyz_m, atol=1e-6)
+        np.testing.assert_array_equal(frame.cloud.rgb, was.cloud.rgb)
+
+
+@pytest.mark.shared
+def test_a_real_frame_of_the_data_set_is_a_desk(shared: Path, tmp_path: Path):
+    source = shared / "data" / "rgbd_open3d_testdata" / "RGBD" / "other_formats"
+    for name in ("rgb", "depth"):
+        (tmp_path / name).mkdir()
+        (tmp_path / f"{name}.txt").write_text(f"1.0 {name}/1.png\n")
+    (tmp_path / "rgb" / "1.png").write_bytes((source / "TUM_color.png").read_bytes())
+    (tmp_path / "depth" / "1.png").write_bytes((source / "TUM_depth.png").read_bytes())
+    cloud = open_recording(tmp_path).frame(0).cloud
+    low, middle, high = np.percentile(cloud.xyz_m[:, 2], [1, 50, 99])
+    assert 1 < low < middle < 3 < high < 10  # a desk, with a hall behind it
+
+
+times = st.lists(st.integers(0, 400), unique=True, max_size=12).map(sorted)
+
+
+@given(times, times, st.integers(1, 60))
+def test_pairs_are_those_of_the_published_rule(first: list[int], second: list[int], tolerance: int):
+    """All possible pairs, the closest first, each image once; ties in any order."""
+    pairs = _pairs(np.array(first, np.int64), np.array(second, np.int64), tolerance)
+    apart = sorted(abs(first[a] - second[b]) for a, b in pairs)
+    possible = sorted((abs(a - b), a, b) for a in first for b in second if abs(a - b) <= tolerance)
+    free, rest, expected = {*first}, {*second}, []
+    for distance, a, b in possible:
+        if a in free and b in rest:
+            free.remove(a)
+            rest.remove(b)
+            expected.append(distance)
+    assert len({b for _, b in pairs}) == len({a for a, _ in pairs}) == len(pairs)
+    # more than three before or after an image are not considered
+    most = max((sum(abs(a - b) <= tolerance for b in second) for a in first), default=0)
+    if len({distance for distance, _, _ in possible}) == len(possible) and most <= 3:
+        assert apart == expected
+
+
+def replaced(name: str, old: str, new: str) -> Callable[[Path], object]:
+    def change(path: Path) -> None:
+        text = (path / name).read_text()
+        assert old in text
+        (path / name).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+DAMAGES = [
+    pytest.param(replaced("rgb.txt", f"{START_S}.0", "x"), r"rgb\.txt:4: must begin with a time", id="time"),
+    pytest.param(replaced("rgb.txt", f"{START_S}.000000 ", "1e99999999 "), r"rgb\.txt:4: must begin", id="huge-time"),
+    pytest.param(replaced("rgb.txt", f"{START_S}.000000 ", "nan "), r"rgb\.txt:4: must begin", id="nan"),
+    pytest.param(replaced("depth.txt", ".png", ".exr"), r"depth\.txt:4: must be a time and a PNG", id="suffix"),
+    pytest.param(replaced("rgb.txt", " rgb/", " ../../rgb/"), "lies outside the recording's folder", id="outside"),
+    pytest.param(replaced("rgb.txt", " rgb/", " rgb/x"), "cannot be read", id="no-file"),
+    pytest.param(replaced("groundtruth.txt", "0.6132", "2"), r"groundtruth\.txt:2: must be a time, a", id="pose"),
+    pytest.param(
+        replaced("groundtruth.txt", " -0.3986", ""), r"groundtruth\.txt:2: must be a time, a", id="short-pose"
+    ),
+]
+
+
+@pytest.mark.parametrize(("damage", "complaint"), DAMAGES)
+def test_damage_is_an_error_that_names_the_file(tmp_path: Path, damage: Callable[[Path], object], complaint: str):
+    path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34])
+    damage(path)
+    with pytest.raises(RecordingError, match=complaint) as caught:
+        open_recording(path).frame(0)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_missing_image_affects_only_its_frame(tmp_path: Path):
+    path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34])
+    next((path / "depth").iterdir()).unlink()
+    recording, broken = open_recording(path), 0
+    for i in range(2):
+        try:
+            recording.frame(i)
+        except FrameError:
+            broken += 1
+    assert broken == 1
