@@ -27,8 +27,8 @@ DEFAULT_VIEW_PX = 64
 FIRST_PART_S = 180.0
 # A shorter part is not begun. This includes the time to draw views and to measure.
 MIN_PART_S = 45.0
-# A detector that knows objects already is changed with care.
-LEARNING_RATE, WARMUP_EPOCHS = 0.003, 0.5
+# The rate rises quickly, because a detector that knows objects has no bad beginning.
+WARMUP_EPOCHS = 0.5
 # More epochs than any training has.
 NEVER = 1_000_000
 
@@ -104,8 +104,6 @@ def starting_config(config: TrainingConfig, start: UsedModel, seconds: float | N
     changes = {
         "pretrained": start.path,
         "seconds": seconds,
-        "learning_rate": LEARNING_RATE,
-        "augmentation": config.augmentation or BASE_TRAINING.augmentation,
         "batch": BASE_TRAINING.batch,
         "warmup_epochs": WARMUP_EPOCHS,
         # the held-out objects decide about the result of a part, not the views of its validation

@@ -49,7 +49,7 @@ IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
 VIEW_DEFAULTS = TrainingConfig(image_size_px=DEFAULT_VIEW_PX, pictures_seen=48000)
 
 # Share of generated views among the training views of a class-agnostic detector (docs/detector_training.md).
-GENERATED_SHARE = 0.5
+GENERATED_SHARE = 0.2
 # Share of the remaining time of a part that is for training; the rest is for measuring. The shortest training, seconds.
 TRAINING_SHARE, MIN_TRAINING_S = 0.85, 10.0
 
