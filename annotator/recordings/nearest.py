@@ -121,6 +121,9 @@ def recording_above(path: Path, detect: Detect) -> Path | None:
             name = detect(folder)
         except RecordingError:
             continue
+        # any folder with a scene of SUN RGB-D in it is a recording of scenes
+        if name == "sunrgbd_scenes" and not (folder / "intrinsics.txt").is_file():
+            continue
         if name == "cloud_folder":
             clouds = clouds or (folder if level == 0 and path.is_file() else None)
         elif name is not None:

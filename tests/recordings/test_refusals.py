@@ -91,6 +91,10 @@ def test_a_part_of_a_recording_names_the_recording(tmp_path: Path):
         assert refusal(tmp_path / part).endswith(f"it is a part of the recording {tmp_path / 'kitti'}; give that path")
     assert refusal(tmp_path / "clouds" / "1.bin").endswith(f"recording {tmp_path / 'clouds'}; give that path")
     assert "it is a part" not in refusal(tmp_path / "clouds" / "other")
+    scene = ("intrinsics.txt", "image/1.jpg", "depth/1.png", "extrinsics/1.txt")
+    make(tmp_path, *(f"scene/{name}" for name in scene))
+    assert refusal(tmp_path / "clouds" / "1.bin").endswith(f"recording {tmp_path / 'clouds'}; give that path")
+    assert refusal(tmp_path / "scene" / "depth" / "1.png").endswith(f"recording {tmp_path / 'scene'}; give that path")
 
 
 @pytest.mark.parametrize(("name", "said"), [("take.ZIP", "unpack it"), ("take.mp4", "a video, which has no depth")])
