@@ -19,7 +19,7 @@ from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
-from annotator.workflows.add_recordings import add_recordings
+from annotator.workflows.add_recordings import ALL, add_recordings
 from annotator.workflows.detectors import Detectors, active_model, load_detector, view_model
 from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
@@ -113,9 +113,12 @@ class Project:
         Raises:
             RecordingError: `path` holds no recording, or it cannot be read.
             ConfigError: a name or up direction that differs from the one stored in the project.
+            ArgumentError: all scenes or cameras at once.
             FormatError: its labels are broken.
         """
         up_of(up)
+        if several := [f"{name}={ALL!r}" for name in ("scene", "camera") if options.get(name) == ALL]:
+            raise ArgumentError(f"{several[0]} names several recordings; add them one by one")
         (added,) = add_recordings(self.stored, [Path(path)], name=name, up=up, options=parse_options(**options))
         if labels:
             import_own_labels(self.stored, added.recording.id)

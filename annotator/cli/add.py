@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -43,14 +44,20 @@ def run(
     """
     if not paths:
         raise ConfigError(f"no recording given; write annotator add {project} PATH ...")
+    one = replace(reading, scene=(), camera=()).options()
     with open_named(project, projects) as opened:
-        for added in add_recordings(opened, paths, name=name, up=up, options=reading.options()):
+        every = add_recordings(
+            opened, paths, name=name, up=up, options=one, scenes=reading.scene, cameras=reading.camera
+        )
+        for added in every:
             print_line(_summary(added))
             for note in added.notes:
                 print_line(f"  {note}")
             if not no_labels:
                 with counted("reading labels") as progress:
-                    imported = import_own_labels(opened, added.recording.id, progress)
+                    imported = import_own_labels(
+                        opened, added.recording.id, progress, [each.recording.id for each in every]
+                    )
                 for line in _label_lines(imported):
                     print_line(line)
         if not opened.labels.select(states=REVIEWED):
@@ -66,6 +73,8 @@ def _label_lines(imported: OwnLabels) -> list[str]:
         f"  skipped: {number} boxes of class {label}, which is not in the project"
         for label, number in sorted(imported.other_classes.items())
     ]
+    if imported.of_other_cameras:
+        lines.append(f"  {imported.of_other_cameras} boxes belong to other cameras of the rig")
     return lines + [f"  unreadable: {line}" for line in imported.unreadable]
 
 

@@ -47,6 +47,8 @@ def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     yield "distortion", " ".join(f"{k:g}" for k in frame.distortion) if any(frame.distortion) else "none"
     extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
     yield "points", f"{frame.points} with {' and '.join(extras) or 'coordinates only'}"
+    if frame.scanned is not None:
+        yield "seen", f"the image shows {frame.seen:,} of {frame.scanned:,} points"
     yield "depth", f"{frame.nearest_m:.2f} to {frame.farthest_m:.2f} m"
     known = frame.up is not None
     yield "up", " ".join(f"{x:g}" for x in frame.up) + " (camera frame)" if frame.up and known else "not known"

@@ -64,6 +64,13 @@ class Frames:
             )
         return frame_of(row)
 
+    def present(self, recording_id: int, index: int) -> StoredFrame | None:
+        """The frame with that index in the latest scan of a recording, or None."""
+        same = (frames.c.recording_id == recording_id) & (frames.c.position == index)
+        with self.writer.store.read() as connection:
+            row = connection.execute(select(frames).where(same)).first()
+        return None if row is None else frame_of(row)
+
     def of(self, recordings: Sequence[int] | None = None) -> tuple[StoredFrame, ...]:
         """The frames of some recordings (default: all) in order; those without an index come last."""
         query = select(frames).order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)

@@ -99,6 +99,7 @@ class Proposals:
         run: RunShare | None = None,
         track_ids: Sequence[int | None] | None = None,
         box_kind: BoxKind = BoxKind.BOX,
+        others: Sequence[Label] = (),
     ) -> Replaced:
         """Replaces the unreviewed labels of a frame with new proposals.
 
@@ -111,6 +112,7 @@ class Proposals:
             track_ids: of the proposals' objects over the recording, if the pass followed them from another frame; an
                 id that a reviewed label of this frame uses is ignored.
             box_kind: what the proposed boxes enclose: what the view detector measures.
+            others: labels of the other cameras of a rig, in this frame's camera; they cover proposals, too.
 
         Raises:
             StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
@@ -121,7 +123,7 @@ class Proposals:
             if run is not None:
                 read_run(connection, run.run_id)
             reviewed = [label for label in read_labels(connection, frame_id) if label.state is not ReviewState.PROPOSED]
-            covering = covered_by(proposals, reviewed)
+            covering = covered_by(proposals, [*reviewed, *others])
             # two boxes of a frame never share a track: the reviewed label keeps it
             taken = {label.track_id for label in reviewed if label.state is not ReviewState.REJECTED}
             ids = [None if id in taken else id for id in track_ids or [None] * len(proposals)]

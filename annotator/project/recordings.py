@@ -163,6 +163,12 @@ class Recordings:
         with self.store.read() as connection:
             return _recording(connection, recording_id)
 
+    def at(self, path: Path) -> tuple[StoredRecording, ...]:
+        """The recordings of a path, which differ in their options, in the order of their addition."""
+        with self.store.read() as connection:
+            query = _query().where(recordings.c.path == str(path)).order_by(recordings.c.id)
+            return tuple(map(_stored, connection.execute(query)))
+
     def find(self, name: str) -> StoredRecording:
         """The recording of that name.
 

@@ -18,6 +18,8 @@ PARTS: dict[str, tuple[str, ...]] = {
     "a KITTI object folder": ("image_2/", "velodyne/", "calib/"),
     "a KITTI tracking folder of one sequence": ("image_02/", "velodyne/", "calib.txt"),
     "a KITTI raw drive": ("image_02/data/", "velodyne_points/data/"),
+    "nuScenes": ("v1.0-*", "samples/", "sweeps/"),
+    "a log of Argoverse 2": ("sensors/lidar/", "calibration/", "city_SE3_egovehicle.feather"),
     "SUN RGB-D as VoteNet extracts it": ("image/", "calib/", "depth/*.mat|points/*.npz"),
     "a scene of SUN RGB-D": ("image/", "depth/", "extrinsics/", "intrinsics.txt"),
     "an export in the format rcv": ("dataset.json", "labels/", "images/", "clouds/"),

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from annotator.recordings.listing import path_errors
+from annotator.recordings.look_around import look_around
 from annotator.recordings.nearest import Below, kind_of_file, nearest_formats, recording_above, recordings_below
 from annotator.recordings.options import ReaderOptions, option_flag
 from annotator.recordings.recording import NotFound, Recording
+from annotator.recordings.rig import Scanned
 from annotator.recordings.table import OPTIONS, QUICK_CHECKS, READERS
 from annotator.types.errors import ConfigError, UnknownFormatError
 
@@ -54,12 +56,14 @@ def detect_format(path: Path) -> str | None:
 def _try_readers(path: Path, options: ReaderOptions) -> Recording | list[str]:
     """Opens `path` with the first reader that recognises it; else returns what each reader looked for."""
     looked_for = []
+    # the virtual cameras are those of the LiDAR, and no camera of the recording itself
+    own = options.model_copy(update={"look_around": None, "camera": None}) if options.look_around else options
     for name, target in READERS.items():
         with path_errors(path):
-            result = _opened(name, target, path, options)
+            result = _opened(name, target, path, own)
         if not isinstance(result, NotFound):
-            _require_taken(path, name, options)
-            return result
+            _require_taken(path, name, own)
+            return look_around(_scanned(path, name, result), options) if options.look_around else result
         looked_for.append(f"{name}: {result.looked_for}")
     return looked_for
 
@@ -79,6 +83,16 @@ def _require_taken(path: Path, name: str, options: ReaderOptions) -> None:
     if surplus:
         possible = ", ".join(map(option_flag, taken)) or "no options"
         raise ConfigError(f"{path}: is read as {name}, which takes {possible}, not {', '.join(surplus)}")
+
+
+def _scanned(path: Path, name: str, recording: Recording) -> Scanned:
+    """
+    Raises:
+        ConfigError: the recording has no scans that look all around.
+    """
+    if not isinstance(recording, Scanned):
+        raise ConfigError(f"{path}: is read as {name}, which has no LiDAR, so it takes no {option_flag('look_around')}")
+    return recording
 
 
 def _load(target: str) -> Any:

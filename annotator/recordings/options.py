@@ -15,6 +15,7 @@ class ReaderOptions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     columns: int | None = Field(None, ge=3, le=64, description="numbers per point in the .bin files")
+    scene: str | None = Field(None, min_length=1, description="the scene of a dataset")
     camera: str | None = Field(None, min_length=1, description="the camera of a rig")
     look_around: Literal[4, 6, 8] | None = Field(None, description="number of virtual cameras around a LiDAR")
     image: str | None = Field(None, min_length=1, description="topic of the images")

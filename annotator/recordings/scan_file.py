@@ -31,7 +31,7 @@ SCANS = 8
 REMEDY = "copy the scan again from the data set"
 
 
-class Scan(NamedTuple):
+class ScanPoints(NamedTuple):
     """Points in a scan's own frame, metres, and their reflectance 0..1, if the file has it."""
 
     xyz_m: Float32[np.ndarray, "n 3"]
@@ -49,7 +49,7 @@ class Scans:
     columns: int | None = None
     _found: dict[Path, Evidence] = field(default_factory=dict)
 
-    def read(self, path: Path) -> Scan:
+    def read(self, path: Path) -> ScanPoints:
         """Returns the valid points of a scan.
 
         Points with a coordinate that is NaN, infinite or beyond `LARGEST` are left out, and those whose reflectance is
@@ -80,7 +80,7 @@ class Scans:
             valid &= np.isfinite(reflectance)
         if not valid.any():
             raise FrameError(path, "every point is NaN or infinite", REMEDY)
-        return Scan(points[valid, :3], None if reflectance is None else fractions(reflectance[valid]))
+        return ScanPoints(points[valid, :3], None if reflectance is None else fractions(reflectance[valid]))
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -14,6 +14,8 @@ READERS: dict[str, str] = {
     "kitti_tracking": "annotator.recordings.kitti.tracking_folder:open_kitti_tracking",
     "kitti_raw": "annotator.recordings.kitti.raw_drive:open_kitti_raw",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
+    "nuscenes": "annotator.recordings.nuscenes.recording:open_nuscenes",
+    "argoverse2": "annotator.recordings.argoverse.log:open_argoverse2",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
     "rcv": "annotator.recordings.exports.rcv_dataset:open_rcv",
@@ -31,10 +33,14 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "stray_scanner": ("min_confidence",),
     "record3d": ("min_confidence",),
     "tum_rgbd": ("tolerance_s",),
+    "nuscenes": ("scene", "camera", "tolerance_s"),
+    "argoverse2": ("camera", "tolerance_s"),
 }
 
 # Faster recognition checks, for formats that are slow to open.
 QUICK_CHECKS: dict[str, str] = {
     "record3d": "annotator.recordings.phones.record3d:is_record3d",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
+    "nuscenes": "annotator.recordings.nuscenes.recording:is_nuscenes",
+    "argoverse2": "annotator.recordings.argoverse.log:is_argoverse2",
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +14,7 @@ from pydantic import BaseModel
 from annotator.project import Project, ViewBoxes
 from annotator.project.overview import FrameRow
 from annotator.types import PseudoView, Quality
-from annotator.types.errors import StaleRevisionError
+from annotator.types.errors import RecordingError, StaleRevisionError
 from annotator.web.context import Context
 from annotator.web.errors import ErrorBody
 from annotator.web.schemas import (
@@ -28,13 +29,17 @@ from annotator.web.schemas import (
     ImageJson,
     LabelJson,
     ObjectJson,
+    OtherLabelJson,
     QualityJson,
     SuggestionJson,
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
-from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame
+from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
+from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.review_priority import doubt
+
+LOG = logging.getLogger("annotator.web")
 
 
 class ModelResponse(JSONResponse):
@@ -104,9 +109,31 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
         else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
         objects=objects,
         labels=labels,
+        others=_others(ctx, project, shown, opened),
         open_by=ctx.hub.open_by(name, frame_id, operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
+
+
+def _others(ctx: Context, project: Project, shown: ShownFrame, opened: OpenFrame) -> list[OtherLabelJson]:
+    """The labels of the rig's other cameras; none if one of their recordings cannot be read, as after a move."""
+    try:
+        others = ctx.caches.frames.others(project, shown.page.frame)
+    except RecordingError as error:
+        LOG.warning("the other cameras of %s are not shown: %s", shown.page.recording_name, error)
+        return []
+    return [
+        OtherLabelJson.model_construct(
+            uid=each.other.label.uid,
+            label=each.other.label.label,
+            state=each.other.label.state,
+            track_id=each.other.label.track_id,
+            camera=each.other.recording.rpartition("@")[2],
+            frame=each.other.frame.id,
+            outline=each.outline.round(2).tolist(),
+        )
+        for each in shown_others(others, shown.page.labels, opened)
+    ]
 
 
 def image_version(project: Project, shown: ShownFrame) -> str:

@@ -195,6 +195,18 @@ class LabelJson(Schema):
     points: int
 
 
+class OtherLabelJson(Schema):
+    """A label that another camera of the rig has, with its outline on this frame's image, and its frame."""
+
+    uid: str
+    label: str
+    state: ReviewState
+    track_id: int | None
+    camera: str
+    frame: int
+    outline: Outline
+
+
 class FrameJson(Schema):
     """A frame: its recording, key, index, neighbours and revision."""
 
@@ -264,6 +276,7 @@ class FrameStateJson(Schema):
     image_boxes: ImageBoxesJson | None
     objects: list[ObjectJson]
     labels: list[LabelJson]
+    others: list[OtherLabelJson]
     open_by: list[str]
     history: HistoryJson
 

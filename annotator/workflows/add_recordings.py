@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,11 +10,16 @@ import numpy as np
 
 from annotator.project import Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
+from annotator.recordings.rig import RigCamera, Scenes
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
 # If this many frames at the beginning are unreadable, the recording is refused without trying the others.
 FRAMES_TRIED = 5
 NO_OPTIONS = ReaderOptions()
+
+
+# In place of the names of scenes or cameras.
+ALL = "all"
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ def add_recordings(
     name: str | None = None,
     up: Sequence[float] | None = None,
     options: ReaderOptions = NO_OPTIONS,
+    scenes: Sequence[str] = (),
+    cameras: Sequence[str] = (),
 ) -> list[Added]:
     """Adds recordings to a project: all, or none if one of the paths cannot be used. Their files stay in place.
 
@@ -52,19 +59,20 @@ def add_recordings(
         name: name of a single recording; None = the name of its folder.
         up: direction against gravity in the camera frame, (3,) of any length; None = as the files give it.
         options: how the recordings are read.
+        scenes, cameras: names, of which each combination is a recording, or `ALL`; () = those of `options`.
 
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
         ConfigError: one name for several recordings, or another name or up direction for a known recording.
         ProjectError: the store refuses a value, e.g. an `up` of length zero.
     """
-    if name is not None and len(paths) > 1:
-        raise ConfigError(f"{len(paths)} recordings cannot all be called {name!r}; add them one by one")
-    opened = [open_recording(path, options) for path in paths]
-    for recording in opened:
+    opened = [each for path in paths for each in _chosen(path, options, tuple(scenes), tuple(cameras))]
+    if name is not None and len(opened) > 1:
+        raise ConfigError(f"{len(opened)} recordings cannot all be called {name!r}; add them one by one")
+    for recording, options in opened:
         _require_readable(recording)
         _require_unchanged(_known(project, recording, options), name, up)
-    return [_add(project, recording, name, up, options) for recording in opened]
+    return [_add(project, recording, name, up, options) for recording, options in opened]
 
 
 def register_recording(
@@ -89,6 +97,8 @@ def register_recording(
 def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
     """Sets the new path of a recording whose folder was moved. Stored frames are unchanged; new frames are added.
 
+    Other recordings with the same path, such as the other cameras of a rig, are moved with it.
+
     Args:
         author: of the change.
 
@@ -99,6 +109,14 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
             of the project.
     """
     known = project.recordings.get(recording_id)
+    # this recording first: its error says what is wrong
+    together = sorted(project.recordings.at(known.path), key=lambda each: each.id != recording_id)
+    for each in together:
+        _move(project, each, path, author)
+    return project.recordings.get(recording_id)
+
+
+def _move(project: Project, known: StoredRecording, path: Path, author: str) -> None:
     moved = open_recording(path, stored_options(known.options))
     if moved.format != known.format:
         raise RecordingError(
@@ -106,7 +124,44 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
             "give the folder that was moved"
         )
     _require_readable(moved)
-    return project.recordings.move(recording_id, moved.path, moved.keys, author)
+    project.recordings.move(known.id, moved.path, moved.keys, author)
+
+
+def _chosen(
+    path: Path, given: ReaderOptions, scenes: tuple[str, ...], cameras: tuple[str, ...]
+) -> Iterator[tuple[Recording, ReaderOptions]]:
+    """Yields the recordings of a path, with the options to store, which name scene and camera if it has several."""
+    scenes, cameras = scenes or _named(given.scene), cameras or _named(given.camera)
+    one = _open(path, given, _first(scenes), _first(cameras))
+    for scene in _names(path, "scene", scenes, one.scenes, one.scene) if isinstance(one, Scenes) else (None,):
+        # opened without the name of what nobody named, so that its notes tell of the others
+        asked = scene if scenes else None
+        one = _open(path, given, asked, _first(cameras))
+        rig = one if isinstance(one, RigCamera) and one.cameras else None
+        for camera in _names(path, "camera", cameras, rig.cameras, rig.camera) if rig else (None,):
+            recording = _open(path, given, asked, camera if cameras else None)
+            yield recording, given.model_copy(update={"scene": scene, "camera": camera})
+
+
+def _open(path: Path, given: ReaderOptions, scene: str | None, camera: str | None) -> Recording:
+    return open_recording(path, given.model_copy(update={"scene": scene, "camera": camera}))
+
+
+def _named(name: str | None) -> tuple[str, ...]:
+    return () if name is None else (name,)
+
+
+def _first(names: tuple[str, ...]) -> str | None:
+    return None if not names or ALL in names else names[0]
+
+
+def _names(path: Path, what: str, wanted: tuple[str, ...], all_names: tuple[str, ...], own: str) -> tuple[str, ...]:
+    if ALL in wanted:
+        return all_names
+    missing = [name for name in wanted if name not in all_names]
+    if missing:
+        raise ConfigError(f"{path}: has no {what} {', '.join(missing)}; it has {', '.join(all_names)}")
+    return tuple(dict.fromkeys(wanted)) or (own,)
 
 
 def _add(

@@ -6,14 +6,20 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, Recording, open_recording
+from annotator.recordings.rig import Scanned
 from annotator.types import Frame
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
 
 
 class FrameReport(BaseModel):
-    """The content of one frame; lengths in metres, sizes in pixels."""
+    """The content of one frame; lengths in metres, sizes in pixels.
+
+    Attributes:
+        scanned, seen: points of the LiDAR's whole scan, and how many of them the image shows; None without a LiDAR.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -26,6 +32,8 @@ class FrameReport(BaseModel):
     cy: float
     distortion: tuple[float, ...]
     points: int
+    scanned: int | None
+    seen: int | None
     has_colour: bool
     has_reflectance: bool
     has_depth_image: bool
@@ -109,6 +117,8 @@ def _first_frame(recording: Recording) -> tuple[int, Frame | None, dict[str, str
 def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
     camera, cloud = frame.camera, frame.cloud
     objects, problem, has_mask = _labels(recording, index, frame)
+    scanned = len(recording.scan(index).xyz_m) if isinstance(recording, Scanned) else None
+    seen = int(inside_image(camera, project(camera, cloud.xyz_m)).sum())
     return FrameReport(
         key=frame.key,
         width_px=camera.width_px,
@@ -119,6 +129,8 @@ def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
         cy=camera.cy,
         distortion=camera.distortion,
         points=len(cloud),
+        scanned=scanned,
+        seen=None if scanned is None else seen,
         has_colour=cloud.rgb is not None,
         has_reflectance=cloud.reflectance is not None,
         has_depth_image=frame.depth_m is not None,

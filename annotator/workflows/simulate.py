@@ -26,7 +26,7 @@ from annotator.recordings import Recording
 from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.recorded.reading import has_masks, has_truth, load_mask, load_truth
+from annotator.workflows.recorded.reading import has_masks, has_truth, is_labelled, load_mask, load_truth
 from annotator.workflows.views.places import geometry_of
 
 AUTHOR = "simulated operator"
@@ -198,7 +198,8 @@ def simulate_recording(
     recording = source.recording(recording_id)
     require_boxes_for(kind, recording)
     settings = project.config
-    frames = [stored for stored in project.frames.of([recording_id]) if stored.index is not None][::every]
+    present = [stored for stored in project.frames.of([recording_id]) if stored.index is not None]
+    frames = [stored for stored in present if is_labelled(recording, stored.key)][::every]
     indices = {key: index for index, key in enumerate(recording.keys)}
     drawn_objects = boxes = 0
     for number, stored in enumerate(frames, 1):

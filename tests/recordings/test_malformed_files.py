@@ -14,10 +14,12 @@ import cv2
 import numpy as np
 import phone_samples as made
 import pytest
+from argoverse_samples import write_log
 from cloud_samples import SCAN, camera_file, put_image
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kitti_samples import CAMERAS, LIDAR, OBJECT_CALIB, TIMES, TRACKING_CALIB
+from nuscenes_samples import small
 from scipy.io import savemat
 from sunrgbd_samples import IMAGE as SUN_IMAGE
 from sunrgbd_samples import RTILT, K, png, upright_points, write_scene
@@ -87,6 +89,14 @@ def rgbd_folder_of_two_cameras(folder: Path) -> None:
     put(folder / "depth_intrinsic.json", json.dumps(camera))
 
 
+def nuscenes(folder: Path) -> None:
+    small(folder, scenes=1, samples=1, sweeps=0)
+
+
+def argoverse2(folder: Path) -> None:
+    write_log(folder, sweeps=1)
+
+
 def cloud_folder(folder: Path) -> None:
     put(folder / "0.bin", SCAN.tobytes())
     pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
@@ -141,6 +151,8 @@ BUILDERS: list[Callable[[Path], None]] = [
     sunrgbd_scene,
     rgbd_folder,
     rgbd_folder_of_two_cameras,
+    nuscenes,
+    argoverse2,
     cloud_folder,
     rcv,
     openlabel,

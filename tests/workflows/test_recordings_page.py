@@ -81,7 +81,12 @@ def test_links_make_recordings_of_kittis_sequences(my_loader: ModuleType, people
 
 def test_the_page_names_every_format():
     text = PAGE.read_text(encoding="utf-8")
-    words = {"rgbd_folder": "RGB-D folder", "azure_kinect": "Azure Kinect", "cloud_folder": "point clouds"}
+    words = {
+        "rgbd_folder": "RGB-D folder",
+        "azure_kinect": "Azure Kinect",
+        "argoverse2": "Argoverse 2",
+        "cloud_folder": "point clouds",
+    }
     for name in READERS:
         word = words.get(name, name.split("_")[0])
         assert word.lower().replace("sunrgbd", "sun rgb-d") in text.lower(), name

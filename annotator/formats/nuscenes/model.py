@@ -1,28 +1,20 @@
 """The tables of nuScenes, one JSON list of records each, linked by tokens.
 
 Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit): metres, quaternions w x y z, sizes width
-length height, times in microseconds. Other fields are ignored when reading.
+length height. Other fields are ignored when reading. `annotator.nuscenes_tables` has the tables of the sensors.
 """
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from annotator.formats.json_file import Bounded3, Bounded4, BoundedPositive, BoundedTrack
+from annotator.nuscenes_tables import Linked, Record, Token
 
-Token = Annotated[str, Field(min_length=1)]
 Vector3 = Bounded3
 Quaternion = Bounded4
-
-
-class Record(BaseModel):
-    """A row of a table."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-    token: Token
 
 
 class Category(Record):
@@ -56,30 +48,6 @@ class Instance(Record):
     track_id: BoundedTrack | None = None
 
 
-class Sensor(Record):
-    """A sensor of the vehicle."""
-
-    channel: str
-    modality: str
-
-
-class CalibratedSensor(Record):
-    """The pose of a sensor on the vehicle: `rotation` and `translation` map its coordinates to the ego frame."""
-
-    sensor_token: Token
-    translation: Vector3
-    rotation: Quaternion
-    camera_intrinsic: tuple[Vector3, Vector3, Vector3] | tuple[()] = ()
-
-
-class EgoPose(Record):
-    """The pose of the vehicle: `rotation` and `translation` map the ego frame to the global frame."""
-
-    timestamp: int = 0
-    rotation: Quaternion
-    translation: Vector3
-
-
 class Log(Record):
     """A drive."""
 
@@ -87,45 +55,6 @@ class Log(Record):
     vehicle: str
     date_captured: str
     location: str
-
-
-class Scene(Record):
-    """A sequence of samples."""
-
-    log_token: Token
-    nbr_samples: int
-    first_sample_token: str
-    last_sample_token: str
-    name: str
-    description: str
-
-
-class Linked(Record):
-    """A row with the tokens of its neighbours in time; empty at the ends."""
-
-    prev: str = ""
-    next: str = ""
-
-
-class Sample(Linked):
-    """An annotated moment."""
-
-    timestamp: int
-    scene_token: Token
-
-
-class SampleData(Linked):
-    """The data of one sensor; `filename` is relative to the dataset's root."""
-
-    sample_token: Token
-    ego_pose_token: Token
-    calibrated_sensor_token: Token
-    timestamp: int = 0
-    fileformat: str = ""
-    is_key_frame: bool
-    height: int = 0
-    width: int = 0
-    filename: str
 
 
 class SampleAnnotation(Linked):

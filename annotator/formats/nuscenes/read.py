@@ -13,19 +13,11 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model
-from annotator.formats.nuscenes.model import (
-    CalibratedSensor,
-    Category,
-    EgoPose,
-    Instance,
-    Record,
-    SampleAnnotation,
-    SampleData,
-    Sensor,
-)
-from annotator.formats.nuscenes.shapes import box_from, pose
+from annotator.formats.nuscenes.model import Category, Instance, SampleAnnotation
+from annotator.formats.nuscenes.shapes import box_from
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.geometry.oriented_box import box_corners
+from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Record, SampleData, Sensor, pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 
@@ -41,7 +33,7 @@ class NuScenesBox:
 
     Attributes:
         label: the category's name.
-        box: camera frame.
+        box: camera frame; from `read_sample_boxes`, global frame.
         track_id: the instance's id in the project it was exported from; in other datasets the instance's row number
             if it has more than one annotation, else None.
     """
@@ -129,19 +121,15 @@ class _Labels:
             except ValueError as error:
                 on_fault(FormatError(self._folder / "sample_annotation.json", f"row {number}: {error}"))
                 continue
-            if origins or _is_seen(box, calibrated, row):
+            K = np.array(calibrated.camera_intrinsic)
+            if origins or (len(K) and is_seen(box, K, row.width, row.height)):
                 instance = self._row(
                     "sample_annotation", number, self._instances, "instance", annotation.instance_token
                 )
                 category = self._row(
                     "instance", self._numbers[instance.token], self._categories, "category", instance.category_token
                 )
-                yield NuScenesBox(category.name, box, self._track(instance))
-
-    def _track(self, instance: Instance) -> int | None:
-        if "track_id" in instance.model_fields_set:
-            return instance.track_id
-        return self._numbers[instance.token] if instance.nbr_annotations > 1 else None
+                yield NuScenesBox(category.name, box, track_of(instance, self._numbers[instance.token]))
 
     def _pose(self, table: str, row: EgoPose | CalibratedSensor) -> RigidTransform:
         try:
@@ -168,10 +156,18 @@ class _Labels:
         return rows[token]
 
 
-def _is_seen(box: OrientedBox, calibrated: CalibratedSensor, row: SampleData) -> bool:
+def track_of(instance: Instance, number: int) -> int | None:
+    """Returns the track of an instance, of which `number` is the row; see `NuScenesBox`."""
+    if "track_id" in instance.model_fields_set:
+        return instance.track_id
+    return number if instance.nbr_annotations > 1 else None
+
+
+def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> bool:
+    """Returns True if a box (camera frame) is in the image of the camera with the matrix `K` (3, 3)."""
     corners = box_corners(box)
-    if (corners[:, 2] < NEAREST_M).any() or not calibrated.camera_intrinsic:
+    if (corners[:, 2] < NEAREST_M).any():
         return False
-    px = corners @ np.array(calibrated.camera_intrinsic).T
+    px = corners @ K.T
     px = px[:, :2] / px[:, 2:]
-    return bool(((px > -0.5) & (px < np.array([row.width, row.height]) - 0.5)).all(axis=1).any())
+    return bool(((px > -0.5) & (px < np.array([width_px, height_px]) - 0.5)).all(axis=1).any())

@@ -12,6 +12,7 @@ from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.nuscenes.model import Quaternion, Vector3
+from annotator.nuscenes_tables import pose
 from annotator.types import OrientedBox, PointCloud
 
 MOST_INTENSITY = 255.0
@@ -43,13 +44,6 @@ def box_from(translation: Vector3, rotation: Quaternion, size_wlh: Vector3) -> O
     """
     width, length, height = size_wlh
     return OrientedBox(pose(translation, rotation), np.array([length, width, height]))
-
-
-def pose(translation: Vector3, rotation: Quaternion) -> RigidTransform:
-    """Returns a pose; raises ValueError if the rotation is not a unit quaternion."""
-    if not 0.5 < np.linalg.norm(rotation) < 2.0:
-        raise ValueError(f"rotation: {list(rotation)} is not a unit quaternion")
-    return RigidTransform.from_components(np.array(translation), Rotation.from_quat(rotation, scalar_first=True))
 
 
 def scan(cloud: PointCloud, T_level_camera: RigidTransform) -> Float32[np.ndarray, "n 5"]:

@@ -14,25 +14,11 @@ from typing import TypeVar
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.dataset_writing import DatasetItem, FileNames
-from annotator.formats.nuscenes.model import (
-    CalibratedSensor,
-    Category,
-    EgoPose,
-    Instance,
-    Linked,
-    Log,
-    Map,
-    Record,
-    Sample,
-    SampleAnnotation,
-    SampleData,
-    Scene,
-    Sensor,
-    Visibility,
-)
+from annotator.formats.nuscenes.model import Category, Instance, Log, Map, SampleAnnotation, Visibility
 from annotator.formats.nuscenes.shapes import quaternion, vector, width_length_height
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.point_index import PointIndex
+from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Linked, Record, Sample, SampleData, Scene, Sensor
 from annotator.types import Camera, Label
 
 # The channels that nuScenes' devkit uses.

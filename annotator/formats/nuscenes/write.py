@@ -25,11 +25,11 @@ from annotator.files import new_folder
 from annotator.formats.dataset_writing import DatasetItem, FrameIds, encoded_image, writing
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
 from annotator.formats.losses import Losses, Lost, count_lost
-from annotator.formats.nuscenes.model import Record
 from annotator.formats.nuscenes.shapes import scan
 from annotator.formats.nuscenes.tables import CAMERA, LIDAR, MAP_FILE, Tables
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
+from annotator.nuscenes_tables import Record
 from annotator.types.errors import FormatError
 
 VERSION = "v1.0-annotator"

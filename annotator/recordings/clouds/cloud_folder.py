@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.projection import inside_image, project
+from annotator.geometry.transforms import level_pose
 from annotator.image_bytes import MOST_PIXELS
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
@@ -38,6 +39,7 @@ from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
+from annotator.recordings.rig import Scan
 from annotator.recordings.scan_file import Scans
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -152,6 +154,27 @@ class CloudFolder(KeyedFrames):
             timestamp_ns=None if self.times_ns is None else self.times_ns[i],
         )
 
+    def scan(self, i: int) -> Scan:
+        """Reads the whole cloud of frame `i`, ahead being where its camera looks.
+
+        Raises:
+            FrameError: a missing or broken file.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        raw = read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"), self.scans)
+        source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
+        return Scan(
+            raw.xyz_m,
+            raw.rgb,
+            raw.reflectance,
+            level_pose(source.up).rotation * source.T_camera_cloud.rotation,
+            source.T_camera_cloud.inv().translation if _nearest_m(raw) > FARTHEST_SEEN_M else np.zeros(3),
+            RigidTransform.identity(),
+            source.up is not None,
+            None if self.times_ns is None else self.times_ns[i],
+        )
+
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""
         for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
@@ -191,9 +214,12 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
 
 def _level_camera(path: Path, raw: RawCloud) -> CloudCamera:
     """Returns a virtual camera at a level LiDAR's origin; for map coordinates, at the cloud's median, whole metres."""
-    nearest_m = np.sqrt((raw.xyz_m**2).sum(axis=1).min())
-    place_m = np.floor(np.median(raw.xyz_m, axis=0)) if nearest_m > FARTHEST_SEEN_M else np.zeros(3)
+    place_m = np.floor(np.median(raw.xyz_m, axis=0)) if _nearest_m(raw) > FARTHEST_SEEN_M else np.zeros(3)
     return CloudCamera(path, T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m), VIRTUAL_CAMERA, UP)
+
+
+def _nearest_m(raw: RawCloud) -> float:
+    return float(np.sqrt((raw.xyz_m**2).sum(axis=1).min()))
 
 
 def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:

@@ -7,10 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
+from annotator.geometry.transforms import level_pose
 from annotator.recordings.kitti.calibration import KittiCalibration
-from annotator.recordings.kitti.frame import read_frame
+from annotator.recordings.kitti.frame import UP, read_frame
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.rig import Scan
 from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
@@ -42,17 +46,43 @@ class KittiFolder(KeyedFrames, ABC):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        # the key's number determines the time, so gaps are kept
-        number = int(key) if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS else i
         return read_frame(
             key,
             i,
             frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin"),
-            frame_file(self.root / self.scans, key, (".bin",), f"the image {key}"),
+            self._scan_file(key),
             self.reader,
             self.calibration(key),
-            self.time_ns(number),
+            self._time_of(i),
         )
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole scan of frame `i`.
+
+        Raises:
+            FrameError: a missing or broken file.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        points = self.reader.read(self._scan_file(key))
+        calibration = self.calibration(key)
+        return Scan(
+            points.xyz_m.astype(np.float64),
+            None,
+            points.reflectance,
+            level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
+            np.zeros(3),
+            calibration.T_camera_lidar.inv() * calibration.T_camera_label,
+            timestamp_ns=self._time_of(i),
+        )
+
+    def _scan_file(self, key: str) -> Path:
+        return frame_file(self.root / self.scans, key, (".bin",), f"the image {key}")
+
+    def _time_of(self, i: int) -> int | None:
+        """Returns the time of frame `i`: the key's number determines it, so gaps are kept."""
+        key = self.keys[i]
+        return self.time_ns(int(key) if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS else i)
 
     @abstractmethod
     def calibration(self, key: str) -> KittiCalibration:

@@ -239,7 +239,8 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     """Imports the 3D boxes of recordings."""
     labels, left_out, unreadable = Counter[str](), Counter[str](), list[str]()
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
-        imported = import_own_labels(job.project, recording.id, job.counter(f"read the boxes of {recording.name}"))
+        counter = job.counter(f"read the boxes of {recording.name}")
+        imported = import_own_labels(job.project, recording.id, counter, request.recordings)
         labels += imported.labels
         left_out += imported.other_classes
         unreadable += imported.unreadable

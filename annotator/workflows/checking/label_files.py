@@ -20,7 +20,7 @@ from annotator.formats.text_folder import text_rows
 from annotator.recordings import Recording
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, FormatError
-from annotator.workflows.recorded.reading import label_file, load_truth
+from annotator.workflows.recorded.reading import is_labelled, label_file, load_truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +196,7 @@ class WholeFiles:
         file = label_file(self.recording, key) or self.recording.path
         if not file.exists():
             return FrameLabels(missing=file)
-        if frame is None:
+        if frame is None or not is_labelled(self.recording, key):
             return FrameLabels()
         try:
             truths = load_truth(self.recording, index, frame)

@@ -34,6 +34,7 @@ EXTRAS = {
     "onnx": ("onnxruntime", "onnx"),
     "las": ("laspy", "lazrs"),
     "phones": ("lzfse",),
+    "argoverse": ("pyarrow",),
     "desktop": ("webview",),
 }
 # System libraries that open3d and OpenCV load, and their packages in Debian and Ubuntu, as in scripts/setup.

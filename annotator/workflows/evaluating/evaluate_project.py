@@ -25,7 +25,8 @@ from annotator.workflows.evaluating.evaluate_files import (
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.kitti_rows import rows_of_truth, true_kitti_rows
 from annotator.workflows.recorded.own_labels import AUTHOR
-from annotator.workflows.recorded.reading import has_truth, load_truth
+from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
+from annotator.workflows.rigs import Rigs
 
 
 class Measured(StrEnum):
@@ -109,6 +110,8 @@ class _Source:
         self._choice = choice
         self._names = None if options.frames is None else set(options.frames)
         self._frames = FrameSource(project)
+        self._rigs = Rigs(project, self._frames)
+        self._in_rigs = frozenset(self._rigs.recordings())
         self._labels_seen = 0
         self._unchanged = 0
         self._require_names()
@@ -173,7 +176,9 @@ class _Source:
     def _is_compared(self, stored: StoredFrame) -> bool:
         labels = self._project.labels.of_frame(stored.id)
         worked_on = bool(labels) or stored.finalised
-        if self._choice.against is Against.TRUTH and stored.index is None:
+        if self._choice.against is Against.TRUTH and not (
+            stored.index is not None and is_labelled(self._frames.recording(stored.recording_id), stored.key)
+        ):
             return False
         if self._choice.against is Against.REVIEWED and not (
             worked_on and all(label.state is not ReviewState.PROPOSED for label in labels)
@@ -201,7 +206,11 @@ class _Source:
         return [(truth.label, truth.box, DEFAULT_SCORE) for truth in truths]
 
     def _labels(self, stored: StoredFrame) -> tuple[Label, ...]:
-        return self._project.labels.of_frame(stored.id)
+        """Returns the labels of a frame, and those that other cameras of its rig have of objects on its image."""
+        own = self._project.labels.of_frame(stored.id)
+        if stored.recording_id not in self._in_rigs:
+            return own
+        return (*own, *self._rigs.others_on_image(stored, self._frames.read(stored).camera, own))
 
 
 def _scored_box(label: Label) -> ScoredBox:

@@ -10,6 +10,7 @@ from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting.split import Split, assign
+from annotator.workflows.rigs import once
 
 NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
 
@@ -62,7 +63,7 @@ def choose_frames(
     Raises:
         ConfigError: the project has no such class, no label fits, or there are too few frames for the parts.
     """
-    labels = labels_by_frame(project, choose, states)
+    labels = once(project, labels_by_frame(project, choose, states))
     if not labels and not choose.empty_frames:
         raise ConfigError(_no_labels(project, choose, states))
     every = project.frames.of(choose.recordings)

@@ -27,11 +27,12 @@ from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.yolo_dataset import YoloWriter, is_yolo_dataset
 from annotator.geometry.image_shares import clip_to_image
-from annotator.project import ViewBoxes
-from annotator.types import Box2D, BoxKind, Frame
+from annotator.project import REVIEWED, ViewBoxes
+from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.rigs import Rigs
 from annotator.workflows.views.outlines import undrawn
 from annotator.workflows.views.places import ViewPlace, write_places
 
@@ -113,10 +114,12 @@ class _Tally:
 
     def pictures(self) -> Iterator[LabelledPicture]:
         job, source = self.job, FrameSource(self.job.project)
+        rigs = Rigs(job.project, source)
         for number, chosen in enumerate(job.chosen, 1):
             assert isinstance(chosen, ChosenPictures)  # `Writer.flat` formats use `choose_pictures`
             if chosen.image:
-                yield self._image(chosen, source.read(chosen.stored))
+                frame = source.read(chosen.stored)
+                yield self._image(chosen, frame, self._of_other_cameras(rigs, chosen, frame))
             for view in chosen.views:
                 yield self._view(view, chosen.split, (chosen.recording, chosen.stored.key))
             if job.progress is not None:
@@ -131,9 +134,16 @@ class _Tally:
             part = "train" if "train" in self.parts else next(iter(self.parts), None)
             yield self._view(view, part, None)
 
-    def _image(self, chosen: ChosenPictures, frame: Frame) -> LabelledPicture:
+    def _of_other_cameras(self, rigs: Rigs, chosen: ChosenPictures, frame: Frame) -> list[Label]:
+        """Returns reviewed labels of the rig's other cameras: objects on this image, too."""
+        own = self.job.project.labels.of_frame(chosen.stored.id)
+        others = rigs.others_on_image(chosen.stored, frame.camera, own)
+        classes = self.job.choose.classes
+        return [each for each in others if each.state in REVIEWED and (classes is None or each.label in classes)]
+
+    def _image(self, chosen: ChosenPictures, frame: Frame, others: Sequence[Label]) -> LabelledPicture:
         losses, image_format = self.job.losses, self.job.options.image_format
-        labels = [entry.label for entry in chosen.labels]
+        labels = [*(entry.label for entry in chosen.labels), *others]
         drawn = () if chosen.drawn is None else chosen.drawn.boxes
         seen = undrawn(frame.camera, labels, drawn, MIN_SIDE_PX)
         # a drawn box replaces its label; the other labels are exported as their outlines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Run
@@ -15,6 +16,7 @@ from annotator.types import BoxKind, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.workflows.proposing.engines.runner import failure
 from annotator.workflows.proposing.engines.tasks import FrameAnswer, RecordingSpec
+from annotator.workflows.rigs import Rigs
 from annotator.workflows.tracks.previous_boxes import followed_tracks
 
 AUTHOR = "rcv"
@@ -75,6 +77,11 @@ class Batch:
     box_kind: BoxKind
     specs: dict[int, RecordingSpec] = field(default_factory=dict)
 
+    @cached_property
+    def rigs(self) -> Rigs:
+        """The project's rigs."""
+        return Rigs(self.project)
+
     def pending(self) -> Iterator[StoredFrame]:
         """Yields the frames to do, page by page; those finalised since they were counted are skipped."""
         last: StoredFrame | None = None
@@ -131,6 +138,7 @@ class Batch:
                     run=share,
                     track_ids=tracks,
                     box_kind=self.box_kind,
+                    others=[other.label for other in self.rigs.others(frame)],
                 )
                 return
             except StaleRevisionError:

@@ -12,7 +12,13 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import LabelSet
 from annotator.workflows.importing.boxes_3d import match_frames, truths_of
 from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.recorded.reading import has_truth, label_file, load_truth, one_file_a_frame
+from annotator.workflows.recorded.reading import (
+    has_truth,
+    is_labelled,
+    label_file,
+    load_truth,
+    one_file_a_frame,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +63,19 @@ def labels_beside(project: Project, recordings: Collection[int] | None = None) -
         names = ", ".join(selected.values()) or "there are none"
         raise ConfigError(f"no 3D boxes lie beside the recordings ({names}); name the file or folder that holds them")
 
-    def is_labelled(stored: StoredFrame) -> bool:
-        file = label_file(source.recording(stored.recording_id), stored.key)
-        return stored.key in indices[stored.recording_id] and file is not None and file.is_file()
+    def has_labels(stored: StoredFrame) -> bool:
+        recording = source.recording(stored.recording_id)
+        if stored.key not in indices[stored.recording_id] or not is_labelled(recording, stored.key):
+            return False
+        file = label_file(recording, stored.key)
+        return file is not None and file.is_file()
 
     def truths(stored: StoredFrame, frame: Frame) -> list[Truth]:
         recording = source.recording(stored.recording_id)
         return load_truth(recording, indices[stored.recording_id][stored.key], frame)
 
     separate = all(one_file_a_frame(source.recording(recording_id)) for recording_id in indices)
-    frames = tuple(filter(is_labelled, project.frames.of(sorted(indices))))
+    frames = tuple(filter(has_labels, project.frames.of(sorted(indices))))
     return KnownLabels(frames, truths, one_file_a_frame=separate)
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
-from annotator.project import NewLabel, Project
+from annotator.project import NewLabel, Project, StoredFrame
+from annotator.project.proposals import covered_by
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
-from annotator.workflows.recorded.reading import has_truth, load_truth, one_file_a_frame
+from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
+from annotator.workflows.rigs import Rigs
 
 # Boxes imported from other datasets have the author "import".
 AUTHOR = "recording"
@@ -23,11 +25,13 @@ class OwnLabels:
     Attributes:
         labels: imported labels, by class.
         other_classes: labels left out because the project does not have their class, by class.
+        of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
     """
 
     labels: Counter[str] = field(default_factory=Counter)
     other_classes: Counter[str] = field(default_factory=Counter)
+    of_other_cameras: int = 0
     unreadable: list[str] = field(default_factory=list)
 
 
@@ -42,27 +46,39 @@ def has_own_labels(project: Project, recording_id: int) -> bool:
 
 
 def import_own_labels(
-    project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
+    project: Project,
+    recording_id: int,
+    progress: Callable[[int, int], None] | None = None,
+    together: Collection[int] = (),
 ) -> OwnLabels:
     """Imports the true boxes beside a recording, for every frame without labels.
+
+    A box that another camera of the rig has already is not imported again.
 
     Unreadable frames, and frames whose own label file is broken, are left out and reported. Frames that are labelled or
     finalised during the import are not changed.
 
     Args:
         progress: called with (frames done, frames).
+        together: ids of recordings whose boxes are imported by the same operation. Of the cameras of a rig among them,
+            the one that sees the middle of a box best gets it.
 
     Raises:
         FormatError: the label file is broken and holds the labels of all frames.
     """
     source, counts = FrameSource(project), OwnLabels()
+    rigs = Rigs(project, source)
     recording = source.recording(recording_id)
     if not has_truth(recording):
         return counts
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
     classes = set(project.config.classes)
     indices = {key: index for index, key in enumerate(recording.keys)}
-    frames = [frame for frame in project.frames.of([recording_id]) if frame.key in indices]
+    frames = [
+        frame
+        for frame in project.frames.of([recording_id])
+        if frame.key in indices and is_labelled(recording, frame.key)
+    ]
     for number, stored in enumerate(frames, 1):
         if not stored.finalised and not project.labels.of_frame(stored.id):
             try:
@@ -72,8 +88,31 @@ def import_own_labels(
                 truths = []
             counts.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
+            if new:
+                here = _of_this_camera(project, rigs, stored, new, together)
+                counts.of_other_cameras += len(new) - len(here)
+                new = here
             if new and create_if_unlabelled(project, stored.id, new, AUTHOR):
                 counts.labels.update(label.label for label in new)
         if progress is not None:
             progress(number, len(frames))
     return counts
+
+
+def _of_this_camera(
+    project: Project, rigs: Rigs, frame: StoredFrame, labels: list[NewLabel], together: Collection[int]
+) -> list[NewLabel]:
+    """Returns the labels that no other camera of the rig has, or will get because it sees them better."""
+    waiting = [
+        sibling
+        for sibling in rigs.siblings(frame)
+        if sibling.frame.recording_id in together
+        and not sibling.frame.finalised
+        and not project.labels.of_frame(sibling.frame.id)
+    ]
+    covers = covered_by(labels, [other.label for other in rigs.others(frame)])
+    return [
+        label
+        for label, cover in zip(labels, covers, strict=True)
+        if cover is None and not rigs.is_better_seen(label.box, waiting)
+    ]

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.frames_csv import read_frames
 from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
@@ -18,13 +19,18 @@ from annotator.formats.labelcloud.model import CLASSES_FILE
 from annotator.formats.labelcloud.read import read_labelcloud_file
 from annotator.formats.labelcloud.write import LABELS
 from annotator.formats.masks import read_mask
+from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_sample_boxes
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.read import RcvDataset, read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
 from annotator.recordings import Recording
+from annotator.recordings.argoverse.log import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.exports.openlabel_folder import OpenLabelFolder
 from annotator.recordings.kitti.raw_drive import KittiRaw
+from annotator.recordings.look_around import LookAround
+from annotator.recordings.nuscenes.recording import NuScenes
+from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
@@ -34,10 +40,12 @@ from annotator.workflows.importing.formats_3d import LabelCloudLabels, OpenLabel
 TRUTH_FOLDER = "truth"
 # In each raw scene of SUN RGB-D.
 SCENE_LABELS = "annotation3Dfinal/index.json"
+# Longest table without a row: nuScenes' test split has an empty one, and is not labelled.
+EMPTY_LIST_BYTES = 8
 
 
 def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
-    """Returns the labelled objects of a frame in file order; empty if it is labelled as empty.
+    """Returns the labelled objects of a frame in file order; empty if it is labelled as empty, or not at all.
 
     Args:
         recording: the recording with its labels.
@@ -55,6 +63,11 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     try:
         if isinstance(recording, KittiRaw):
             return _from_tracklets(file, recording, key)
+        if isinstance(recording, NuScenes):
+            truths = _from_samples(file, recording, key, frame)
+            return truths if recording.is_export else _seen(truths, frame)
+        if isinstance(recording, LookAround):
+            return _all_around(file, recording.base, key, frame)
         return _READERS[recording.format](file, key, frame)
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
@@ -64,6 +77,12 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
 def has_truth(recording: Recording) -> bool:
     """Returns True if there are labels beside the recording, at least of some frames."""
     return label_file(recording, recording.keys[0]) is not None
+
+
+def is_labelled(recording: Recording, key: str) -> bool:
+    """Returns False for a frame whose objects were not labelled: one between nuScenes' samples."""
+    base = recording.base if isinstance(recording, LookAround) else recording
+    return not isinstance(base, NuScenes) or base.sample(key) is not None
 
 
 def one_file_a_frame(recording: Recording) -> bool:
@@ -89,6 +108,9 @@ def label_file(recording: Recording, key: str) -> Path | None:
 
     The file may be missing: a KITTI object label folder may lack the files of some frames.
     """
+    if isinstance(recording, LookAround):
+        # labels of other formats cover only what the camera sees
+        return label_file(recording.base, key) if isinstance(recording.base, NuScenes | ArgoverseLog) else None
     if isinstance(recording, SunRgbdScenes):
         labels = recording.scene(key) / SCENE_LABELS
         labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
@@ -97,9 +119,10 @@ def label_file(recording: Recording, key: str) -> Path | None:
         return recording.document(key)
     if isinstance(recording, CloudFolder) and not (recording.root / LABELS / CLASSES_FILE).is_file():
         return None
+    folder = recording.tables if isinstance(recording, NuScenes) else recording.root
     for name in _PLACES.get(recording.format, ()):
-        place = recording.root / name
-        if place.is_file():
+        place = folder / name
+        if place.is_file() and not (isinstance(recording, NuScenes) and place.stat().st_size <= EMPTY_LIST_BYTES):
             return place
         if place.is_dir():
             return place / f"{key}{_SUFFIXES.get(recording.format, '.txt')}"
@@ -158,6 +181,34 @@ def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
     return [replace(truth, box=truth.box.transformed(T)) for truth in truths]
 
 
+def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> list[Truth]:
+    """Returns the boxes of a frame's sample; none between samples."""
+    T, sample = frame.T_camera_label, recording.sample(key)
+    if sample is None or T is None:
+        return []
+    boxes = _samples(recording.tables, recording.samples, *file_version(path))[sample]
+    return [Truth(each.label, each.box.transformed(T), each.track_id) for each in boxes]
+
+
+def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
+    """Returns the boxes of a sweep that the image shows."""
+    T = frame.T_camera_label
+    rows = () if T is None else _annotations(path, *file_version(path)).get(int(key), ())
+    return _seen([Truth(each.label, each.box.transformed(T), each.track) for each in rows], frame)
+
+
+def _all_around(path: Path, base: Scanned, key: str, frame: Frame) -> list[Truth]:
+    """Returns the boxes that a virtual camera sees."""
+    if isinstance(base, NuScenes):
+        return _seen(_from_samples(path, base, key, frame), frame)
+    return _from_annotations(path, key, frame)
+
+
+def _seen(truths: list[Truth], frame: Frame) -> list[Truth]:
+    K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
+    return [truth for truth in truths if is_seen(truth.box, K, *size)]
+
+
 def frame_number(path: Path, key: str) -> int:
     """Returns the number of a frame in the label file of a whole recording.
 
@@ -207,6 +258,18 @@ def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
 
 
 @lru_cache(maxsize=4)
+def _samples(tables: Path, samples: frozenset[str], changed_ns: int, size: int) -> dict[str, tuple[NuScenesBox, ...]]:
+    """As `_boxes` for the samples of a nuScenes scene, in the global frame."""
+    return read_sample_boxes(tables, samples)
+
+
+@lru_cache(maxsize=4)
+def _annotations(path: Path, changed_ns: int, size: int) -> dict[int, list[argoverse.ArgoverseBox]]:
+    """As `_boxes` for the annotations of an Argoverse log, in the ego frame."""
+    return argoverse.read_argoverse(path)
+
+
+@lru_cache(maxsize=4)
 def _tracks(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
     """As `_boxes` for tracking labels, in label coordinates, since the transform may differ between frames."""
     return read_tracking_labels(path, None)
@@ -240,6 +303,8 @@ _PLACES = {
     "kitti_object": ("label_2",),
     "kitti_tracking": ("label_02.txt",),
     "kitti_raw": ("tracklet_labels.xml",),
+    "nuscenes": (ANNOTATIONS,),
+    "argoverse2": (argoverse.ANNOTATIONS,),
     "sunrgbd_extracted": ("label",),
     "sunrgbd_scenes": (SCENE_LABELS,),
     "rcv": (LABELS,),
@@ -252,6 +317,7 @@ _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "rgbd_folder": _from_boxes_json,
     "kitti_object": _from_label_2,
     "kitti_tracking": _from_label_02,
+    "argoverse2": _from_annotations,
     "sunrgbd_extracted": _from_extracted,
     "sunrgbd_scenes": _from_scene,
     "rcv": _from_rcv,

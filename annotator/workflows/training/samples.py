@@ -9,7 +9,7 @@ drew around it.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
+from annotator.project.proposals import covered_by
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
@@ -25,6 +26,7 @@ from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.rigs import Rigs
 from annotator.workflows.views.outlines import outlines, undrawn
 from annotator.workflows.views.pairs import front_and_side, views_by_object
 from annotator.workflows.views.places import spans_m
@@ -62,6 +64,7 @@ class Material:
         kind: what the view detector's boxes will measure.
         open: unreviewed proposals, by frame, which may or may not be objects.
         whole: the whole boxes of drawn objects, by frame and box on its image.
+        others: reviewed labels of the other cameras of a rig, by frame; objects on its image, too.
     """
 
     images: dict[int, ImageBoxes]
@@ -70,6 +73,7 @@ class Material:
     kind: BoxKind
     open: dict[int, tuple[Label, ...]] = field(default_factory=dict)
     whole: dict[tuple[int, Box2D], OrientedBox] = field(default_factory=dict)
+    others: dict[int, tuple[Label, ...]] = field(default_factory=dict)
 
     @property
     def views_of_kind(self) -> tuple[ViewBoxes, ...]:
@@ -136,7 +140,8 @@ def gather(project: Project, roles: Sequence[DetectorKind] = tuple(DetectorKind)
         for one in stored
         if one.image_box is not None and one.label.box_kind is BoxKind.BOX
     }
-    material = Material(images, views, reviewed, _kind(views, stored, whole), unreviewed, whole)
+    others = _of_other_cameras(project, {*images, *reviewed}) if DetectorKind.IMAGE in roles else {}
+    material = Material(images, views, reviewed, _kind(views, stored, whole), unreviewed, whole, others)
     if DetectorKind.IMAGE in roles and not images and material.unreviewed_images == len(reviewed):
         raise DetectionError(
             f"project {project.config.name} has no camera image to learn from: every frame with reviewed boxes also "
@@ -155,6 +160,19 @@ def _kind(
         if image_box is None or (view.frame_id, image_box) not in whole:
             kinds[view.box_kind] += len(view.boxes)
     return BoxKind.BOX if kinds[BoxKind.BOX] >= kinds[BoxKind.SILHOUETTE] else BoxKind.SILHOUETTE
+
+
+def _of_other_cameras(project: Project, frame_ids: Set[int]) -> dict[int, tuple[Label, ...]]:
+    """Returns the reviewed labels of the other cameras of rigs that no label of the frame itself covers."""
+    rigs = Rigs(project)
+    found: dict[int, tuple[Label, ...]] = {}
+    in_rigs = rigs.recordings()
+    for frame in project.frames.of(in_rigs) if in_rigs else ():
+        if frame.id in frame_ids:
+            others = [other.label for other in rigs.others(frame) if other.label.state in REVIEWED]
+            covers = covered_by(others, project.labels.of_frame(frame.id))
+            found[frame.id] = tuple(label for label, cover in zip(others, covers, strict=True) if cover is None)
+    return found
 
 
 def _by_frame(stored_labels: Iterable[StoredLabel]) -> dict[int, tuple[Label, ...]]:
@@ -177,7 +195,7 @@ def image_samples(project: Project, material: Material, skip: Skip) -> Iterator[
 def image_sample(material: Material, stored: StoredFrame, frame: Frame) -> TrainingSample:
     """A frame's camera image with its drawn boxes, and the outlines of its 3D labels without a drawn box."""
     drawn = material.images.get(stored.id)
-    labels = material.labels.get(stored.id, ())
+    labels = (*material.labels.get(stored.id, ()), *material.others.get(stored.id, ()))
     if drawn is None:
         shown = outlines(frame.camera, labels)
         return TrainingSample(frame.rgb, tuple(shown.values()), frame_group(stored), PROJECTED, tuple(shown))

@@ -15,6 +15,7 @@ from annotator.project.overview import neighbours
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.rigs import OtherLabel, Rigs
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 LOG = logging.getLogger("annotator.web")
@@ -46,6 +47,7 @@ class FrameCache:
         self._lock = threading.Lock()
         self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
         self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
+        self._rigs: dict[Project, Rigs] = {}
         self._executor = ThreadPoolExecutor(1, "read-ahead")
         # by operator, the newest request only; a request does not keep its frame in the cache
         self._waiting: dict[str, _ReadAhead] = {}
@@ -72,10 +74,24 @@ class FrameCache:
         self._read_ahead(_ReadAhead(project, stored, time.monotonic() + PAUSE_S), operator)
         return opened
 
+    def others(self, project: Project, frame: StoredFrame) -> list[OtherLabel]:
+        """Returns the labels of the other cameras of a rig at the moment of a frame.
+
+        Raises:
+            FrameError, RecordingError: a recording of the rig cannot be read.
+        """
+        _, source = self._source(project)
+        with self._lock:
+            rigs = self._rigs.get(project)
+            if rigs is None or rigs.source is not source:
+                rigs = self._rigs[project] = Rigs(project, source)
+        return rigs.others(frame)
+
     def forget(self, project: Project) -> None:
         """Drops all frames of a project, e.g. after its recordings have changed."""
         with self._lock:
             self._sources.pop(project, None)
+            self._rigs.pop(project, None)
             for key in [key for key in self._frames if key[0] is project]:
                 del self._frames[key]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,10 @@ from jaxtyping import Float64
 from annotator.geometry.edges import visible_edges
 from annotator.project import Project, StoredLabel, ViewBoxes
 from annotator.project.overview import FramePage, read_page
-from annotator.types import Box2D
+from annotator.project.proposals import covered_by
+from annotator.types import Box2D, ReviewState
+from annotator.workflows.rigs import OtherLabel
+from annotator.workflows.views.outlines import outlines
 from annotator.workflows.views.pairs import ObjectViews, front_and_side, views_by_object
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.review_priority import doubt
@@ -31,6 +35,14 @@ class ShownLabel:
     outline: Float64[np.ndarray, "k 2 2"]
     points: int
     doubt: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ShownOther:
+    """A label of another camera of the rig, with its outline (k, 2, 2) on this image, pixels."""
+
+    other: OtherLabel
+    outline: Float64[np.ndarray, "k 2 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +98,25 @@ def _shown_labels(page: FramePage, opened: OpenFrame) -> tuple[ShownLabel, ...]:
         ShownLabel(stored, outline, opened.points_in(stored.label.box), doubt(stored.quality, stored.label.score))
         for stored, outline in zip(page.labels, edges, strict=True)
     )
+
+
+def shown_others(others: Sequence[OtherLabel], own: Sequence[StoredLabel], opened: OpenFrame) -> list[ShownOther]:
+    """Returns the labels of other cameras that the image shows, without rejected ones and those of own labels' objects.
+
+    Args:
+        others: their boxes are in this frame's camera.
+        own: the frame's labels.
+    """
+    present = [other for other in others if other.label.state is not ReviewState.REJECTED]
+    if not present:
+        return []
+    covers = covered_by([other.label for other in present], [each.label for each in own])
+    on_image = outlines(opened.frame.camera, [other.label for other in present])
+    seen = [
+        other for other, cover in zip(present, covers, strict=True) if cover is None and other.label.uid in on_image
+    ]
+    edges = visible_edges(opened.frame.camera, [other.label.box for other in seen])
+    return [ShownOther(other, outline) for other, outline in zip(seen, edges, strict=True)]
 
 
 def shown_objects(page: FramePage) -> tuple[ShownObject, ...]:

@@ -4,6 +4,7 @@ import { filledBoxes } from "./draft.js";
 import { hintFor } from "./hints.js";
 import { plainBox, secondAxes } from "./items.js";
 import { openGuesses } from "./work.js";
+import { otherOverlays } from "../rig.js";
 
 /** @type {Record<string, string>} */
 const STATE_COLOR = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5" };
@@ -121,6 +122,7 @@ export function createDisplay(app, work, parts) {
       color: STATE_COLOR[review],
       strong: uid === draft?.item.uid,
     }));
+    lines.push(...otherOverlays(state.others));
     if (draft?.outline && !isFinished(draft.item))
       lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });
     const offered = whole.offered();

@@ -4,6 +4,7 @@ import { trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { imageOverlays } from "./drawing.js";
+import { otherOverlays } from "../rig.js";
 
 /**
  * `onDrawn(box)` is called with a box drawn for a new object; it resolves after the fit, whether it succeeded or not.
@@ -96,6 +97,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
         ...colorOf(label),
       }),
     );
+    overlays.push(...otherOverlays(frame.others));
     if (selected)
       overlays.push(...imageOverlays(camera, selected, { selected: true, box: selected.box, ...colorOf(selected) }));
     editor.setOverlays(overlays);

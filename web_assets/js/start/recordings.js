@@ -7,6 +7,16 @@ import { messageOf } from "../errors.js";
 import { createJobLine, takeJob } from "../jobs.js";
 import { createFolders } from "./folders.js";
 
+/** What is added of a recording with several cameras, or with a LiDAR that sees more than its camera. */
+const CAMERAS = [
+  { name: "as the files say", options: {} },
+  { name: "all cameras and scenes", options: { scene: "all", camera: "all" } },
+  ...[4, 6, 8].map((number) => ({
+    name: `${number} virtual cameras all around the LiDAR`,
+    options: { look_around: number, camera: "all" },
+  })),
+];
+
 /**
  * Shows the folders until it is closed, so that several recordings can be added.
  *
@@ -16,10 +26,24 @@ import { createFolders } from "./folders.js";
 export function addRecordings(app, project) {
   const done = h("div", { class: "added", role: "status" });
   const labels = h("input", { type: "checkbox", checked: true, "data-testid": "own-labels" });
+  const cameras = h(
+    "select",
+    { "data-testid": "which-cameras" },
+    CAMERAS.map(({ name }, index) => h("option", { value: String(index) }, name)),
+  );
   const folders = createFolders(app, {
     text: "Add",
     testid: "add",
-    onPick: (entry, button) => add(app, { project, done, labels }, entry, button),
+    onPick: (entry, button) => add(app, { project, done, labels, cameras }, entry, button),
+  });
+  // other cameras of a recording that was just added
+  cameras.addEventListener("change", () => {
+    /** @type {Iterable<HTMLButtonElement>} */
+    const added = cameras.closest("dialog")?.querySelectorAll("button[data-testid^='add-']:disabled") ?? [];
+    for (const button of added) {
+      button.disabled = false;
+      button.textContent = "Add";
+    }
   });
   const closed = openDialog({
     title: `Add recordings to ${project}`,
@@ -28,6 +52,7 @@ export function addRecordings(app, project) {
     content: [
       ...folders.nodes,
       h("label", { class: "row" }, labels, "Import the 3D boxes of the recording, if it has any"),
+      h("label", { class: "row" }, "Cameras", cameras),
       done,
     ],
     actions: [{ label: "Done", value: "done" }],
@@ -38,11 +63,11 @@ export function addRecordings(app, project) {
 
 /**
  * @param {App} app
- * @param {{ project: string, done: HTMLElement, labels: HTMLInputElement }} options
+ * @param {{ project: string, done: HTMLElement, labels: HTMLInputElement, cameras: HTMLSelectElement }} options
  * @param {Api.FolderEntry} entry
  * @param {HTMLButtonElement} button
  */
-async function add(app, { project, done, labels }, entry, button) {
+async function add(app, { project, done, labels, cameras }, entry, button) {
   button.disabled = true;
   button.textContent = "Adding …";
   try {
@@ -50,8 +75,11 @@ async function add(app, { project, done, labels }, entry, button) {
     const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
       path: entry.path,
       labels: labels.checked,
+      options: CAMERAS[Number(cameras.value)].options,
     });
     done.append(...added.map((one) => h("p", { "data-testid": "added-recording" }, glyph("check"), describe(one))));
+    const notes = new Set(added.flatMap((one) => one.notes));
+    done.append(...[...notes].map((text) => h("p", { class: "help", "data-testid": "reader-note" }, text)));
     if (job) done.append(jobLine(app, job));
     if (note) done.append(h("p", { class: "error-box", role: "alert", "data-testid": "recording-note" }, note));
     // adding it again starts the job that could not be started

@@ -1,0 +1,55 @@
+"""Columns of Feather files (Apache Arrow); the only user of pyarrow, which is the extra `argoverse`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from annotator.types.errors import MissingExtraError
+
+Kind = Literal["float", "int", "text"]
+DTYPES = {"float": np.float64, "int": np.int64, "text": object}
+ACCEPTED = {"float": "fiu", "int": "iu", "text": "OU"}
+
+
+class FeatherError(ValueError):
+    """A file that is damaged or lacks a column; the message does not name the file."""
+
+
+def read_feather(path: Path, columns: Mapping[str, Kind]) -> dict[str, np.ndarray]:
+    """Returns columns of equal length: float64, int64, or objects (texts).
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        FeatherError: a damaged file, or a column that is missing, of another kind, empty in a row, or not finite.
+        OSError: the file cannot be read.
+    """
+    try:
+        import pyarrow
+        from pyarrow import feather
+    except ImportError as error:
+        raise MissingExtraError("pyarrow", "argoverse") from error
+    data = path.read_bytes()
+    try:
+        table = feather.read_table(pyarrow.BufferReader(data), memory_map=False, use_threads=False)
+        table.validate(full=True)
+        found = {name: table.column(name) for name in columns if name in table.column_names}
+        raw = {name: column.to_numpy(zero_copy_only=False) for name, column in found.items() if not column.null_count}
+    # of a damaged file, pyarrow raises any of these, with messages for programmers
+    except (pyarrow.ArrowException, OSError, ValueError, MemoryError, KeyError) as error:
+        raise FeatherError(f"is not a Feather file, or damaged ({str(error).splitlines()[0][:80]})") from error
+    missing = [name for name in columns if name not in found]
+    if missing:
+        present = ", ".join(table.column_names) or "none"
+        raise FeatherError(f"has no column {' '.join(missing)} (its columns: {present})")
+    for name, kind in columns.items():
+        if name not in raw or raw[name].dtype.kind not in ACCEPTED[kind]:
+            raise FeatherError(f"the column {name} must hold a {kind} in every row")
+    result = {name: raw[name].astype(DTYPES[kind]) for name, kind in columns.items()}
+    broken = [name for name, kind in columns.items() if kind == "float" and not np.isfinite(result[name]).all()]
+    if broken:
+        raise FeatherError(f"the column {broken[0]} has a number that is not finite")
+    return result

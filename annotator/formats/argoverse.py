@@ -1,0 +1,81 @@
+"""The boxes of Argoverse 2's sensor data set: `annotations.feather` of a log.
+
+Source: av2-api, `structures/cuboid.py`: one row per box and sweep; centre, quaternion w x y z and full sizes in metres,
+in the ego frame of the sweep's time; `track_uuid` names the object. Tracks are numbered in the order of the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.feather import FeatherError, Kind, read_feather
+from annotator.types import OrientedBox
+from annotator.types.errors import FormatError
+
+ANNOTATIONS = "annotations.feather"
+NUMBERS = ("tx_m", "ty_m", "tz_m", "qw", "qx", "qy", "qz", "length_m", "width_m", "height_m")
+COLUMNS: dict[str, Kind] = {
+    "timestamp_ns": "int",
+    "track_uuid": "text",
+    "category": "text",
+    "num_interior_pts": "int",
+    **dict.fromkeys(NUMBERS, "float"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ArgoverseBox:
+    """One row.
+
+    Attributes:
+        label: the category.
+        box: ego frame of the sweep's time.
+        track: number of its object.
+        points: points of the sweep inside it, as counted by the data set's authors.
+    """
+
+    label: str
+    box: OrientedBox
+    track: int
+    points: int
+
+
+def read_argoverse(path: Path) -> dict[int, list[ArgoverseBox]]:
+    """Returns the boxes of each sweep, by its time in nanoseconds.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        FormatError: the file is damaged, or a box is impossible.
+    """
+    try:
+        table = read_feather(path, COLUMNS)
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    except FeatherError as error:
+        raise FormatError(path, str(error)) from error
+    rows = np.stack([table[name] for name in NUMBERS], axis=1)
+    tracks: dict[str, int] = {}
+    boxes: dict[int, list[ArgoverseBox]] = {}
+    texts = zip(
+        table["category"].tolist(), table["track_uuid"].tolist(), table["num_interior_pts"].tolist(), strict=True
+    )
+    for index, (time_ns, (label, uuid, points)) in enumerate(zip(table["timestamp_ns"].tolist(), texts, strict=True)):
+        track = tracks.setdefault(uuid, len(tracks))
+        try:
+            box = _box(rows[index])
+        except ValueError as error:
+            raise FormatError(path, f"row {index}: {error}") from error
+        boxes.setdefault(time_ns, []).append(ArgoverseBox(label, box, track, points))
+    return boxes
+
+
+def _box(row: np.ndarray) -> OrientedBox:
+    if not 0.5 < np.linalg.norm(row[3:7]) < 2.0:
+        raise ValueError(f"{row[3:7].tolist()} is not a unit quaternion")
+    return OrientedBox(
+        RigidTransform.from_components(row[:3], Rotation.from_quat(row[3:7], scalar_first=True)), row[7:].copy()
+    )

@@ -1,0 +1,271 @@
+"""Argoverse 2's sensor data set: one log, seen by one of its cameras, or by a virtual one if it has no images.
+
+sensors/lidar/TIME_NS.feather              x y z (metres, ego frame at that time), intensity (0..255)
+sensors/cameras/CAMERA/TIME_NS.jpg         optional, without distortion
+calibration/intrinsics.feather             fx_px fy_px cx_px cy_px of each camera
+calibration/egovehicle_SE3_sensor.feather  the sensors' poses on the vehicle: quaternion w x y z, metres
+city_SE3_egovehicle.feather                the vehicle's poses at the times of all images and sweeps; z is up
+[annotations.feather, read by annotator.formats.argoverse]
+
+A frame is a sweep with the image nearest in time. The vehicle's poses at both times move the sweep to the image's time.
+k1 k2 k3 of the intrinsics belong to the images before they were undistorted, and are not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.feather import FeatherError, Kind, read_feather
+from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
+from annotator.recordings.image_file import read_rgb
+from annotator.recordings.kitti.frame import visible_cloud
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rig import Scan, level_turn
+from annotator.types import Camera, Frame
+from annotator.types.errors import ConfigError, FrameError, RecordingError
+
+LOOKED_FOR = "sensors/lidar/TIME_NS.feather and city_SE3_egovehicle.feather (a log of Argoverse 2's sensor data set)"
+SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"
+POSES, MOUNTS, INTRINSICS = (
+    "city_SE3_egovehicle.feather",
+    "calibration/egovehicle_SE3_sensor.feather",
+    "calibration/intrinsics.feather",
+)
+FRONT, LIDAR = "ring_front_center", "up_lidar"
+REMEDY = "copy it again from the data set"
+MOST_INTENSITY = np.float32(255.0)
+# Half the period of the LiDAR.
+TOLERANCE_S = 0.05
+LONGEST_TIME = 19
+POSE: dict[str, Kind] = dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float")
+UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class ArgoverseLog(KeyedFrames):
+    """A `Recording` of a log's sweeps, in time order; labels are in the ego frame of the sweep's time.
+
+    Attributes:
+        camera: name of the camera; "" for the virtual one of a log without images.
+        cameras: names of all cameras.
+        images: the time of each frame's image, as in its file's name; empty without images.
+        notes: what was left out.
+    """
+
+    camera: str
+    cameras: tuple[str, ...]
+    images: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    format: ClassVar[str] = "argoverse2"
+    is_sequence: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        return f"{self.path.resolve().name}@{self.camera}" if self.camera else self.path.resolve().name
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; its cloud holds the points inside the image, or all without images.
+
+        Raises:
+            FrameError: a missing or broken file, or no point in the image.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        if not self.camera:
+            return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
+        image = frame_file(self.path / CAMERAS / self.camera, self.images[i], IMAGE_SUFFIXES, f"the sweep {key}")
+        rgb = read_rgb(image)
+        camera = self._intrinsics(rgb.shape[1], rgb.shape[0])
+        T_city_camera = self._T_city_ego(self.images[i]) * self._mount(self.camera)
+        T_camera_ego = T_city_camera.inv() * self._T_city_ego(key)
+        xyz_m, reflectance = self._sweep(key)
+        cloud = visible_cloud(camera, T_camera_ego.apply(xyz_m), reflectance, rgb)
+        if len(cloud) == 0:
+            raise FrameError(
+                self._sweep_file(key),
+                f"none of its {len(xyz_m)} points lies in the image {image.name}, so the cloud is empty",
+                f"check {MOUNTS} and {POSES}",
+            )
+        up = T_city_camera.rotation.inv().apply(UP)
+        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_ego, int(self.images[i]))
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole sweep of frame `i`.
+
+        Raises:
+            FrameError: a missing or broken file.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        xyz_m, reflectance = self._sweep(key)
+        up = self._T_city_ego(key).rotation.inv().apply(UP)
+        place_m = self._mount(LIDAR).translation
+        R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
+        return Scan(xyz_m, None, reflectance, R_level_ego, place_m, T_ego_label, timestamp_ns=int(key))
+
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the camera of frame `i`, with the size that the calibration names.
+
+        Raises:
+            FrameError: it is missing or impossible.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        rows = _named(self.path / INTRINSICS, ("width_px", "height_px"))
+        width_px, height_px = rows[self.camera].tolist() if self.camera in rows else (0.0, 0.0)
+        if min(width_px, height_px) < 1:
+            raise FrameError(self.path / INTRINSICS, f"has no size of {self.camera}", REMEDY)
+        return self._intrinsics(int(width_px), int(height_px))
+
+    def moment(self, i: int) -> str:
+        """Returns the time of the sweep."""
+        return self.key(i)
+
+    def T_rig_camera(self, i: int) -> RigidTransform:
+        """Returns the camera's pose in the ego frame of the sweep's time.
+
+        Raises:
+            FrameError: a pose is missing.
+            IndexError: there is no such frame.
+        """
+        T_ego_city = self._T_city_ego(self.key(i)).inv()
+        return T_ego_city * self._T_city_ego(self.images[i]) * self._mount(self.camera)
+
+    def _sweep_file(self, key: str) -> Path:
+        return self.path / SWEEPS / f"{key}.feather"
+
+    def _sweep(self, key: str) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the valid points (n, 3) in the ego frame, and their reflectance (n,)."""
+        path = self._sweep_file(key)
+        columns = _table(path, {"x": "float", "y": "float", "z": "float", "intensity": "int"})
+        xyz_m = np.stack([columns[name] for name in "xyz"], axis=1)
+        valid = (np.abs(xyz_m) < LARGEST).all(axis=1)
+        if not valid.any():
+            raise FrameError(path, "has no points", REMEDY)
+        intensity = columns["intensity"][valid].astype(np.float32)
+        return xyz_m[valid], np.clip(intensity / MOST_INTENSITY, 0, 1)
+
+    def _T_city_ego(self, time_ns: str) -> RigidTransform:
+        poses = _poses(self.path / POSES)
+        if int(time_ns) not in poses:
+            raise FrameError(self.path / POSES, f"has no pose for the time {time_ns}", REMEDY)
+        return _rigid(self.path / POSES, time_ns, poses[int(time_ns)])
+
+    def _mount(self, sensor: str) -> RigidTransform:
+        mounts = _named(self.path / MOUNTS, tuple(POSE))
+        if sensor not in mounts:
+            raise FrameError(self.path / MOUNTS, f"has no row for {sensor} (it has {', '.join(mounts)})", REMEDY)
+        return _rigid(self.path / MOUNTS, sensor, mounts[sensor])
+
+    def _intrinsics(self, width_px: int, height_px: int) -> Camera:
+        path = self.path / INTRINSICS
+        rows = _named(path, ("fx_px", "fy_px", "cx_px", "cy_px"))
+        if self.camera not in rows:
+            raise FrameError(path, f"has no row for {self.camera} (it has {', '.join(rows)})", REMEDY)
+        fx, fy, cx, cy = rows[self.camera].tolist()
+        if not is_pinhole(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])):
+            raise FrameError(path, f"{self.camera} is not a pinhole camera", REMEDY)
+        return Camera(width_px, height_px, fx, fy, cx, cy)
+
+
+def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | NotFound:
+    """Opens the log at `path`; `NotFound` if it is not one. Without the option `camera`, the front one is read.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        ConfigError: no such camera.
+        RecordingError: no sweep, or no image near a sweep.
+    """
+    if not is_argoverse2(path):
+        return NotFound(LOOKED_FOR)
+    keys = sorted_keys(path, _times(path / SWEEPS, (".feather",)), f"{SWEEPS}/TIME_NS.feather")
+    _poses(path / POSES)
+    folders = sorted(folder.name for folder in (path / CAMERAS).glob("*/")) if (path / CAMERAS).is_dir() else []
+    times = {name: _times(path / CAMERAS / name, IMAGE_SUFFIXES) for name in folders}
+    cameras = tuple(name for name in folders if times[name])
+    camera = options.camera or (FRONT if FRONT in cameras else next(iter(cameras), ""))
+    if camera and camera not in cameras:
+        raise ConfigError(f"{path}: has no images of a camera {camera}; it has {', '.join(cameras) or 'none'}")
+    if not camera:
+        return ArgoverseLog(path, keys, "", (), (), (f"{CAMERAS}/ has no images; a virtual camera looks ahead",))
+    within_s = options.tolerance_s or TOLERANCE_S
+    pairs = _pairs(keys, times[camera], within_s)
+    if not pairs:
+        raise RecordingError(f"{path}: no frames; no image of {camera} is within {within_s:g} s of a sweep")
+    notes = []
+    if len(cameras) > 1 and options.camera is None:
+        notes.append(f"{len(cameras)} cameras: {', '.join(cameras)} (--camera names another, or all)")
+    if len(pairs) < len(keys):
+        alone = len(keys) - len(pairs)
+        notes.append(f"{alone} sweeps without an image within {within_s:g} s were left out (--tolerance changes it)")
+    return ArgoverseLog(path, tuple(pairs), camera, cameras, tuple(pairs.values()), tuple(notes))
+
+
+def is_argoverse2(path: Path) -> bool:
+    """Returns True if the path has the folder of sweeps and the file of poses."""
+    return (path / SWEEPS).is_dir() and (path / POSES).is_file()
+
+
+def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
+    """Returns the names of files that are times."""
+    return {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
+
+
+def _pairs(keys: Sequence[str], images: set[str], within_s: float) -> dict[str, str]:
+    """Returns the time of the nearest image of each sweep, by the sweep's time."""
+    names = sorted(images, key=int)
+    times = np.array([int(name) for name in names])
+    pairs = {}
+    for key in keys:
+        after = int(np.searchsorted(times, int(key)))
+        near = min(range(max(after - 1, 0), min(after + 1, len(times))), key=lambda one: abs(times[one] - int(key)))
+        if abs(int(times[near]) - int(key)) <= within_s * 1e9:
+            pairs[key] = names[near]
+    return pairs
+
+
+def _table(path: Path, columns: dict[str, Kind]) -> dict[str, np.ndarray]:
+    try:
+        return read_feather(path, columns)
+    except OSError as error:
+        raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
+    except FeatherError as error:
+        raise FrameError(path, str(error), REMEDY) from error
+
+
+def _poses(path: Path) -> dict[int, np.ndarray]:
+    """Returns the vehicle's poses by time; cached, because every frame needs two of a log's thousands."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
+    return _read_poses(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read_poses(path: Path, changed_ns: int, size: int) -> dict[int, np.ndarray]:
+    table = _table(path, {"timestamp_ns": "int", **POSE})
+    return dict(zip(table["timestamp_ns"].tolist(), np.stack([table[name] for name in POSE], axis=1), strict=True))
+
+
+def _named(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Returns the numbers of each sensor, by its name."""
+    table = _table(path, {"sensor_name": "text", **dict.fromkeys(columns, "float")})
+    return dict(zip(table["sensor_name"].tolist(), np.stack([table[name] for name in columns], axis=1), strict=True))
+
+
+def _rigid(path: Path, name: str, row: np.ndarray) -> RigidTransform:
+    if not (are_plausible(row) and 0.5 < np.linalg.norm(row[:4]) < 2.0):
+        raise FrameError(path, f"the pose of {name} is not a unit quaternion and a position", REMEDY)
+    return RigidTransform.from_components(row[4:], Rotation.from_quat(row[:4], scalar_first=True))

@@ -1,0 +1,145 @@
+"""Virtual cameras around a LiDAR, so that everything it sees can be labelled, also where no camera looks.
+
+Each virtual camera is a recording of a rig. Their images overlap by `OVERLAP`, so an object at a border is whole in
+one of them. The image is rendered from the points; the cloud is the whole scan.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians, tan
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.rig import Scan, Scanned
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import ConfigError
+
+WIDTH_PX = 1280
+OVERLAP = radians(20)
+VERTICAL_VIEW = radians(60)
+# Rows: the camera's x (right), y (down) and z (forward) in level axes: x ahead, y left, z up.
+R_CAMERA_LEVEL = Rotation.from_matrix(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]))
+AHEAD = "around-000"
+
+
+@dataclass(frozen=True, eq=False)
+class LookAround(KeyedFrames):
+    """A `Recording` of one virtual camera at the LiDAR of another recording.
+
+    Attributes:
+        base: the recording of the LiDAR.
+        count: number of virtual cameras.
+        camera: this camera's name: `around-060` looks 60 degrees to the left of ahead.
+        notes: those of `base`, and the other cameras.
+    """
+
+    base: Scanned
+    count: int
+    camera: str
+    notes: tuple[str, ...] = ()
+    format: ClassVar[str] = "look_around"
+
+    @property
+    def is_sequence(self) -> bool:  # type: ignore[override]
+        return self.base.is_sequence
+
+    @property
+    def root(self) -> Path:
+        return self.base.root
+
+    @property
+    def name(self) -> str:
+        return f"{self.base.name.partition('@')[0]}@{self.camera}"
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The names of all virtual cameras."""
+        return camera_names(self.count)
+
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the virtual camera, the same for all frames."""
+        self.key(i)
+        return virtual_camera(self.count)
+
+    def moment(self, i: int) -> str:
+        """Returns the frame's key, which all cameras share."""
+        return self.key(i)
+
+    def T_rig_camera(self, i: int) -> RigidTransform:
+        """Returns the camera's pose in level axes at the LiDAR."""
+        self.key(i)
+        return RigidTransform.from_rotation(self._R_camera_level().inv())
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole scan of frame `i`.
+
+        Raises:
+            FrameError: it cannot be read.
+            IndexError: there is no such frame.
+        """
+        return self.base.scan(i)
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`.
+
+        Raises:
+            FrameError: the scan cannot be read.
+            IndexError: there is no such frame.
+        """
+        return virtual_frame(self.base.scan(i), self.key(i), i, virtual_camera(self.count), self._R_camera_level())
+
+    def _R_camera_level(self) -> Rotation:
+        yaw = 2 * pi * self.cameras.index(self.camera) / self.count
+        return R_CAMERA_LEVEL * Rotation.from_rotvec([0.0, 0.0, -yaw])
+
+
+def look_around(base: Scanned, options: ReaderOptions) -> LookAround:
+    """Returns a virtual camera of a recording; without the option `camera`, the one that looks ahead.
+
+    Raises:
+        ConfigError: no such camera.
+    """
+    assert options.look_around is not None
+    names = camera_names(options.look_around)
+    camera = options.camera or AHEAD
+    if camera not in names:
+        raise ConfigError(f"{base.path}: has no virtual camera {camera}; it has {', '.join(names)}")
+    others = f"{len(names)} cameras: {', '.join(names)} (--camera names another, or all)"
+    notes = base.notes if options.camera else (*base.notes, others)
+    return LookAround(base.path, base.keys, base, options.look_around, camera, notes)
+
+
+def camera_names(count: int) -> tuple[str, ...]:
+    """Returns the names of the virtual cameras, by the direction in degrees, ahead first and then to the left."""
+    return tuple(f"around-{360 * number // count:03}" for number in range(count))
+
+
+def virtual_camera(count: int) -> Camera:
+    """Returns the intrinsics of each of `count` virtual cameras."""
+    focal_px = WIDTH_PX / 2 / tan(pi / count + OVERLAP / 2)
+    height_px = round(2 * focal_px * tan(VERTICAL_VIEW / 2))
+    return Camera(WIDTH_PX, height_px, focal_px, focal_px, (WIDTH_PX - 1) / 2, (height_px - 1) / 2)
+
+
+def virtual_frame(scan: Scan, key: str, index: int, camera: Camera, R_camera_level: Rotation) -> Frame:
+    """Returns a scan as seen by a virtual camera at its place; the cloud is the whole scan."""
+    R_camera_scan = R_camera_level * scan.R_level_scan
+    T_camera_scan = RigidTransform.from_rotation(R_camera_scan) * RigidTransform.from_translation(-scan.place_m)
+    cloud = PointCloud(T_camera_scan.apply(scan.xyz_m).astype(np.float32), rgb=scan.rgb, reflectance=scan.reflectance)
+    return Frame(
+        key,
+        index,
+        camera,
+        virtual_image(camera, cloud),
+        cloud,
+        up=R_camera_level.apply([0.0, 0.0, 1.0]) if scan.knows_up else None,
+        T_camera_label=T_camera_scan * scan.T_scan_label,
+        timestamp_ns=scan.timestamp_ns,
+    )

@@ -1,0 +1,1 @@
+"""nuScenes: its tables, and one recording per scene and camera."""

@@ -1,0 +1,284 @@
+"""nuScenes: one scene, seen by one of its cameras.
+
+v1.0-*/*.json   the tables (scene, sample, sample_data, sensor, calibrated_sensor, ego_pose)
+samples/, sweeps/   images and scans, where the tables say; a scan is float32 x y z intensity (0..255) ring
+[sample_annotation.json, instance.json, category.json: read by annotator.formats.nuscenes]
+
+A frame is an image with the scan of its sample; between samples, with the scan that was being taken, else the one
+before. The vehicle's poses at both times move the scan to the image's time. Labels are in the global frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float32
+from scipy.spatial.transform import RigidTransform
+
+from annotator.geometry.transforms import FORWARD
+from annotator.nuscenes_tables import TableError
+from annotator.recordings.image_file import read_rgb
+from annotator.recordings.kitti.frame import visible_cloud
+from annotator.recordings.nuscenes.scenes import SceneData, Shot, read_scene, scene_names, table_folders
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.plausible import LARGEST, is_pinhole
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rig import Scan, level_turn
+from annotator.types import Camera, Frame
+from annotator.types.errors import ConfigError, FrameError, RecordingError
+
+LOOKED_FOR = "nuScenes' tables (v1.0-*/scene.json, sample_data.json, ...) beside samples/ and sweeps/"
+FRONT = "CAM_FRONT"
+# The origins of an export's frames; nuScenes itself has no such file.
+EXPORT_MARK = "frames.csv"
+MOST_INTENSITY = np.float32(255.0)
+BYTES_A_POINT = 20
+GLOBAL_UP = np.array([0.0, 0.0, 1.0])
+# The LiDAR's period.
+TOLERANCE_S = 0.05
+REMEDY = "copy it again from the data set"
+
+
+@dataclass(frozen=True, eq=False)
+class NuScenes(KeyedFrames):
+    """A `Recording` of a scene's samples and sweeps from one camera, in time order.
+
+    Attributes:
+        tables: the folder of the tables.
+        scenes: names of all scenes of the dataset.
+        scene, camera: names of the scene and of the camera's channel.
+        data: the images and scans of all its cameras.
+        moments: image and scan of each frame.
+        notes: what was left out.
+    """
+
+    tables: Path
+    scenes: tuple[str, ...]
+    scene: str
+    camera: str
+    data: SceneData
+    moments: tuple[tuple[Shot, Shot], ...]
+    notes: tuple[str, ...] = ()
+    format: ClassVar[str] = "nuscenes"
+    is_sequence: ClassVar[bool] = True
+
+    @property
+    def is_export(self) -> bool:
+        """True for an export of annotator, whose boxes all belong to its one camera."""
+        return (self.tables.parent / EXPORT_MARK).is_file()
+
+    @property
+    def root(self) -> Path:
+        return self.tables.parent
+
+    @property
+    def name(self) -> str:
+        return f"{self.scene}@{self.camera}"
+
+    def sample(self, key: str) -> str | None:
+        """Returns the token of a frame's annotated moment; None between samples."""
+        return self.moments[self._index[key]][0].sample
+
+    @cached_property
+    def samples(self) -> frozenset[str]:
+        """The tokens of all annotated moments."""
+        return frozenset(image.sample for image, _ in self.moments if image.sample is not None)
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {key: index for index, key in enumerate(self.keys)}
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; its cloud holds the points inside the image.
+
+        Raises:
+            FrameError: a missing or broken file, an impossible pose or camera, or no point in the image.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        image, scan = self.moments[i]
+        rgb = read_rgb(self.root / image.file)
+        camera = _camera(self.root / image.file, image, rgb.shape[1], rgb.shape[0])
+        T_camera_global, T_global_lidar = self._poses(image, scan)
+        points = read_scan(self.root / scan.file)
+        xyz_m = (T_camera_global * T_global_lidar).apply(points[:, :3])
+        cloud = visible_cloud(camera, xyz_m, np.clip(points[:, 3] / MOST_INTENSITY, 0, 1), rgb)
+        if len(cloud) == 0:
+            raise FrameError(
+                self.root / scan.file,
+                f"none of its {len(points)} points lies in the image {image.file}, so the cloud is empty",
+                "check the poses of both in calibrated_sensor.json and ego_pose.json",
+            )
+        up = T_camera_global.rotation.apply(GLOBAL_UP)
+        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_global, image.time_us * 1000)
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole scan of frame `i`, ahead being where the camera looks.
+
+        Raises:
+            FrameError: a missing or broken file, or an impossible pose.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        image, scan = self.moments[i]
+        T_camera_global, T_global_lidar = self._poses(image, scan)
+        points = read_scan(self.root / scan.file)
+        R_lidar_global = T_global_lidar.rotation.inv()
+        ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))
+        return Scan(
+            points[:, :3].astype(np.float64),
+            None,
+            np.clip(points[:, 3] / MOST_INTENSITY, 0, 1),
+            level_turn(R_lidar_global.apply(GLOBAL_UP), ahead),
+            np.zeros(3),
+            T_global_lidar.inv(),
+            timestamp_ns=scan.time_us * 1000,
+        )
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The names of the scene's cameras."""
+        return tuple(sorted(self.data.cameras))
+
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the camera of frame `i`, with the image's size in the tables.
+
+        Raises:
+            FrameError: it is impossible, or the tables lack the size.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        image = self.moments[i][0]
+        if min(image.width_px, image.height_px) < 1:
+            raise FrameError(self.tables / "sample_data.json", f"has no size of {image.file}", REMEDY)
+        return _camera(self.root / image.file, image, image.width_px, image.height_px)
+
+    def moment(self, i: int) -> str:
+        """Returns the name of the scan's file."""
+        self.key(i)
+        return PurePosixPath(self.moments[i][1].file).name
+
+    def T_rig_camera(self, i: int) -> RigidTransform:
+        """Returns the camera's pose in the frame of the LiDAR at the scan's time.
+
+        Raises:
+            FrameError: an impossible pose.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        T_camera_global, T_global_lidar = self._poses(*self.moments[i])
+        return (T_camera_global * T_global_lidar).inv()
+
+    def _poses(self, image: Shot, scan: Shot) -> tuple[RigidTransform, RigidTransform]:
+        try:
+            return image.T_global_sensor().inv(), scan.T_global_sensor()
+        except TableError as error:
+            raise FrameError(self.tables, f"the pose of {image.file} or {scan.file}: {error}", REMEDY) from error
+
+
+def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
+    """Opens a scene of the dataset at `path`; `NotFound` if there are no tables.
+
+    Without the option `scene`, it is the first one; without `camera`, CAM_FRONT or the first one.
+
+    Raises:
+        ConfigError: no such scene or camera.
+        RecordingError: damaged tables, several folders of tables, or no frame.
+    """
+    folders = table_folders(path)
+    if not folders:
+        return NotFound(LOOKED_FOR)
+    if len(folders) > 1:
+        names = ", ".join(folder.name for folder in folders)
+        raise RecordingError(f"{path}: has several folders of tables ({names}); give the path of one")
+    tables, scenes = folders[0], scene_names(folders[0])
+    scene = options.scene or next(iter(scenes))
+    if scene not in scenes:
+        raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(scenes)}")
+    data = read_scene(tables, scenes[scene])
+    if not data.cameras or not data.scans:
+        what = "image" if not data.cameras else "scan"
+        missing = f" (missing folders: {', '.join(data.missing)})" if data.missing else ""
+        raise RecordingError(f"{path}: no frames; {scene} has no {what}{missing}; copy its samples/ beside the tables")
+    camera = options.camera or (FRONT if FRONT in data.cameras else next(iter(data.cameras)))
+    if camera not in data.cameras:
+        raise ConfigError(f"{path}: {scene} has no camera {camera}; it has {', '.join(sorted(data.cameras))}")
+    moments = _pairs(data, camera, options.tolerance_s or TOLERANCE_S)
+    keys = tuple(PurePosixPath(image.file).stem for image, _ in moments)
+    if not keys:
+        raise RecordingError(f"{path}: no frames; no image of {camera} has a scan within its time; set --tolerance")
+    if len(set(keys)) < len(keys):
+        raise RecordingError(f"{tables / 'sample_data.json'}: two images of {camera} have one file name; {REMEDY}")
+    notes = _notes(data, camera, moments, scenes, options)
+    return NuScenes(path, keys, tables, tuple(scenes), scene, camera, data, moments, notes)
+
+
+def is_nuscenes(path: Path) -> bool:
+    """Returns True if the path has nuScenes' tables."""
+    return bool(table_folders(path))
+
+
+def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
+    """Returns the valid points of a scan: x y z (metres, LiDAR frame), intensity 0..255, ring.
+
+    Raises:
+        FrameError: the file is missing, empty, truncated, or has no valid point.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FrameError(path, f"the scan cannot be read ({error.strerror})", REMEDY) from error
+    if not data or len(data) % BYTES_A_POINT:
+        problem = f"{len(data)} bytes are not a multiple of {BYTES_A_POINT}" if data else "the file is empty"
+        raise FrameError(path, f"the scan is truncated: {problem} (5 float32 per point)", REMEDY)
+    points = np.frombuffer(data, "<f4").reshape(-1, 5)
+    # false also for infinity and NaN
+    points = points[(np.abs(points) < LARGEST).all(axis=1)]
+    if len(points) == 0:
+        raise FrameError(path, "every point is NaN or infinite", REMEDY)
+    return points
+
+
+def _camera(path: Path, image: Shot, width_px: int, height_px: int) -> Camera:
+    K = np.array(image.mount.camera_intrinsic)
+    if K.shape != (3, 3) or not is_pinhole(K):
+        raise FrameError(path, f"its camera_intrinsic (row {image.mount.token}) is not a pinhole camera", REMEDY)
+    return Camera(width_px, height_px, *K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
+
+
+def _pairs(data: SceneData, camera: str, tolerance_s: float) -> tuple[tuple[Shot, Shot], ...]:
+    of_sample = {scan.sample: scan for scan in data.scans if scan.sample is not None}
+    times_us = np.array([scan.time_us for scan in data.scans])
+    pairs = []
+    for image in data.cameras[camera]:
+        scan = of_sample.get(image.sample) if image.sample is not None else None
+        if scan is None:
+            after = int(np.searchsorted(times_us, image.time_us))
+            # a scan's time is its end: the next scan was being taken, so all cameras get the same one
+            near = [*data.scans[after : after + 1], *data.scans[max(after - 1, 0) : after]]
+            scan = next((each for each in near if abs(each.time_us - image.time_us) <= tolerance_s * 1e6), None)
+        if scan is not None:
+            pairs.append((image, scan))
+    return tuple(pairs)
+
+
+def _notes(
+    data: SceneData, camera: str, moments: Sequence[tuple[Shot, Shot]], scenes: dict[str, str], options: ReaderOptions
+) -> tuple[str, ...]:
+    notes = []
+    if len(scenes) > 1 and options.scene is None:
+        notes.append(f"{len(scenes)} scenes: {', '.join(scenes)}; this is the first (--scene names another, or all)")
+    if len(data.cameras) > 1 and options.camera is None:
+        notes.append(f"{len(data.cameras)} cameras: {', '.join(sorted(data.cameras))} (--camera names another, or all)")
+    if data.missing:
+        notes.append(f"left out, because these folders are missing: {', '.join(data.missing)}")
+    alone = len(data.cameras[camera]) - len(moments)
+    if alone:
+        within = options.tolerance_s or TOLERANCE_S
+        notes.append(f"{alone} images without a scan within {within:g} s were left out (--tolerance changes it)")
+    return tuple(notes)

@@ -1,0 +1,266 @@
+"""nuScenes as recordings: real boxes and points, samples and sweeps, and errors that name the place."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nuscenes_samples import CAMERAS, START_US, K, ego_pose, mount, real, scan_points, small
+
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.losses import Losses
+from annotator.formats.nuscenes import read_sample_boxes, write_nuscenes
+from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.projection import project
+from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.nuscenes.recording import NuScenes, read_scan
+from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.types.errors import ConfigError, FormatError, FrameError, RecordingError
+from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
+
+REAL_CAMERAS = {"CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT"}
+
+
+def opened(path: Path, **options: Any) -> NuScenes:
+    recording = open_recording(path, ReaderOptions(**options))
+    assert isinstance(recording, NuScenes)
+    return recording
+
+
+def matrix_of(w: float, x: float, y: float, z: float) -> np.ndarray:
+    """The rotation matrix of a unit quaternion, by the textbook's formula."""
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def by_hand(folder: Path, table: str, token: str) -> np.ndarray:
+    """The 4 x 4 matrix of a row with a pose."""
+    rows = json.loads((folder / "v1.0-mini" / f"{table}.json").read_text())
+    row = next(row for row in rows if row["token"] == token)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = matrix_of(*row["rotation"]), row["translation"]
+    return matrix
+
+
+@pytest.mark.shared
+def test_the_real_boxes_lie_where_the_transforms_put_them_in_all_cameras(shared: Path, tmp_path: Path):
+    sample = real(shared / "data" / "nuscenes_frame", tmp_path)["sample"]
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    annotations = json.loads((tmp_path / "v1.0-mini" / "sample_annotation.json").read_text())
+    seen = set[int]()
+    for channel in REAL_CAMERAS:
+        recording = opened(tmp_path, camera=channel)
+        frame = recording.frame(0)
+        truths = load_truth(recording, 0, frame)
+        assert len(frame.cloud) > 2000
+        T_ego_camera, T_global_ego = (by_hand(tmp_path, name, channel) for name in ("calibrated_sensor", "ego_pose"))
+        T_camera_global = np.linalg.inv(T_global_ego @ T_ego_camera)
+        # the description's own matrices, of seven digits
+        T_lidar_global = np.linalg.inv(np.array(sample["ego2global"]) @ sample["lidar_points"]["lidar2ego"])
+        rounded = np.array(sample["images"][channel]["lidar2cam"]) @ T_lidar_global
+        expected = {}
+        for number, row in enumerate(annotations):
+            turn = matrix_of(*row["rotation"])
+            width, length, height = row["size"]
+            corners = (signs * [length, width, height] / 2) @ turn.T + row["translation"]
+            seven_digits = corners @ rounded[:3, :3].T + rounded[:3, 3]
+            corners = corners @ T_camera_global[:3, :3].T + T_camera_global[:3, 3]
+            np.testing.assert_allclose(corners, seven_digits, rtol=0, atol=2e-4)
+            px = corners @ np.array(sample["images"][channel]["cam2img"]).T
+            px = px[:, :2] / px[:, 2:]
+            on_image = ((px > -0.5) & (px < [1599.5, 899.5])).all(axis=1).any()
+            if corners[:, 2].min() > 0.1 and on_image:
+                expected[number] = corners
+        assert len(truths) == len(expected)
+        for truth, (number, corners) in zip(truths, expected.items(), strict=True):
+            found = box_corners(truth.box)
+            order = np.lexsort(np.round(found, 3).T), np.lexsort(np.round(corners, 3).T)
+            np.testing.assert_allclose(found[order[0]], corners[order[1]], rtol=0, atol=1e-6)
+            assert truth.label == annotations[number]["instance_class"]
+            seen.add(number)
+    assert len(seen) >= 65
+
+
+@pytest.mark.shared
+def test_the_real_boxes_hold_the_points_that_nuscenes_counted(shared: Path, tmp_path: Path):
+    real(shared / "data" / "nuscenes_frame", tmp_path)
+    recording = opened(tmp_path)
+    _, scan = recording.moments[0]
+    xyz_m = read_scan(tmp_path / scan.file)[:, :3].astype(np.float64)
+    assert len(xyz_m) == 34_688
+    (boxes,) = read_sample_boxes(recording.tables, recording.samples).values()
+    counted = [row["num_lidar_pts"] for row in json.loads((recording.tables / "sample_annotation.json").read_text())]
+    T_lidar_global = scan.T_global_sensor().inv()
+    assert [int(contains(each.box.transformed(T_lidar_global), xyz_m).sum()) for each in boxes] == counted
+    assert len(counted) == 69 and sum(counted) > 1000
+
+
+def test_a_frame_is_an_image_with_the_scan_moved_to_its_time(tmp_path: Path):
+    recording = opened(small(tmp_path), scene="scene-0000", camera="CAM_BACK")
+    assert (recording.name, recording.format, len(recording)) == ("scene-0000@CAM_BACK", "nuscenes", 6)
+    assert recording.notes == ()
+    for index in (0, 4):
+        frame = recording.frame(index)
+        at_us = START_US + index * 500_000 // 3
+        assert (frame.key, frame.timestamp_ns) == (f"n0__CAM_BACK__{at_us + 20_000}", (at_us + 20_000) * 1000)
+        T_camera_global = (ego_pose(at_us + 20_000) * mount("CAM_BACK")).inv()
+        T_camera_lidar = T_camera_global * ego_pose(at_us) * mount("LIDAR_TOP")
+        points = scan_points(index)
+        xyz_m = T_camera_lidar.apply(points[:, :3].astype(np.float64))
+        px = project(frame.camera, xyz_m)
+        kept = (xyz_m[:, 2] > 0.1) & ((px >= -0.5) & (px < [63.5, 47.5])).all(axis=1)
+        np.testing.assert_allclose(frame.cloud.xyz_m, xyz_m[kept], atol=1e-5)
+        np.testing.assert_allclose(frame.cloud.reflectance, points[kept, 3] / 255, atol=1e-6)
+        assert kept.sum() > 100
+        np.testing.assert_allclose(frame.camera.matrix, K)
+        np.testing.assert_allclose(frame.up, T_camera_global.rotation.apply([0, 0, 1]), atol=1e-12)
+
+
+def test_samples_have_labels_and_tracks_and_sweeps_have_none(tmp_path: Path):
+    small(tmp_path)
+    for scene in (0, 1):
+        for camera, size in zip(CAMERAS, ([3, 1, 2], [4, 2, 1.5]), strict=True):
+            recording = opened(tmp_path, scene=f"scene-{scene:04}", camera=camera)
+            assert has_truth(recording)
+            assert [is_labelled(recording, key) for key in recording.keys] == [True, False, False] * 2
+            (truth,) = load_truth(recording, 0, recording.frame(0))
+            assert (truth.label, truth.track_id) == ("vehicle.car", 2 * scene + (camera == "CAM_BACK"))
+            np.testing.assert_allclose(truth.box.size_m, size)
+            assert load_truth(recording, 1, recording.frame(1)) == []
+
+
+def test_the_first_scene_and_the_front_camera_are_read_unless_others_are_named(tmp_path: Path):
+    recording = opened(small(tmp_path))
+    assert (recording.scene, recording.camera) == ("scene-0000", "CAM_FRONT")
+    assert recording.notes == (
+        "2 scenes: scene-0000, scene-0001; this is the first (--scene names another, or all)",
+        "2 cameras: CAM_BACK, CAM_FRONT (--camera names another, or all)",
+    )
+    assert opened(tmp_path / "v1.0-mini").keys == recording.keys
+    with pytest.raises(ConfigError, match="has no scene x; it has scene-0000, scene-0001"):
+        opened(tmp_path, scene="x")
+    with pytest.raises(ConfigError, match="scene-0000 has no camera left; it has CAM_BACK, CAM_FRONT"):
+        opened(tmp_path, camera="left")
+    (tmp_path / "v1.0-trainval").symlink_to(tmp_path / "v1.0-mini")
+    with pytest.raises(RecordingError, match=r"several folders of tables \(v1\.0-mini, v1\.0-trainval\)"):
+        opened(tmp_path)
+
+
+def test_without_the_sweeps_only_samples_are_read(tmp_path: Path):
+    small(tmp_path, scenes=1)
+    (tmp_path / "sweeps").rename(tmp_path / "elsewhere")
+    recording = opened(tmp_path, camera="CAM_FRONT")
+    assert len(recording) == 2 and all(is_labelled(recording, key) for key in recording.keys)
+    assert recording.notes == (
+        "left out, because these folders are missing: sweeps/CAM_BACK, sweeps/CAM_FRONT, sweeps/LIDAR_TOP",
+    )
+    (tmp_path / "elsewhere").rename(tmp_path / "sweeps")
+    near = opened(tmp_path, camera="CAM_FRONT", tolerance_s=0.001)
+    assert len(near) == 2
+    assert near.notes == ("4 images without a scan within 0.001 s were left out (--tolerance changes it)",)
+
+
+def test_the_test_split_has_no_labels(tmp_path: Path):
+    small(tmp_path, scenes=1)
+    assert has_truth(opened(tmp_path))
+    (tmp_path / "v1.0-mini" / "sample_annotation.json").write_text("[\n]\n")
+    assert not has_truth(opened(tmp_path))
+
+
+def edit(folder: Path, table: str, change: Callable[[list[dict[str, Any]]], Any]) -> None:
+    path = folder / "v1.0-mini" / f"{table}.json"
+    rows = json.loads(path.read_text())
+    change(rows)
+    path.write_text(json.dumps(rows))
+
+
+BROKEN: list[tuple[str, Callable[[list[dict[str, Any]]], Any], str]] = [
+    (
+        "sample_data",
+        lambda rows: rows[-1].pop("filename"),
+        r"sample_data\.json: the row at byte \d+: filename: Field required",
+    ),
+    (
+        "sample_data",
+        lambda rows: rows[-1].update(timestamp=2**63),
+        r"the row at byte \d+: timestamp: Input should be less than",
+    ),
+    ("ego_pose", lambda rows: rows.pop(), r"refers to LIDAR_TOP1-5, which is not in ego_pose\.json"),
+    ("calibrated_sensor", lambda rows: rows.pop(0), r"refers to c-CAM_BACK, which is not in calibrated_sensor\.json"),
+    ("scene", lambda rows: rows.clear(), r"scene\.json: has no scene"),
+    ("scene", lambda rows: rows[1].update(name="scene-0000"), r"scene\.json: two scenes are called scene-0000"),
+    ("sample", lambda rows: rows.clear(), "scene-0001 has no image"),
+    ("sensor", lambda rows: rows[2].update(modality="radar"), "scene-0001 has no scan"),
+    ("ego_pose", lambda rows: rows[-2].update(rotation=[0, 0, 0, 0]), "is not a unit quaternion"),
+    ("calibrated_sensor", lambda rows: rows[1].update(camera_intrinsic=[]), "is not a pinhole camera"),
+    ("ego_pose", lambda rows: rows[-2].update(translation=[0, 0, 1e6]), "lies in the image"),
+]
+
+
+@pytest.mark.parametrize(("table", "change", "problem"), BROKEN)
+def test_errors_of_broken_tables_name_the_place(
+    tmp_path: Path, table: str, change: Callable[[list[dict[str, Any]]], Any], problem: str
+):
+    edit(small(tmp_path), table, change)
+    with pytest.raises(RecordingError, match=problem) as caught:
+        opened(tmp_path, scene="scene-0001" if table != "scene" else None, camera="CAM_FRONT").frame(5)
+    assert str(caught.value).startswith(str(tmp_path))
+
+
+@pytest.mark.parametrize("cut", [1, 2, 300])
+def test_a_table_that_is_cut_off_is_an_error(tmp_path: Path, cut: int):
+    path = small(tmp_path) / "v1.0-mini" / "sample_data.json"
+    path.write_bytes(path.read_bytes()[:-cut])
+    with pytest.raises(RecordingError, match=r"sample_data\.json: is cut off: its list does not end"):
+        opened(tmp_path)
+    path.write_bytes(b"")
+    with pytest.raises(RecordingError, match="the file is empty"):
+        opened(tmp_path)
+    path.write_text("{}")
+    with pytest.raises(RecordingError, match="is not a list of records"):
+        opened(tmp_path)
+
+
+def test_errors_of_scans_and_labels_name_the_file(tmp_path: Path):
+    recording = opened(small(tmp_path))
+    scan = tmp_path / recording.moments[0][1].file
+    scan.write_bytes(scan.read_bytes()[:-4])
+    with pytest.raises(FrameError, match=r"pcd\.bin: the scan is truncated: 79996 bytes are not a multiple of 20"):
+        recording.frame(0)
+    edit(tmp_path, "instance", lambda rows: rows.clear())
+    with pytest.raises(FormatError, match=r"sample_annotation\.json: row ap0-0ahead: refers to the token i0ahead"):
+        load_truth(recording, 0, recording.frame(1))
+
+
+def test_our_own_export_opens_with_its_boxes_and_tracks(tmp_path: Path):
+    rng = np.random.default_rng(3)
+    xyz = rng.uniform([-1, -0.7, 3], [1, 0.7, 5], (500, 3)).astype(np.float32)
+    camera, rgb = Camera(64, 48, 40.0, 41.0, 31.5, 23.5), rng.integers(0, 255, (48, 64, 3), np.uint8)
+    # partly outside the image, which a camera of nuScenes would count as unseen if its corners were
+    box = OrientedBox.from_parts(np.array([2.0, 0.2, 4.0]), np.eye(3), np.array([3.9, 3.0, 1.0]))
+    label = Label("u", "hand", box, None, Source.MANUAL, ReviewState.ACCEPTED, "a", 0, track_id=7)
+    cloud = PointCloud(xyz, reflectance=rng.uniform(size=500).astype(np.float32))
+    frames = [
+        Frame(f"{n}", n, camera, rgb, cloud, up=np.array([0.0, -1.0, 0.1]), timestamp_ns=10**18 + n * 10**8)
+        for n in range(3)
+    ]
+    items = [DatasetItem(name, frame, [label]) for name in ("take", "other") for frame in frames]
+    write_nuscenes(tmp_path / "out", items, ("hand",), Losses())
+    recording = opened(tmp_path / "out", scene="other")
+    assert (recording.name, recording.keys) == ("other@CAM_FRONT", ("other-0", "other-1", "other-2"))
+    for index, written in enumerate(frames):
+        frame = recording.frame(index)
+        np.testing.assert_array_equal(frame.rgb, written.rgb)
+        np.testing.assert_allclose(frame.cloud.xyz_m, xyz, atol=1e-5)
+        np.testing.assert_allclose(frame.cloud.reflectance, cloud.reflectance, atol=1e-5)
+        np.testing.assert_allclose(frame.up, written.up, atol=1e-9)
+        (truth,) = load_truth(recording, index, frame)
+        assert (truth.label, truth.track_id) == ("hand", 7)
+        np.testing.assert_allclose(box_corners(truth.box), box_corners(box), atol=1e-9)

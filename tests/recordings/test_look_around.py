@@ -1,0 +1,157 @@
+"""Virtual cameras around a LiDAR: they see every direction, agree on where things are, and fit each reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cloud_samples import SCAN, camera_file
+from kitti_samples import OBJECT_CALIB
+from nuscenes_samples import real, small
+from test_malformed_files import kitti_object, kitti_raw, kitti_tracking, rgbd_folder
+
+from annotator.geometry.projection import inside_image, project
+from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.look_around import LookAround, camera_names, virtual_camera
+from annotator.types import OrientedBox
+from annotator.types.errors import ConfigError
+from annotator.workflows.recorded.reading import has_truth, load_truth
+
+
+def around(path: Path, **options: Any) -> LookAround:
+    recording = open_recording(path, ReaderOptions(**options))
+    assert isinstance(recording, LookAround)
+    return recording
+
+
+def put_scan(folder: Path, **more: Any) -> Path:
+    folder.mkdir(exist_ok=True)
+    np.save(folder / "0.npy", SCAN)
+    if more:
+        (folder / "camera_intrinsic.json").write_text(camera_file(**more))
+        (folder / "gravity.json").write_text('{"up": [0.1, -1, 0.2]}')
+    return folder
+
+
+@pytest.mark.parametrize("count", [4, 6, 8])
+def test_every_direction_is_seen_by_one_or_two_cameras(tmp_path: Path, count: int):
+    rng = np.random.default_rng(0)
+    yaw, pitch = rng.uniform(-np.pi, np.pi, 3000), rng.uniform(-0.3, 0.3, 3000)
+    flat = rng.uniform(3, 60, 3000)
+    points = np.column_stack([flat * np.cos(yaw), flat * np.sin(yaw), flat * np.tan(pitch)])
+    np.save(tmp_path / "0.npy", points)
+    seen = np.zeros(3000, int)
+    poses = []
+    for camera in camera_names(count):
+        recording = around(tmp_path, look_around=count, camera=camera)
+        frame = recording.frame(0)
+        assert len(frame.cloud) == 3000 and recording.moment(0) == "0"
+        np.testing.assert_allclose(frame.up, [0, -1, 0], atol=1e-9)
+        px = project(frame.camera, frame.cloud.xyz_m)
+        inside = inside_image(frame.camera, px)
+        seen += inside
+        assert frame.rgb.any()
+        # the direction in the name is that of the camera, to the left of ahead
+        forward = recording.T_rig_camera(0).rotation.apply([0, 0, 1])
+        assert np.degrees(np.arctan2(forward[1], forward[0])) % 360 == pytest.approx(float(camera[-3:]), abs=1e-6)
+        poses.append(recording.T_rig_camera(0).apply(frame.cloud.xyz_m.astype(np.float64)))
+    assert set(np.unique(seen)) == {1, 2}
+    for placed in poses:
+        np.testing.assert_allclose(placed, points, atol=1e-4)
+
+
+def test_the_first_camera_looks_where_a_virtual_camera_looks_today(tmp_path: Path):
+    put_scan(tmp_path)
+    today, ahead = open_recording(tmp_path).frame(0), around(tmp_path, look_around=4).frame(0)
+    np.testing.assert_allclose(ahead.cloud.xyz_m, today.cloud.xyz_m, atol=1e-6)
+    assert around(tmp_path, look_around=4).notes == (
+        "4 cameras: around-000, around-090, around-180, around-270 (--camera names another, or all)",
+    )
+    with pytest.raises(ConfigError, match="has no virtual camera left; it has around-000, around-090"):
+        around(tmp_path, look_around=4, camera="left")
+    with pytest.raises(ConfigError, match=r"cloud_folder, which takes .*not --camera"):
+        open_recording(tmp_path, ReaderOptions(camera="around-000"))
+
+
+@pytest.mark.parametrize("build", [kitti_object, kitti_tracking, kitti_raw])
+def test_kitti_is_seen_all_around_its_lidar(tmp_path: Path, build: Any):
+    build(tmp_path)
+    base = open_recording(tmp_path)
+    recording = around(tmp_path, look_around=6, camera="around-180")
+    frame = recording.frame(0)
+    assert (recording.format, recording.keys) == ("look_around", base.keys)
+    assert recording.name == f"{tmp_path.name}@around-180"
+    assert len(frame.cloud) == len(SCAN) > len(base.frame(0).cloud)
+    assert frame.timestamp_ns == base.frame(0).timestamp_ns
+    # labels of the recording lie at the same points, seen from either camera
+    seen = base.frame(0)
+    assert seen.T_camera_label is not None and frame.T_camera_label is not None
+    there = frame.T_camera_label.apply(seen.T_camera_label.inv().apply(seen.cloud.xyz_m.astype(np.float64)))
+    distance = np.linalg.norm(frame.cloud.xyz_m[:, None] - there[None, :50], axis=2)
+    assert distance.min(axis=0).max() < 1e-2
+    # level, and backwards: what was ahead of the camera is behind this one
+    ahead = around(tmp_path, look_around=6).frame(0)
+    np.testing.assert_allclose(ahead.cloud.xyz_m * [-1, 1, -1], frame.cloud.xyz_m, atol=1e-4)
+    seen = base.frame(0).cloud.xyz_m
+    assert (ahead.cloud.xyz_m[:, 2] > 0).sum() >= len(seen)
+    assert not has_truth(recording)
+
+
+def test_a_cloud_in_another_frame_is_turned_level(tmp_path: Path):
+    pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
+    frame = around(put_scan(tmp_path / "tilted", cloud_to_camera=pose), look_around=4).frame(0)
+    camera_frame = open_recording(tmp_path / "tilted").frame(0)
+    # heights above the LiDAR are along the stored direction of gravity
+    up = camera_frame.up
+    assert up is not None
+    heights = (camera_frame.cloud.xyz_m - np.array([0.1, 0.2, -0.3])) @ up
+    np.testing.assert_allclose(-frame.cloud.xyz_m[:, 1], heights, atol=1e-4)
+    (tmp_path / "kitti").mkdir()
+    put_scan(tmp_path / "kitti")
+    (tmp_path / "kitti" / "calib.txt").write_text(OBJECT_CALIB)
+    assert len(around(tmp_path / "kitti", look_around=8, camera="around-315").frame(0).cloud) == len(SCAN)
+
+
+def test_map_coordinates_are_seen_from_the_middle(tmp_path: Path):
+    np.save(tmp_path / "0.npy", SCAN[:, :3].astype(np.float64) + np.array([4e5, 5e6, 100.0]))
+    frame = around(tmp_path, look_around=4).frame(0)
+    assert np.abs(frame.cloud.xyz_m).max() < 200
+
+
+def test_a_recording_without_a_lidar_takes_no_virtual_cameras(tmp_path: Path):
+    rgbd_folder(tmp_path)
+    with pytest.raises(ConfigError, match="is read as rgbd_folder, which has no LiDAR, so it takes no --look-around"):
+        open_recording(tmp_path, ReaderOptions(look_around=4))
+
+
+def test_labels_all_around_belong_to_the_cameras_that_see_them(tmp_path: Path):
+    small(tmp_path)
+    labels = {
+        camera: load_truth(recording, 0, recording.frame(0))
+        for camera in camera_names(4)
+        for recording in [around(tmp_path, scene="scene-0000", look_around=4, camera=camera)]
+    }
+    assert [len(labels[camera]) for camera in camera_names(4)] == [1, 0, 1, 0]
+    assert labels["around-000"][0].track_id == 0 and labels["around-180"][0].track_id == 1
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("count", [4, 6, 8])
+def test_all_real_boxes_are_seen_by_a_camera_and_are_one_in_the_rig(shared: Path, tmp_path: Path, count: int):
+    real(shared / "data" / "nuscenes_frame", tmp_path)
+    for path, boxes in ((tmp_path, 69), (shared / "data" / "argoverse2_sample", 81)):
+        placed: dict[tuple[Any, ...], OrientedBox] = {}
+        for camera in camera_names(count):
+            recording = around(path, look_around=count, camera=camera)
+            T = recording.T_rig_camera(0)
+            for truth in load_truth(recording, 0, recording.frame(0)):
+                box = truth.box.transformed(T)
+                placed[truth.label, *np.round([*box.center_m, *box.size_m], 3).tolist()] = box
+        assert len(placed) == boxes
+
+
+def test_cameras_have_even_sizes_and_overlap():
+    assert [virtual_camera(count).width_px for count in (4, 6, 8)] == [1280] * 3
+    assert [virtual_camera(count).height_px for count in (4, 6, 8)] == [517, 881, 1160]

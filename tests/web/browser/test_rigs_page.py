@@ -1,0 +1,40 @@
+"""Rigs on the page: all cameras are added by one click, and the outline of another camera's label is drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from rig_room import label_object, rig_settings
+
+from annotator.web.settings import ServerSettings
+
+expect = pytest.importorskip("playwright.sync_api").expect
+
+if TYPE_CHECKING:
+    from live_server import Live
+    from playwright.sync_api import Page
+
+
+@pytest.fixture
+def web_settings(tmp_path: Path) -> ServerSettings:
+    return rig_settings(tmp_path)
+
+
+def test_virtual_cameras_are_added_and_share_a_label(start: Page, live: Live) -> None:
+    start.get_by_test_id("add-recording-room").click()
+    start.get_by_test_id("folder-clouds").click()
+    start.get_by_test_id("add-drive").click()
+    added = start.get_by_test_id("added-recording")
+    expect(added).to_have_text(["drive: 1 frame"])
+    # another choice makes the button usable again
+    start.get_by_test_id("which-cameras").select_option(label="4 virtual cameras all around the LiDAR")
+    start.get_by_test_id("add-drive").click()
+    expect(added.nth(4)).to_have_text("drive@around-270: 1 frame")
+    start.get_by_test_id("dialog-done").click()
+    label_object(live.context.project("room"), 2, -10.0)
+    start.goto("/#/room/review/3")
+    expect(start.get_by_test_id("editor-tag")).to_have_text(["car #3 · around-000"])
+    start.goto("/#/room/label/3")
+    expect(start.get_by_test_id("editor-tag")).to_have_text(["car #3 · around-000"])
