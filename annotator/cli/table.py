@@ -35,6 +35,8 @@ COMMANDS: dict[str, Command] = {
     "serve": Command("annotator.cli.serve:run", "start the workbench, a web page to draw and review boxes"),
     "live": Command("annotator.cli.live:run", "detect on a camera or on a recording as it plays, and show the boxes"),
     "check": Command("annotator.cli.check:run", "find errors in a dataset, or suspicious labels in a project"),
+    "up": Command("annotator.cli.up:run", "show or set which way is up in a recording"),
+    "calibrate": Command("annotator.cli.calibrate:run", "show or correct where clouds lie relative to images"),
     "project move": Command("annotator.cli.project_move:run", "set the new path of a moved recording"),
     "generate": Command("annotator.cli.generate:run", "generate a synthetic recording with ground truth"),
     "doctor": Command(

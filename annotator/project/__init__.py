@@ -1,5 +1,6 @@
 """Projects: the folder, its SQLite database, migrations and label events."""
 
+from annotator.project.adjusting.adjustments import Basis
 from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.event_types import Origin
@@ -24,6 +25,7 @@ from annotator.project.writing import FramePart, Receipt, WriteContext, new_acti
 
 __all__ = [
     "REVIEWED",
+    "Basis",
     "BoxRotation",
     "Effort",
     "Event",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import Connection, delete, insert, update
 
+from annotator.project.adjusting.moving import adjust
 from annotator.project.derived_labels import (
     change_label,
     create_label,
@@ -29,6 +30,7 @@ from annotator.project.event_types import (
     LabelRestored,
     LabelTracked,
     ProposalsReplaced,
+    RecordingAdjusted,
     TracksLinked,
     ViewBoxesRemoved,
     ViewBoxesRestored,
@@ -94,6 +96,8 @@ def _apply(connection: Connection, event: Event) -> None:
             _put_view_boxes(connection, event, payload.view, payload.former)
         case ViewBoxesRemoved():
             _put_view_boxes(connection, event, payload.view, None)
+        case RecordingAdjusted():
+            adjust(connection, event.id, payload)
 
 
 def rebuild(connection: Connection) -> int:

@@ -12,11 +12,13 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, select
 
 from annotator.geometry.iou import iou_3d_pairs
+from annotator.geometry.oriented_box import same_box
+from annotator.project.adjusting.moving import Moves
 from annotator.project.event_types import ImageBoxesState, LabelState, Origin
 from annotator.project.events import Effort
 from annotator.project.records import BoxRecord, parsed
 from annotator.project.schema import AnyRow, events, labels, revertible
-from annotator.project.undo_state import IMAGE, LABEL
+from annotator.project.undo_state import IMAGE, LABEL, present_state
 from annotator.types import Box2D, ReviewState, Source
 
 DRAFT = "draft-"
@@ -99,12 +101,14 @@ class _EffortLog:
     """The effort that the log records.
 
     Attributes:
+        moves: of the recordings' clouds.
         costs: of all actions with counted effort, in order.
         became: draft id -> uid of the label that it became.
         moved: draft id -> draft id after its box on the image was changed.
         proposed: label uid -> its state as a proposal, for labels that an operator has touched.
     """
 
+    moves: Moves
     costs: list[_ActionCost] = field(default_factory=list)
     became: dict[str, str] = field(default_factory=dict)
     moved: dict[str, str] = field(default_factory=dict)
@@ -154,12 +158,14 @@ class _EffortLog:
         if row.kind == "label_created" and row.effort_target is not None and row.effort_target.startswith(DRAFT):
             self.became[row.effort_target] = uid
         if uid not in self.proposed and row.before is not None and PROPOSED_JSON in row.before:
-            self.proposed[uid] = parsed(LabelState.model_validate_json, row.before)
+            before = present_state(self.moves, row.frame_id, row.target, row.before, row.id)
+            self.proposed[uid] = parsed(LabelState.model_validate_json, before or row.before)
 
 
 def _read_log(connection: Connection) -> _EffortLog:
     query = (
         select(
+            events.c.id,
             events.c.frame_id,
             events.c.kind,
             events.c.action,
@@ -173,7 +179,7 @@ def _read_log(connection: Connection) -> _EffortLog:
         .join(revertible, revertible.c.event_id == events.c.id)
         .order_by(events.c.id)
     )
-    log = _EffortLog()
+    log = _EffortLog(Moves(connection))
     by_action: dict[str, list[AnyRow]] = defaultdict(list)
     for row in connection.execute(query):
         by_action[row.action].append(row)
@@ -204,8 +210,8 @@ def _origin(row: AnyRow, proposed: Mapping[str, LabelState]) -> str | None:
 
 def _is_unchanged(row: AnyRow, before: LabelState) -> bool:
     """Compares class and box, since an edited label that was accepted afterwards has the state "accepted"."""
-    same: bool = row.label == before.label and parsed(BoxRecord.model_validate_json, row.box) == before.box
-    return same
+    box = parsed(BoxRecord.model_validate_json, row.box)
+    return bool(row.label == before.label) and (box == before.box or same_box(box.box(), before.box.box()))
 
 
 def _effort(rows: Sequence[AnyRow], log: _EffortLog) -> EffortStatistics:

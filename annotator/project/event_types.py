@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
 from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, ViewGeometry
-from annotator.types import Box2D, BoxKind, LostObject, ReviewState, Source, Suggestion
+from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, LostObject, ReviewState, Source, Suggestion
 from annotator.types.label import MOST_TRACK
 
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -354,6 +354,21 @@ class FrameReopened(_Payload):
     kind: Literal["frame_reopened"] = "frame_reopened"
 
 
+class RecordingAdjusted(_Payload):
+    """Sets the up direction and the correction of the calibration of the frame's recording, for all its frames.
+
+    Attributes:
+        up: as in `Adjustment`.
+        last_frame: greatest id of the recording's frames at that time; the store fills it in.
+    """
+
+    kind: Literal["recording_adjusted"] = "recording_adjusted"
+    recording: int
+    up: tuple[Finite, Finite, Finite] | None
+    correction: Correction = NO_CORRECTION
+    last_frame: int = 0
+
+
 LabelChange = LabelAccepted | LabelEdited | LabelRejected | LabelDeleted
 
 Payload = (
@@ -375,6 +390,7 @@ Payload = (
     | ViewBoxesRemoved
     | FrameFinalised
     | FrameReopened
+    | RecordingAdjusted
 )
 
 PAYLOAD: TypeAdapter[Payload] = TypeAdapter(Annotated[Payload, Field(discriminator="kind")])

@@ -12,13 +12,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, select, true
 
+from annotator.project.adjusting.adjustment import adjustment_of
+from annotator.project.adjusting.moving import Moves
 from annotator.project.event_types import LabelState, Payload
 from annotator.project.events import Effort
 from annotator.project.records import parsed
-from annotator.project.schema import AnyRow, events, frames, revertible
-from annotator.project.undo_state import FRAME, IMAGE, LABEL, VIEW, read_state, restoring, same_state
+from annotator.project.schema import AnyRow, events, frames, recordings, revertible
+from annotator.project.undo_state import (
+    FRAME,
+    IMAGE,
+    LABEL,
+    RECORDING,
+    VIEW,
+    present_state,
+    read_state,
+    restoring,
+    same_state,
+)
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.types import Source
 from annotator.types.errors import HistoryError
@@ -142,10 +154,11 @@ class History:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
             for step in reversed(steps):
                 rows = _changes_of(connection, step.action)
-                payloads_by_frame = _restoring_by_frame(rows)
+                moves = Moves(connection)
+                payloads_by_frame = _restoring_by_frame(rows, moves)
                 if not payloads_by_frame:
                     continue
-                conflict = _conflict(connection, rows)
+                conflict = _conflict(connection, rows, moves)
                 if conflict is None:
                     break
                 if not skip:
@@ -214,12 +227,13 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
     return list(connection.execute(query).all())
 
 
-def _conflict(connection: Connection, rows: Sequence[AnyRow]) -> str | None:
+def _conflict(connection: Connection, rows: Sequence[AnyRow], moves: Moves) -> str | None:
     """Describes a target that has changed since the action, and by whom; None if all are unchanged."""
     last_rows = {(row.frame_id, row.target): row for row in rows}
     for row in last_rows.values():
         present = read_state(connection, row.frame_id, row.target)
-        if not same_state(row.target, present, row.after):
+        after = present_state(moves, row.frame_id, row.target, row.after, row.id)
+        if not same_state(row.target, present, after):
             author, when = _last_change(connection, row)
             return f"{_target_name(row.target, row.after or row.before)} was changed by {author} since{when}"
     return None
@@ -227,10 +241,12 @@ def _conflict(connection: Connection, rows: Sequence[AnyRow]) -> str | None:
 
 def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
     """Author and time of the last change of a row's target after that row."""
+    of_frame = not row.target.startswith(RECORDING)
     of_target = (
         select(events.c.author, events.c.time_ns)
         .join(revertible, revertible.c.event_id == events.c.id)
-        .where(revertible.c.subject == row.target, events.c.id > row.id, events.c.frame_id == row.frame_id)
+        .where(revertible.c.subject == row.target, events.c.id > row.id)
+        .where(events.c.frame_id == row.frame_id if of_frame else true())
         .order_by(events.c.id.desc())
         .limit(1)
     )
@@ -248,16 +264,16 @@ def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
     return change.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
 
 
-def _restoring_by_frame(rows: Sequence[AnyRow]) -> dict[int, list[Payload]]:
+def _restoring_by_frame(rows: Sequence[AnyRow], moves: Moves) -> dict[int, list[Payload]]:
     """The events that revert an action, per frame in the action's order; frames with nothing to restore are omitted."""
     by_frame: dict[int, list[AnyRow]] = {}
     for row in rows:
         by_frame.setdefault(row.frame_id, []).append(row)
-    payloads = {frame_id: _restoring(part) for frame_id, part in by_frame.items()}
+    payloads = {frame_id: _restoring(part, moves) for frame_id, part in by_frame.items()}
     return {frame_id: part for frame_id, part in payloads.items() if part}
 
 
-def _restoring(rows: Sequence[AnyRow]) -> list[Payload]:
+def _restoring(rows: Sequence[AnyRow], moves: Moves) -> list[Payload]:
     """The events that restore each target of an action to its state before the action, the last target first.
 
     Targets that the action itself has restored, such as a label that it created and deleted, need no event.
@@ -265,7 +281,7 @@ def _restoring(rows: Sequence[AnyRow]) -> list[Payload]:
     last = {row.target: row for row in rows}
     first = {row.target: row for row in reversed(rows)}
     return [
-        restoring(target, row.before)
+        restoring(target, present_state(moves, row.frame_id, target, row.before, row.id))
         for target, row in first.items()
         if not (row.before == last[target].after and (row.before is None or target == FRAME))
     ]
@@ -279,7 +295,13 @@ def _target_name(target: str, state: str | None) -> str:
     kind = target.partition(":")[0]
     if kind == LABEL and state is not None:
         return f"the {parsed(LabelState.model_validate_json, state).label} label"
-    return {LABEL: "the label", IMAGE: "the boxes on the image", VIEW: "the box on the view", FRAME: "the frame"}[kind]
+    return {
+        LABEL: "the label",
+        IMAGE: "the boxes on the image",
+        VIEW: "the box on the view",
+        FRAME: "the frame",
+        RECORDING: "the recording",
+    }[kind]
 
 
 def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
@@ -287,6 +309,8 @@ def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
     where = _frame_range(connection, rows)
     if rows[0].source == Source.IMPORTED.value:
         return f"import 2D boxes ({where})"
+    if rows[0].target.startswith(RECORDING):
+        return _adjustment_words(connection, rows[0])
     kinds = {row.kind for row in rows}
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
     # labels that new proposals replace are not counted
@@ -298,6 +322,14 @@ def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
         name = parsed(LabelState.model_validate_json, row.after or row.before).label
         return f"{verb} {name} ({where})"
     return f"{verb} {where}" if kinds & {"frame_finalised", "frame_reopened"} else f"{verb} ({where})"
+
+
+def _adjustment_words(connection: Connection, row: AnyRow) -> str:
+    """Such as "set up of room-3"."""
+    named = select(recordings.c.name).where(recordings.c.id == int(row.target.partition(":")[2]))
+    before, after = adjustment_of(row.before), adjustment_of(row.after)
+    what = "set up of" if before.correction == after.correction else "correct the calibration of"
+    return f"{what} {connection.execute(named).scalar_one()}"
 
 
 def _frame_range(connection: Connection, rows: Sequence[AnyRow]) -> str:

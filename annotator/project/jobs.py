@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, delete, func, insert, literal, select, tuple_, update
 
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.schema import AnyRow, frame_results, frames, runs
+from annotator.project.schema import AnyRow, adjustments, events, frame_results, frames, runs
 from annotator.project.store import Store
 from annotator.types.errors import ConfigError, NotFoundError
 
@@ -148,8 +148,8 @@ class Jobs:
         """The frames that a run with this key still has to process, in order.
 
         Excluded are finalised frames, frames that the latest scan did not find, and frames whose latest pass had this
-        key and succeeded. (After a pass with another key the frame holds that pass's proposals, so it is processed
-        again.)
+        key and succeeded since their recording was adjusted. (After a pass with another key the frame holds that pass's
+        proposals, so it is processed again.)
 
         Args:
             after: only frames after this one, which must have an index.
@@ -170,10 +170,20 @@ class Jobs:
 
 
 def _pending(key: str, recordings: Collection[int] | None) -> Select[Any]:
-    done = select(frame_results.c.frame_id).where(
-        frame_results.c.id.in_(latest_results()),
-        frame_results.c.key == key,
-        frame_results.c.status == Status.DONE.value,
+    adjusted = select(frames.c.id, events.c.time_ns).join(
+        adjustments, adjustments.c.recording_id == frames.c.recording_id
+    )
+    adjusted_ns = adjusted.join(events, events.c.id == adjustments.c.event_id).subquery()
+    latest = frame_results.outerjoin(adjusted_ns, adjusted_ns.c.id == frame_results.c.frame_id)
+    done = (
+        select(frame_results.c.frame_id)
+        .select_from(latest)
+        .where(
+            frame_results.c.id.in_(latest_results()),
+            frame_results.c.key == key,
+            frame_results.c.status == Status.DONE.value,
+            frame_results.c.time_ns > func.coalesce(adjusted_ns.c.time_ns, -1),
+        )
     )
     query = select(frames).where(
         frames.c.finalised.is_(False), frames.c.position.is_not(None), frames.c.id.not_in(done)

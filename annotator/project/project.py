@@ -13,6 +13,7 @@ from types import TracebackType
 from sqlalchemy import Connection, select
 
 from annotator.files import sync_folder
+from annotator.project.adjusting.adjustments import Adjustments
 from annotator.project.boxes import Boxes
 from annotator.project.config import (
     CONFIG_FILE,
@@ -57,7 +58,7 @@ class Project:
 
     Attributes:
         path: the project's folder.
-        recordings, frames, labels, proposals, boxes, views, jobs, models, log: access to the stored data.
+        recordings, adjustments, frames, labels, proposals, boxes, views, jobs, models, log: access to the stored data.
         history: undo and redo.
     """
 
@@ -67,6 +68,7 @@ class Project:
         self.store = store
         self.views = Views(path / VIEWS_FOLDER)
         self.recordings = Recordings(store)
+        self.adjustments = Adjustments(writer)
         self.frames = Frames(writer)
         self.labels = Labels(writer)
         self.proposals = Proposals(writer)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
 from annotator.geometry.iou import iou_3d_matrix
+from annotator.project.adjusting.moving import Moves
 from annotator.project.event_types import ProposalsReplaced, ProposedObject
 from annotator.project.events import Event, event_of
 from annotator.project.jobs import read_run, record_result
@@ -148,14 +150,18 @@ class Proposals:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""
         is_open = (frames.c.recording_id == recording_id) & (labels.c.state == ReviewState.PROPOSED.value)
         event_ids = select(labels.c.proposal_event_id).join(frames, frames.c.id == labels.c.frame_id).where(is_open)
+        query = select(events.c.id, events.c.frame_id, events.c.payload).where(events.c.id.in_(event_ids))
         boxes: dict[str, OrientedBox] = {}
         with self.writer.store.read() as connection:
-            for (content,) in connection.execute(select(events.c.payload).where(events.c.id.in_(event_ids))):
-                boxes |= parsed(_proposed, content)
+            moves = Moves(connection)
+            for row in connection.execute(query):
+                T = moves.since(row.frame_id, row.id)
+                for uid, box in parsed(_proposed, row.payload).items():
+                    boxes[uid] = box if T is None else box.transformed(T)
         return boxes
 
     def latest(self, frame_id: int) -> Pass | None:
-        """The latest automatic pass over a frame, or None."""
+        """The latest automatic pass over a frame, or None; its boxes have moved with the cloud, its traces have not."""
         query = (
             select(events)
             .where(events.c.frame_id == frame_id, events.c.kind == "proposals_replaced")
@@ -164,7 +170,7 @@ class Proposals:
         )
         with self.writer.store.read() as connection:
             row = connection.execute(query).first()
-        return None if row is None else _pass(event_of(row))
+            return None if row is None else _pass(event_of(row), Moves(connection).since(frame_id, row.id))
 
 
 @runtime_checkable
@@ -205,9 +211,14 @@ def _payload(event: Event) -> ProposalsReplaced:
     return event.payload
 
 
-def _pass(event: Event) -> Pass:
+def _pass(event: Event, T: RigidTransform | None) -> Pass:
     payload = _payload(event)
-    objects = tuple(PassObject(entry.uid, entry.covered_by, entry.proposal.proposal()) for entry in payload.objects)
+    proposals = [entry.proposal.proposal() for entry in payload.objects]
+    if T is not None:
+        proposals = [replace(each, box=each.box.transformed(T)) for each in proposals]
+    objects = tuple(
+        PassObject(entry.uid, entry.covered_by, each) for entry, each in zip(payload.objects, proposals, strict=True)
+    )
     return Pass(event.id, event.author, event.time_ns, payload.run, objects, payload.lost)
 
 

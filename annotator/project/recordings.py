@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
-from annotator.project.records import parsed
-from annotator.project.schema import AnyRow, frames, moves, recordings
+from annotator.project.adjusting.adjustment import adjustment_in
+from annotator.project.schema import AnyRow, adjustments, frames, moves, recordings
 from annotator.project.store import Store
+from annotator.types import NO_CORRECTION, Correction
 from annotator.types.errors import NotFoundError, ProjectError
 
 # Maximum number of frame keys listed in an error message.
@@ -34,6 +35,8 @@ class StoredRecording:
         added_ns: UTC nanoseconds since the epoch.
         frames: number of frames in the latest scan.
         options: how its reader reads it, as JSON; "" = as the reader decides.
+        correction: of its calibration; `up` is in the corrected camera frame.
+        adjusted: id of the event that set `up` and `correction`; 0 = as the recording was added.
     """
 
     id: int
@@ -45,6 +48,8 @@ class StoredRecording:
     added_ns: int
     frames: int
     options: str = ""
+    correction: Correction = NO_CORRECTION
+    adjusted: int = 0
 
 
 @dataclass(frozen=True)
@@ -189,7 +194,12 @@ def _query() -> Any:
         .where(frames.c.recording_id == recordings.c.id, frames.c.position.is_not(None))
         .scalar_subquery()
     )
-    return select(recordings, count.label("frames"))
+    adjusted = (
+        adjustments.c.up.label("adjusted_up"),
+        adjustments.c.correction,
+        adjustments.c.event_id.label("adjusted"),
+    )
+    return select(recordings, count.label("frames"), *adjusted).outerjoin(adjustments)
 
 
 def _recording(connection: Connection, recording_id: int) -> StoredRecording:
@@ -206,9 +216,19 @@ def _positions(connection: Connection, recording_id: int) -> dict[str, int | Non
 
 
 def _stored(row: AnyRow) -> StoredRecording:
-    up = None if row.up is None else tuple(parsed(json.loads, row.up))
+    set_, event_id = adjustment_in(row)
     return StoredRecording(
-        row.id, Path(row.path), row.format, row.name, row.is_sequence, up, row.added_ns, row.frames, row.options
+        row.id,
+        Path(row.path),
+        row.format,
+        row.name,
+        row.is_sequence,
+        set_.up,
+        row.added_ns,
+        row.frames,
+        row.options,
+        set_.correction,
+        event_id,
     )
 
 

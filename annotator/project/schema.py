@@ -166,6 +166,15 @@ revertible = Table(
     Column("after", Text),
 )
 
+adjustments = Table(
+    "adjustments",
+    METADATA,
+    Column("recording_id", Integer, ForeignKey("recordings.id"), primary_key=True),
+    Column("up", Text),
+    Column("correction", Text, nullable=False),
+    Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
+)
+
 runs = Table(
     "runs",
     METADATA,
@@ -207,4 +216,4 @@ models = Table(
     Column("active", Boolean, nullable=False),
 )
 
-DERIVED = (labels, image_labels, view_labels, revertible)
+DERIVED = (labels, image_labels, view_labels, revertible, adjustments)

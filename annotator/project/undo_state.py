@@ -1,13 +1,18 @@
 """The target of an event and its state as text, for undo to compare and restore.
 
 A target is `label:UID`, `image` (the boxes on the camera image), `view:ID` (the boxes on a pseudo-view) or `frame`
-(finalised or open), each within its frame. The database calls it `subject`.
+(finalised or open), each within its frame; or `recording:ID` (its up direction and calibration). The database calls it
+`subject`.
 """
 
 from __future__ import annotations
 
+import numpy as np
 from sqlalchemy import Connection, select
 
+from annotator.geometry.oriented_box import same_box
+from annotator.project.adjusting.adjustment import adjustment_json, adjustment_of, read_adjustment
+from annotator.project.adjusting.moving import Moves, moved_label, moved_view
 from annotator.project.event_types import (
     FrameFinalised,
     FrameReopened,
@@ -20,6 +25,7 @@ from annotator.project.event_types import (
     LabelState,
     Payload,
     ProposalsReplaced,
+    RecordingAdjusted,
     TracksLinked,
     ViewBoxesRemoved,
     ViewBoxesRestored,
@@ -30,8 +36,10 @@ from annotator.project.records import BOXES_2D, BoxRecord, ViewGeometry, box_2d_
 from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
 from annotator.types.errors import ProjectError
 
-LABEL, IMAGE, VIEW, FRAME = "label", "image", "view", "frame"
+LABEL, IMAGE, VIEW, FRAME, RECORDING = "label", "image", "view", "frame", "recording"
 FINALISED = "finalised"
+# Tolerance of a view's axes and origin (metres).
+SAME_VIEW = 1e-6
 
 
 def target_of(payload: Payload) -> str:
@@ -49,6 +57,8 @@ def target_of(payload: Payload) -> str:
             return f"{VIEW}:{payload.view}"
         case FrameFinalised() | FrameReopened():
             return FRAME
+        case RecordingAdjusted():
+            return f"{RECORDING}:{payload.recording}"
         case _:
             return f"{LABEL}:{payload.uid}"
 
@@ -69,6 +79,8 @@ def read_state(connection: Connection, frame_id: int | None, target: str) -> str
             return None
         geometry = None if row.geometry is None else parsed(ViewGeometry.model_validate_json, row.geometry)
         return ViewBoxesState.model_validate(_boxes(row) | {"step": row.step, "geometry": geometry}).model_dump_json()
+    if kind == RECORDING:
+        return adjustment_json(read_adjustment(connection, int(key)))
     finalised = connection.execute(select(frames.c.finalised).where(frames.c.id == frame_id)).scalar_one()
     return FINALISED if finalised else None
 
@@ -88,15 +100,42 @@ def restoring(target: str, state: str | None) -> Payload:
         if state is None:
             return ViewBoxesRemoved(view=key)
         return ViewBoxesRestored(view=key, former=parsed(ViewBoxesState.model_validate_json, state))
+    if kind == RECORDING:
+        assert state is not None  # as `read_state` returns it
+        adjustment = adjustment_of(state)
+        return RecordingAdjusted(recording=int(key), up=adjustment.up, correction=adjustment.correction)
     return FrameReopened() if state is None else FrameFinalised()
 
 
+def present_state(moves: Moves, frame_id: int | None, target: str, state: str | None, event_id: int) -> str | None:
+    """The state of a target after the event `event_id`, moved if its recording's clouds have been moved since."""
+    kind = target.partition(":")[0]
+    if state is None or kind not in (LABEL, VIEW):
+        return state
+    T = moves.since(frame_id, event_id)
+    if T is None:
+        return state
+    return moved_label(state, T) if kind == LABEL else moved_view(state, T)
+
+
 def same_state(target: str, a: str | None, b: str | None) -> bool:
-    """True if two states are equal, apart from a label's position in the list."""
-    if a is None or b is None or not target.startswith(LABEL):
+    """True if two states are equal, apart from a label's position in the list and the rounding of moved poses."""
+    kind = target.partition(":")[0]
+    if a is None or b is None or a == b or kind not in (LABEL, VIEW):
         return a == b
-    first, second = parsed(LabelState.model_validate_json, a), parsed(LabelState.model_validate_json, b)
-    return first.model_copy(update={"place": second.place}) == second
+    if kind == VIEW:
+        return _same_view(*(parsed(ViewBoxesState.model_validate_json, state) for state in (a, b)))
+    first, second = (parsed(LabelState.model_validate_json, state) for state in (a, b))
+    same = first.model_copy(update={"place": second.place, "box": second.box}) == second
+    return same and same_box(first.box.box(), second.box.box())
+
+
+def _same_view(first: ViewBoxesState, second: ViewBoxesState) -> bool:
+    if first.geometry is None or second.geometry is None:
+        return first == second
+    a, b = ((*np.ravel(each.axes), *each.origin_m) for each in (first.geometry, second.geometry))
+    geometry = first.geometry.model_copy(update={"axes": second.geometry.axes, "origin_m": second.geometry.origin_m})
+    return np.allclose(a, b, rtol=0, atol=SAME_VIEW) and first.model_copy(update={"geometry": geometry}) == second
 
 
 def _label_state(row: AnyRow) -> LabelState:

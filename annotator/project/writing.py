@@ -12,7 +12,15 @@ from sqlalchemy import Connection, func, select
 from annotator.geometry.oriented_box import same_box
 from annotator.project.config import read_config
 from annotator.project.derived import apply_event
-from annotator.project.event_types import PAYLOAD, LabelEdited, Payload, ProposalsReplaced, TracksLinked, ViewBoxesSet
+from annotator.project.event_types import (
+    PAYLOAD,
+    LabelEdited,
+    Payload,
+    ProposalsReplaced,
+    RecordingAdjusted,
+    TracksLinked,
+    ViewBoxesSet,
+)
 from annotator.project.events import Effort, Event, insert_event
 from annotator.project.records import BoxRecord, parsed, storable
 from annotator.project.schema import events, frames, labels, recordings
@@ -165,7 +173,7 @@ class Writer:
         action = (shared_action or new_action()) if _is_action(frame_id, payloads, context, shared_action) else None
         appended: list[Event] = []
         for revision, payload in enumerate(payloads, context.revision + 1):
-            content, stored = _encoded(where, _with_present_box(connection, payload))
+            content, stored = _encoded(where, _completed(connection, payload))
             event = insert_event(
                 connection,
                 frame_id=frame_id,
@@ -248,11 +256,15 @@ def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: Write
     return by_hand and not any(isinstance(payload, ProposalsReplaced | TracksLinked) for payload in payloads)
 
 
-def _with_present_box(connection: Connection, payload: Payload) -> Payload:
-    """An edit that keeps the label's box gets it bit for bit: the page's box has other last digits.
+def _completed(connection: Connection, payload: Payload) -> Payload:
+    """The payload with what only the store knows.
 
-    Otherwise, the edit would count as a correction of a suggested box.
+    An edit that keeps the label's box gets it bit for bit: the page's box has other last digits. Otherwise, the edit
+    would count as a correction of a suggested box. An adjustment of a recording gets its last frame.
     """
+    if isinstance(payload, RecordingAdjusted):
+        last = select(func.max(frames.c.id)).where(frames.c.recording_id == payload.recording)
+        return payload.model_copy(update={"last_frame": connection.execute(last).scalar_one()})
     if not isinstance(payload, LabelEdited):
         return payload
     present = connection.execute(select(labels.c.box).where(labels.c.uid == payload.uid)).scalar()

@@ -2,6 +2,7 @@
 
 from annotator.types.boxes import Box2D, OrientedBox
 from annotator.types.camera import Camera
+from annotator.types.correction import NO_CORRECTION, Correction
 from annotator.types.detector import Detector, DetectorKind, Image, Region
 from annotator.types.frame import Frame
 from annotator.types.label import BoxKind, Label, ReviewState, Source, Suggestion, Truth
@@ -18,10 +19,12 @@ from annotator.types.proposal import (
 from annotator.types.pseudo_view import PseudoView
 
 __all__ = [
+    "NO_CORRECTION",
     "Box2D",
     "BoxKind",
     "BoxTrace",
     "Camera",
+    "Correction",
     "Detector",
     "DetectorKind",
     "Frame",

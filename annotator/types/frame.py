@@ -29,6 +29,8 @@ class Frame:
         T_camera_label: from the frame in which the recording's own label files are written to the camera
             frame (KITTI: rectified camera 0; SUN RGB-D: upright depth); None if they are the same.
         timestamp_ns: capture time; None if unknown.
+        T_camera_recorded: from the camera frame as the recording's files give it, to the corrected one; None if the
+            project does not correct the calibration.
     """
 
     key: str
@@ -40,6 +42,7 @@ class Frame:
     up: Float64[np.ndarray, "3"] | None = None
     T_camera_label: RigidTransform | None = None
     timestamp_ns: int | None = None
+    T_camera_recorded: RigidTransform | None = None
 
     def __post_init__(self) -> None:
         size = (self.camera.height_px, self.camera.width_px)

@@ -28,6 +28,7 @@ ROUTES: tuple[str, ...] = (
     "review",
     "tracks",
     "queue",
+    "alignment",
     "reports",
     "images",
     "jobs",

@@ -97,7 +97,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
     return FrameStateJson.model_construct(
         frame=_frame(shown),
         image=ImageJson(
-            url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}",
+            url=f"/api/projects/{name}/frames/{frame_id}/image.jpg?v={image_version(project, shown)}{_offset(opened)}",
             width=frame.camera.width_px,
             height=frame.camera.height_px,
             camera=CameraJson.of(frame.camera),
@@ -141,6 +141,11 @@ def image_version(project: Project, shown: ShownFrame) -> str:
     frame = shown.page.frame
     content = f"{project.config.created_ns} {frame.recording_id} {shown.page.recording_name} {frame.key}"
     return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+
+def _offset(opened: OpenFrame) -> str:
+    """The end of an image's URL, which differs if a time offset shows another image; the page ignores it."""
+    return f"&adjusted={opened.adjusted}" if opened.adjusted else ""
 
 
 def frame_row(row: FrameRow) -> FrameRowJson:

@@ -43,6 +43,7 @@ class Hub:
         self._lock = threading.Lock()
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
         self._announced: dict[tuple[str, int], int] = {}
+        self._adjusted: dict[tuple[str, int], int] = {}
 
     # --- pages connect and disconnect (event loop) -----------------------------------------------------------------
 
@@ -108,10 +109,19 @@ class Hub:
             self._announced[project, frame_id] = revision
         self.send({"type": "frame", "project": project, "frame": frame_id, "revision": revision, "operator": operator})
 
+    def recording_adjusted(self, project: str, recording: int, adjusted: int, operator: str) -> None:
+        """Sends the event for a new up direction or calibration of a recording, unless it was sent before."""
+        with self._lock:
+            if self._adjusted.get((project, recording), -1) >= adjusted:
+                return
+            self._adjusted[project, recording] = adjusted
+        self.send({"type": "adjusted", "project": project, "recording": recording, "operator": operator})
+
     def forget(self, project: str) -> None:
         """Forgets the revisions of a project that was replaced by another one of the same name."""
         with self._lock:
             self._announced = {key: revision for key, revision in self._announced.items() if key[0] != project}
+            self._adjusted = {key: event for key, event in self._adjusted.items() if key[0] != project}
 
     def send(self, message: Message) -> None:
         """Sends an event to the pages of its "project" or "workbench" (the viewport's id), or else to all pages.

@@ -15,7 +15,8 @@ EVERY_S = 0.5
 
 
 class Watch:
-    """Polls the log of each project that a page has open: sends an event for each changed frame, and lets it learn."""
+    """Polls the log of each project that a page has open: sends an event for each changed frame and each adjusted
+    recording, and lets it learn."""
 
     def __init__(self, context: Context, learner: Learner, every_s: float = EVERY_S) -> None:
         self._context, self._learner, self._every_s = context, learner, every_s
@@ -43,12 +44,16 @@ class Watch:
                 if name not in self._last_events:
                     self._last_events[name] = project.log.last()
                     continue
-                self._last_events[name], changed = project.log.changed_frames(self._last_events[name])
+                before = self._last_events[name]
+                self._last_events[name], changed = project.log.changed_frames(before)
+                adjusted = project.adjustments.since(before) if changed else ()
             except AnnotatorError as error:
                 LOG.warning("%s: its log cannot be read: %s", name, error)
                 continue
             for frame in changed:
                 self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
+            for recording, event, author in adjusted:
+                self._context.hub.recording_adjusted(name, recording, event, author)
             try:
                 self._learner.look(name, project)
             except AnnotatorError as error:

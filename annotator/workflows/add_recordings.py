@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from annotator.project import Project, StoredRecording
+from annotator.project import BoxRotation, Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.recordings.rig import RigCamera, Scenes
+from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
 # If this many frames at the beginning are unreadable, the recording is refused without trying the others.
@@ -69,10 +70,12 @@ def add_recordings(
     opened = [each for path in paths for each in _chosen(path, options, tuple(scenes), tuple(cameras))]
     if name is not None and len(opened) > 1:
         raise ConfigError(f"{len(opened)} recordings cannot all be called {name!r}; add them one by one")
+    frames = []
     for recording, options in opened:
-        _require_readable(recording)
-        _require_unchanged(_known(project, recording, options), name, up)
-    return [_add(project, recording, name, up, options) for recording, options in opened]
+        frames.append(_require_readable(recording))
+        _require_unchanged(project.path.name, _known(project, recording, options), name, up)
+    added = [_add(project, recording, name, up, options) for recording, options in opened]
+    return [_with_up_note(project, *each) for each in zip(added, frames, strict=True)]
 
 
 def register_recording(
@@ -183,12 +186,26 @@ def _add(
     return Added(project.recordings.get(known.id), False, len(change.added), len(change.missing), recording.notes)
 
 
+def _with_up_note(project: Project, added: Added, frame: Frame) -> Added:
+    """Adds a note if boxes may be upright in the project, and the recording does not know which way is up."""
+    stored = added.recording
+    if frame.up is not None or stored.up is not None or project.config.settings.rotation is BoxRotation.FREE:
+        return added
+    note = (
+        f"which way is up is not known: annotator up {project.path.name} {stored.name} --estimate, "
+        "or Alignment on the page"
+    )
+    return replace(added, notes=(*added.notes, note))
+
+
 def _known(project: Project, recording: Recording, options: ReaderOptions) -> StoredRecording | None:
     path, read = recording.path.resolve(), options.stored()
     return next((known for known in project.recordings.all() if known.path == path and known.options == read), None)
 
 
-def _require_unchanged(known: StoredRecording | None, name: str | None, up: Sequence[float] | None) -> None:
+def _require_unchanged(
+    project: str, known: StoredRecording | None, name: str | None, up: Sequence[float] | None
+) -> None:
     """Refuses a different name or up direction for a known recording, instead of ignoring it."""
     if known is None:
         return
@@ -197,7 +214,7 @@ def _require_unchanged(known: StoredRecording | None, name: str | None, up: Sequ
     if up is not None and not _same_direction(up, known.up):
         raise ConfigError(
             f"{known.path} is in the project already, with the up direction {known.up or 'that its files give'}; "
-            "labels were made with it, so it stays"
+            f"annotator up {project} {known.name} X Y Z changes it"
         )
 
 
@@ -206,12 +223,11 @@ def _same_direction(a: Sequence[float], b: Sequence[float] | None) -> bool:
     return b is not None and length > 0 and np.allclose(np.asarray(a) / length, b)
 
 
-def _require_readable(recording: Recording) -> None:
+def _require_readable(recording: Recording) -> Frame:
     problems = []
     for index in range(min(FRAMES_TRIED, len(recording))):
         try:
-            recording.frame(index)
-            return
+            return recording.frame(index)
         except FrameError as error:
             problems.append(str(error))
     raise RecordingError(f"{recording.path}: none of its first {len(problems)} frames can be read: {problems[0]}")

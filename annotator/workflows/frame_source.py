@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import why_missing
+from annotator.geometry.correction import corrected, with_image
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.project import Project
 from annotator.project.recordings import StoredRecording
 from annotator.rcv.config import Orientation
 from annotator.recordings import Recording, open_recording, stored_options
-from annotator.types import Frame
+from annotator.recordings.times import image_at
+from annotator.types import NO_CORRECTION, Correction, Frame
 from annotator.types.errors import FrameError, RecordingError
 
 
@@ -24,33 +26,53 @@ class OpenedRecording:
 
     Attributes:
         recording: the recording.
-        up: unit vector against gravity in the camera frame, if the project sets one.
+        up: unit vector against gravity in the (corrected) camera frame, if the project sets one.
+        correction: of the calibration.
         indices: index in the recording, by key.
     """
 
     recording: Recording
     up: tuple[float, float, float] | None
+    correction: Correction = NO_CORRECTION
     indices: dict[str, int] = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "indices", {key: index for index, key in enumerate(self.recording.keys)})
 
     def read(self, key: str) -> Frame:
-        """Reads a frame, with the project's up direction if it sets one.
+        """Reads a frame, with the project's correction of the calibration and its up direction.
 
         Raises:
             FrameError: the frame cannot be read, or no longer exists.
+        """
+        index = self.index(key)
+        frame = self.recording.frame(index)
+        if self.correction.time_offset_s:
+            shown = image_at(self.recording, index, self.correction.time_offset_s)
+            frame = frame if shown == index else with_image(frame, self.recording.frame(shown).rgb)
+        frame = corrected(frame, self.correction)
+        return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
+
+    def index(self, key: str) -> int:
+        """The frame's index in the recording.
+
+        Raises:
+            FrameError: the frame no longer exists.
         """
         if key not in self.indices:
             raise FrameError(
                 Path(self.recording.path), f"frame {key} no longer exists", "restore it, or add the folder again"
             )
-        frame = self.recording.frame(self.indices[key])
-        return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
+        return self.indices[key]
 
 
 def open_stored(
-    path: Path, name: str, project: str, up: tuple[float, float, float] | None, options: str = ""
+    path: Path,
+    name: str,
+    project: str,
+    up: tuple[float, float, float] | None,
+    options: str = "",
+    correction: Correction = NO_CORRECTION,
 ) -> OpenedRecording:
     """Opens a recording of a project.
 
@@ -60,6 +82,7 @@ def open_stored(
         project: the project's name.
         up: as in `OpenedRecording`.
         options: as in `StoredRecording`.
+        correction: as in `OpenedRecording`.
 
     Raises:
         RecordingError: it is missing or cannot be read.
@@ -70,11 +93,11 @@ def open_stored(
             f"{path}: {missing}; restore {name}, or give its new path: "
             f"annotator project move {project} {name} PATH, or Locate on the start page"
         )
-    return OpenedRecording(open_recording(path, stored_options(options)), up)
+    return OpenedRecording(open_recording(path, stored_options(options)), up, correction)
 
 
 class FrameSource:
-    """Reads frames of a project. Each recording is opened once; frames are not cached."""
+    """Reads frames of a project, as they are adjusted then. Each recording is opened once; frames are not cached."""
 
     def __init__(self, project: Project) -> None:
         self._project = project
@@ -102,13 +125,26 @@ class FrameSource:
             FrameError: the frame cannot be read, or no longer exists.
             RecordingError: the recording is missing or cannot be read.
         """
-        return self._open(frame.recording_id).read(frame.key)
+        return self._adjusted(frame.recording_id).read(frame.key)
+
+    def recorded(self, frame: StoredFrame) -> Frame:
+        """Reads a frame as the recording's files give it; errors as in `read`."""
+        opened = self._open(frame.recording_id)
+        return opened.recording.frame(opened.index(frame.key))
+
+    def _adjusted(self, recording_id: int) -> OpenedRecording:
+        """The open recording with its present adjustment, which may have changed since it was opened."""
+        opened = self._open(recording_id)
+        if self._project.adjustments.newest(recording_id) != self.stored(recording_id).adjusted:
+            stored = self._stored[recording_id] = self._project.recordings.get(recording_id)
+            opened = self._opened[recording_id] = replace(opened, up=stored.up, correction=stored.correction)
+        return opened
 
     def _open(self, recording_id: int) -> OpenedRecording:
         if recording_id not in self._opened:
             stored = self.stored(recording_id)
             self._opened[recording_id] = open_stored(
-                stored.path, stored.name, self._project.path.name, stored.up, stored.options
+                stored.path, stored.name, self._project.path.name, stored.up, stored.options, stored.correction
             )
         return self._opened[recording_id]
 

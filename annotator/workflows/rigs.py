@@ -95,7 +95,10 @@ class Rigs:
         # its files may have changed since the project listed them
         if frame.index >= len(here) or here.keys[frame.index] != frame.key:
             return []
-        moment, T_here_rig = here.moment(frame.index), here.T_rig_camera(frame.index).inv()
+        # read anew, because corrections change while the page has the frame open
+        own = next(each for each in rig if each.id == own.id)
+        moment, T_rig_here = here.moment(frame.index), here.T_rig_camera(frame.index)
+        T_here_rig = own.correction.T_camera_recorded * T_rig_here.inv()
         found = []
         for stored in rig:
             there = self._moments(stored.id).get(moment) if stored.id != own.id else None
@@ -103,7 +106,7 @@ class Rigs:
             camera = self._camera(stored.id)
             if there is None or other is None or other.key != camera.keys[there]:
                 continue
-            T_here_there = T_here_rig * camera.T_rig_camera(there)
+            T_here_there = T_here_rig * camera.T_rig_camera(there) * stored.correction.T_camera_recorded.inv()
             found.append(Sibling(other, stored.name, T_here_there, camera.intrinsics(there)))
         return found
 

@@ -62,6 +62,8 @@ interface Messages {
   presence: { frames: Record<string, string[]> };
   job: { job: Api.Job };
   follow: { run: Api.FollowRunJson };
+  /** A recording has another up direction or calibration. */
+  adjusted: { recording: number; operator: string };
   viewport: ViewportMessage;
   /** Whether the socket is open. */
   connection: boolean;

@@ -17,6 +17,7 @@ from annotator.types import (
     Box2D,
     BoxKind,
     BoxTrace,
+    Correction,
     LostObject,
     OrientedBox,
     Proposal,
@@ -28,7 +29,7 @@ from annotator.types import (
 )
 
 NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
-DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames")
+DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments")
 
 
 def by_hand(revision: int = 0, author: str = "ann") -> WriteContext:
@@ -138,6 +139,9 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
         "lock": lambda: (project.frames.reopen if frame.finalised else project.frames.finalise)(frame.id, change),
         "track": lambda: project.log.append(frame.id, [LabelTracked(uid=uid, track_id=b or None)], change),
         "span": lambda: project.log.append_to_frames([_carried_over(other, a) for other in project.frames.of()[:2]]),
+        "adjust": lambda: project.adjustments.correct(
+            frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), "ann"
+        ),
         "bulk": lambda: project.log.append(
             frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
         ),

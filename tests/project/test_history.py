@@ -30,7 +30,7 @@ from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import HistoryError, ProjectError
 
-STEPS = lists_of_steps("undo", "redo", frames=2, longest=14)
+STEPS = lists_of_steps("undo", "redo", "adjust", frames=2, longest=14)
 
 
 def content(project: Project) -> list[object]:
@@ -47,7 +47,10 @@ def content(project: Project) -> list[object]:
 
 
 def repr_of(label: object) -> str:
-    return repr({**vars(label), "box": BoxRecord.of(vars(label)["box"])})
+    """All values of a label; a box that was moved with the cloud and back has other last digits."""
+    box = vars(label)["box"]
+    rounded = (box.T_camera_box.as_matrix().round(9) + 0.0).tolist(), box.size_m.tolist()
+    return repr({**vars(label), "box": rounded})
 
 
 def _take(project: Project, view: str, step: Step) -> None:

@@ -17,7 +17,7 @@ from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import FinalisedFrameError, ProjectError
 
-STEPS = lists_of_steps("loose view", "link", frames=3, longest=16)
+STEPS = lists_of_steps("loose view", "link", "adjust", frames=3, longest=16)
 
 
 def linked(labels: Sequence[Label], track_id: int) -> TracksLinked:

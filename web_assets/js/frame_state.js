@@ -20,12 +20,14 @@ export function createFrameState(app) {
   const heard = new Map();
   let hasMissed = false;
 
-  // each project counts its frames from 1; the address of the picture names the project
+  // each project counts its frames from 1; the address of the picture, apart from a time offset, names the project
+  /** @param {FrameState} frame */
+  const pictureOf = (frame) => frame.image.url.split("&")[0];
   /**
    * @param {FrameState | null} a
    * @param {FrameState | null} b
    */
-  const isSame = (a, b) => a !== null && b !== null && a.frame.id === b.frame.id && a.image.url === b.image.url;
+  const isSame = (a, b) => a !== null && b !== null && a.frame.id === b.frame.id && pictureOf(a) === pictureOf(b);
   /** @param {FrameState} frame */
   const isOutdated = (frame) => (heard.get(frame.frame.id) ?? -1) > frame.frame.revision;
 

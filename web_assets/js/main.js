@@ -30,6 +30,7 @@ const MODULES = {
   export: "./export/export.js",
   statistics: "./stats/stats.js",
   checks: "./checks/checks.js",
+  alignment: "./alignment/alignment.js",
 };
 
 const work = elementById("work");
@@ -152,12 +153,29 @@ async function travel(direction, skip = false) {
   }
 }
 
-/** Mounts what the address names. */
-async function follow() {
+/**
+ * Opens the frame anew if the up direction or the calibration of its recording has changed: its cloud lies elsewhere.
+ *
+ * @param {Messages["adjusted"]} message
+ */
+async function readjust({ recording, operator }) {
+  const { route, frame } = app.state;
+  if (!["label", "review"].includes(route.mode) || frame?.frame.recording !== recording) return;
+  toast(`${operator} has changed this recording's calibration or which way is up.`);
+  await follow(true);
+}
+
+/**
+ * Mounts what the address names.
+ *
+ * @param {boolean} [isAnew] also if it is mounted already.
+ */
+async function follow(isAnew = false) {
   const ownVisit = ++visit;
   const before = app.state.route;
   const route = parseHash(location.hash);
-  const isSameMode = route.project === before.project && route.mode === before.mode && Boolean(mounted?.route);
+  const isSameMode =
+    route.project === before.project && route.mode === before.mode && Boolean(mounted?.route) && !isAnew;
   if (!isSameMode && !(await mayLeave())) {
     if (ownVisit === visit) comeBack(before);
     return;
@@ -274,6 +292,7 @@ async function start() {
   app.events.on("job", ({ job }) =>
     app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),
   );
+  app.events.on("adjusted", (message) => void readjust(message));
   app.events.on("connection", (connected) => app.state.set({ connected }));
   mountTopbar(topbar, app);
   try {
@@ -287,7 +306,7 @@ async function start() {
   }
   app.viewport = createViewport(app);
   void loadJobs();
-  window.addEventListener("hashchange", follow);
+  window.addEventListener("hashchange", () => follow());
   await follow();
 }
 

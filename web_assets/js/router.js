@@ -1,6 +1,6 @@
 /** The page's addresses: #/ · #/PROJECT/MODE · #/PROJECT/MODE/FRAME, each with an optional ?query. */
 
-const MODES = ["label", "review", "train", "export", "statistics", "checks"];
+const MODES = ["label", "review", "train", "export", "statistics", "checks", "alignment"];
 
 /**
  * "#/hands/label/3?uid=ab" -> {project: "hands", mode: "label", frame: 3, query: URLSearchParams}.

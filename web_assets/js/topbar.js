@@ -16,8 +16,9 @@ const TABS = [
   ["export", "Export"],
   ["statistics", "Statistics"],
   ["checks", "Checks"],
+  ["alignment", "Alignment"],
 ];
-const WITH_FRAME = new Set(["label", "review"]);
+const WITH_FRAME = new Set(["label", "review", "alignment"]);
 
 /**
  * @param {HTMLElement} root

@@ -26,6 +26,7 @@ from annotator.project.migrations import (
     m0011_box_kind,
     m0012_labels_by_class,
     m0013_reader_options,
+    m0014_adjustments,
 )
 from annotator.types.errors import ProjectError
 
@@ -59,6 +60,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(11, m0011_box_kind.STATEMENTS),
     Migration(12, m0012_labels_by_class.STATEMENTS),
     Migration(13, m0013_reader_options.STATEMENTS),
+    Migration(14, m0014_adjustments.STATEMENTS),
 )
 
 

@@ -13,7 +13,7 @@ from annotator.project.proposals import RunShare
 from annotator.project.writing import WriteContext
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
-from annotator.types.errors import FinalisedFrameError, StaleRevisionError
+from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
 from annotator.workflows.proposing.engines.runner import failure
 from annotator.workflows.proposing.engines.tasks import FrameAnswer, RecordingSpec
 from annotator.workflows.rigs import Rigs
@@ -102,7 +102,7 @@ class Batch:
         if recording_id not in self.specs:
             stored = self.project.recordings.get(recording_id)
             self.specs[recording_id] = RecordingSpec(
-                stored.path, stored.name, self.project.path.name, stored.up, stored.options
+                stored.path, stored.name, self.project.path.name, stored.up, stored.options, stored.correction
             )
         return self.specs[recording_id]
 
@@ -127,6 +127,7 @@ class Batch:
     def _replace(self, frame_id: int, result: FrameProposals, share: RunShare) -> None:
         for attempt in range(1, WRITE_ATTEMPTS + 1):
             frame, proposals = self.project.frames.get(frame_id), result.proposals
+            self._require_unadjusted(frame.recording_id)
             context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
             tracks = followed_tracks(self.project, frame, proposals)
             try:
@@ -145,6 +146,14 @@ class Batch:
                 # An operator has changed the frame. Proposals replace only unreviewed ones, so trying again is safe.
                 if attempt == WRITE_ATTEMPTS:
                     raise
+
+    def _require_unadjusted(self, recording_id: int) -> None:
+        """Refuses results that were found before the recording's cloud was moved, or its up direction changed."""
+        stored, used = self.project.recordings.get(recording_id), self.spec(recording_id)
+        if (stored.up, stored.correction) != (used.up, used.correction):
+            raise ProjectError(
+                f"the up direction or the calibration of {stored.name} was changed during the run; annotate it again"
+            )
 
     def _fail(self, frame: StoredFrame, answer: FrameAnswer) -> None:
         reason = answer.reason or "unknown reason"

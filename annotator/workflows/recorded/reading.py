@@ -62,16 +62,25 @@ def load_truth(recording: Recording, index: int, frame: Frame) -> list[Truth]:
     key = recording.keys[index]
     try:
         if isinstance(recording, KittiRaw):
-            return _from_tracklets(file, recording, key)
-        if isinstance(recording, NuScenes):
-            truths = _from_samples(file, recording, key, frame)
-            return truths if recording.is_export else _seen(truths, frame)
-        if isinstance(recording, LookAround):
-            return _all_around(file, recording.base, key, frame)
-        return _READERS[recording.format](file, key, frame)
+            truths = _from_tracklets(file, recording, key)
+        elif isinstance(recording, NuScenes):
+            truths = _from_samples(file, recording, key, _as_recorded(frame))
+        elif isinstance(recording, LookAround):
+            truths = _all_around(file, recording.base, key, _as_recorded(frame))
+        else:
+            truths = _READERS[recording.format](file, key, _as_recorded(frame))
+        T = frame.T_camera_recorded
+        truths = truths if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
+        return _seen(truths, frame) if isinstance(recording, NuScenes) and not recording.is_export else truths
     except ValueError as error:
         # a box is out of range after the transform to the camera frame
         raise FormatError(file, f"frame {key}: {error}; correct its boxes or its calibration") from error
+
+
+def _as_recorded(frame: Frame) -> Frame:
+    """The frame with the label files' coordinates relative to the camera frame as the recording's files give it."""
+    T, label = frame.T_camera_recorded, frame.T_camera_label
+    return frame if T is None or label is None else replace(frame, T_camera_label=T.inv() * label)
 
 
 def has_truth(recording: Recording) -> bool:

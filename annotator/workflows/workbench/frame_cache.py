@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
+from annotator.recordings import Recording
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
@@ -87,6 +88,23 @@ class FrameCache:
                 rigs = self._rigs[project] = Rigs(project, source)
         return rigs.others(frame)
 
+    def recorded(self, project: Project, frame_id: int) -> Frame:
+        """Returns a frame as its recording's files give it; it is not cached. Raises as `read`."""
+        stored = project.frames.get(frame_id)
+        lock, source = self._source(project)
+        with lock:
+            return source.recorded(stored)
+
+    def recording(self, project: Project, recording_id: int) -> Recording:
+        """Returns an open recording.
+
+        Raises:
+            RecordingError: it is missing or cannot be read.
+        """
+        lock, source = self._source(project)
+        with lock:
+            return source.recording(recording_id)
+
     def forget(self, project: Project) -> None:
         """Drops all frames of a project, e.g. after its recordings have changed."""
         with self._lock:
@@ -107,17 +125,17 @@ class FrameCache:
             return self._frames.get(key)
 
     def _open(self, project: Project, stored: StoredFrame) -> OpenFrame:
-        key = (project, stored.id)
+        key, adjusted = (project, stored.id), project.adjustments.newest(stored.recording_id)
         opened = self._cached(key)
-        if opened is not None:
+        if opened is not None and opened.adjusted == adjusted:
             return opened
         lock, source = self._source(project)
         # one frame of a project at a time: a thread that waited here may find its frame in the cache
         with lock:
             opened = self._cached(key)
-            if opened is not None:
+            if opened is not None and opened.adjusted == adjusted:
                 return opened
-            opened = OpenFrame(self._read(project, source, stored))
+            opened = OpenFrame(self._read(project, source, stored), adjusted)
             # stored before the lock is released, so that the next thread does not read the frame again
             with self._lock:
                 self._frames[key] = opened

@@ -33,12 +33,14 @@ class OpenFrame:
 
     Attributes:
         frame: the frame.
+        adjusted: id of the event that adjusted its recording last, when the frame was read; 0 = none.
         is_prepared: its results were computed ahead, and its neighbours read ahead.
         page: the stored state as read last; None before the first read.
     """
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: Frame, adjusted: int = 0) -> None:
         self.frame = frame
+        self.adjusted = adjusted
         self.is_prepared = False
         self.page: FramePage | None = None
         self._counts: dict[bytes, int] = {}

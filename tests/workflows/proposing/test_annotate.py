@@ -13,7 +13,7 @@ from annotator.geometry.iou import iou_3d_matrix
 from annotator.project import BoxRotation, NewLabel, Project, Status, WriteContext, open_project
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind, Frame, Image, ReviewState, Source
+from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Image, ReviewState, Source
 from annotator.types.errors import ConfigError, ProjectError
 from annotator.workflows.add_recordings import add_recordings, register_recording
 from annotator.workflows.detectors import Detectors
@@ -439,3 +439,19 @@ def test_boxes_are_upright_along_the_projects_up_direction(
     annotate(told, knowing("people"), FAST, limit=1)
     for label in told.labels.of_frame(told.frames.of()[0].id):
         assert np.abs(label.box.rotation.T @ np.array(other.up)).max() == pytest.approx(1)
+
+
+def test_results_of_an_earlier_calibration_are_not_stored(people: Project, knowing: Knowing) -> None:
+    recording = people.recordings.all()[0]
+    turned = Correction((0.0, 0.02, 0.0))
+    views = knowing("people")
+    meddling = Interfering(views, "000002", lambda: people.adjustments.correct(recording.id, turned, "me"))
+    done = annotate(people, meddling.pair(views), FAST)
+    assert done.done + len(done.failed) == 5
+    assert done.failed
+    assert all("was changed during the run" in reason for _, reason in done.failed)
+    # the detectors of the test only know the recorded frames; frames that were done before are annotated again, too
+    people.adjustments.correct(recording.id, NO_CORRECTION, "me")
+    again = annotate(people, views, FAST)
+    assert (again.done, again.skipped, again.failed) == (5, 0, [])
+    assert annotate(people, views, FAST).skipped == 5

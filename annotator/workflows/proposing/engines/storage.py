@@ -56,12 +56,14 @@ class Storage:
         """
         place = self.place(recording.path)
         if not is_url(place):
-            return open_stored(Path(place), recording.name, recording.project, recording.up, recording.options)
+            return open_stored(
+                Path(place), recording.name, recording.project, recording.up, recording.options, recording.correction
+            )
         from annotator.recordings.mirror import open_mirror
 
         limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)
         mirror = open_mirror(place, scratch_folder() / "recordings", limit_bytes, options)
-        return OpenedRecording(mirror, recording.up)
+        return OpenedRecording(mirror, recording.up, recording.correction)
 
 
 def is_url(place: str) -> bool:

@@ -15,7 +15,7 @@ from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.warm_start import WarmStart
-from annotator.types import BoxKind
+from annotator.types import NO_CORRECTION, BoxKind, Correction
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class RecordingSpec:
         name: in the project.
         project: the project's name, for messages.
         up: unit vector against gravity in the camera frame, if the project sets one.
-        options: as in `StoredRecording`.
+        options, correction: as in `StoredRecording`.
     """
 
     path: Path
@@ -35,6 +35,7 @@ class RecordingSpec:
     project: str
     up: tuple[float, float, float] | None
     options: str = ""
+    correction: Correction = NO_CORRECTION
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,120 @@
+"""Moves what is stored in a recording's camera frame when the correction of its calibration changes.
+
+Boxes and pseudo-views stay where they are in the clouds. So their poses in the camera frame move with the clouds.
+Earlier states, which undo compares and restores, are moved when they are read.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from sqlalchemy import Connection, Select, bindparam, select, update
+
+from annotator.project.adjusting.adjustment import Adjustment, put_adjustment, read_adjustment
+from annotator.project.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
+from annotator.project.records import BoxRecord, ViewGeometry, parsed
+from annotator.project.schema import events, frames, labels, view_labels
+from annotator.types import NO_CORRECTION, Correction
+
+ADJUSTED = "recording_adjusted"
+
+
+def adjust(connection: Connection, event_id: int, payload: RecordingAdjusted) -> None:
+    """Stores an adjustment, and moves the recording's labels and views with its clouds.
+
+    All frames of the recording get a new revision, so that changes which are based on the earlier geometry are refused.
+    """
+    before = read_adjustment(connection, payload.recording).correction
+    put_adjustment(connection, payload.recording, Adjustment(payload.up, payload.correction), event_id)
+    of_recording = (frames.c.recording_id == payload.recording) & (frames.c.id <= payload.last_frame)
+    connection.execute(update(frames).where(of_recording).values(revision=frames.c.revision + 1))
+    T = between(before, payload.correction)
+    if T is not None:
+        ids = select(frames.c.id).where(frames.c.recording_id == payload.recording)
+        _move_labels(connection, ids, T)
+        _move_views(connection, ids, T)
+
+
+def between(before: Correction, after: Correction) -> RigidTransform | None:
+    """From the camera frame with one correction to that with another; None if both place the clouds alike."""
+    if (before.turn_rad, before.shift_m) == (after.turn_rad, after.shift_m):
+        return None
+    return after.T_camera_recorded * before.T_camera_recorded.inv()
+
+
+class Moves:
+    """How the clouds of each recording were moved over time, within one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._corrections: dict[int, list[tuple[int, Correction]]] = {}
+        self._recordings: dict[int, int] = {}
+        query = select(events.c.id, events.c.payload).where(events.c.kind == ADJUSTED).order_by(events.c.id)
+        for row in connection.execute(query):
+            payload = parsed(PAYLOAD.validate_json, row.payload)
+            assert isinstance(payload, RecordingAdjusted)
+            self._corrections.setdefault(payload.recording, []).append((row.id, payload.correction))
+
+    def since(self, frame_id: int | None, event_id: int) -> RigidTransform | None:
+        """From the camera frame at the event `event_id` to the present one; None if the clouds are where they were."""
+        if not self._corrections or frame_id is None:
+            return None
+        if frame_id not in self._recordings:
+            query = select(frames.c.recording_id).where(frames.c.id == frame_id)
+            self._recordings[frame_id] = self._connection.execute(query).scalar_one()
+        steps = self._corrections.get(self._recordings[frame_id], [])
+        if not steps or steps[-1][0] <= event_id:
+            return None
+        then = next((correction for id, correction in reversed(steps) if id <= event_id), NO_CORRECTION)
+        return between(then, steps[-1][1])
+
+
+def moved_box(box: BoxRecord, T: RigidTransform) -> BoxRecord:
+    """A box that is moved with the cloud."""
+    return BoxRecord.of(box.box().transformed(T))
+
+
+def moved_geometry(geometry: ViewGeometry, T: RigidTransform) -> ViewGeometry:
+    """The geometry of a pseudo-view that is moved with the cloud; its picture stays the same."""
+    axes = np.array(geometry.axes) @ T.rotation.inv().as_matrix()
+    origin = np.array(geometry.origin_m) + axes[:2] @ T.translation
+    return geometry.model_copy(update={"axes": tuple(map(tuple, axes.tolist())), "origin_m": tuple(origin.tolist())})
+
+
+def moved_label(state: str, T: RigidTransform) -> str:
+    """A label's state, as `read_state` returns it, moved with the cloud."""
+    label = parsed(LabelState.model_validate_json, state)
+    return label.model_copy(update={"box": moved_box(label.box, T)}).model_dump_json()
+
+
+def moved_view(state: str, T: RigidTransform) -> str:
+    """A pseudo-view's state, as `read_state` returns it, moved with the cloud."""
+    view = parsed(ViewBoxesState.model_validate_json, state)
+    if view.geometry is None:
+        return state
+    return view.model_copy(update={"geometry": moved_geometry(view.geometry, T)}).model_dump_json()
+
+
+def _move_labels(connection: Connection, frame_ids: Select[tuple[int]], T: RigidTransform) -> None:
+    rows = connection.execute(select(labels.c.id, labels.c.box).where(labels.c.frame_id.in_(frame_ids)))
+    moved = [
+        {"row": row.id, "moved": moved_box(parsed(BoxRecord.model_validate_json, row.box), T).model_dump_json()}
+        for row in rows
+    ]
+    if moved:
+        connection.execute(update(labels).where(labels.c.id == bindparam("row")).values(box=bindparam("moved")), moved)
+
+
+def _move_views(connection: Connection, frame_ids: Select[tuple[int]], T: RigidTransform) -> None:
+    known = view_labels.c.geometry.is_not(None) & view_labels.c.frame_id.in_(frame_ids)
+    rows = connection.execute(select(view_labels.c.id, view_labels.c.geometry).where(known))
+    moved = [
+        {
+            "row": row.id,
+            "moved": moved_geometry(parsed(ViewGeometry.model_validate_json, row.geometry), T).model_dump_json(),
+        }
+        for row in rows
+    ]
+    if moved:
+        same = view_labels.c.id == bindparam("row")
+        connection.execute(update(view_labels).where(same).values(geometry=bindparam("moved")), moved)

@@ -1,0 +1,176 @@
+"""Alignment mode: the cloud over the image, the correction of the calibration, and the up direction."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter
+from fastapi.responses import Response
+from pydantic import Field
+
+from annotator.project import Basis
+from annotator.types import Correction
+from annotator.web.context import Context, Ctx, Operator
+from annotator.web.schemas import CameraJson, Effort, RowId, Schema, Unit3
+from annotator.workflows.recorded.calibration import correct_calibration
+from annotator.workflows.recorded.up_direction import estimate_recording_up
+from annotator.workflows.workbench.alignment import alignment
+from annotator.workflows.workbench.open_frame import OpenFrame
+
+router = APIRouter(tags=["alignment"])
+
+Degrees = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
+SmallMetres = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=-3600, le=3600, allow_inf_nan=False)]
+
+
+class CorrectionJson(Schema):
+    """A correction: a rotation vector in degrees, a shift in metres, the lead of the clouds' clock in seconds."""
+
+    turn_deg: tuple[Degrees, Degrees, Degrees]
+    shift_m: tuple[SmallMetres, SmallMetres, SmallMetres]
+    time_offset_s: Seconds
+
+    @classmethod
+    def of(cls, correction: Correction) -> CorrectionJson:
+        return cls.model_construct(
+            turn_deg=tuple(np.degrees(correction.turn_rad).tolist()),
+            shift_m=correction.shift_m,
+            time_offset_s=correction.time_offset_s,
+        )
+
+    def correction(self) -> Correction:
+        x, y, z = np.radians(self.turn_deg).tolist()
+        return Correction((x, y, z), self.shift_m, self.time_offset_s)
+
+
+class ImageAt(Schema):
+    """An image that a time offset may show; `seconds`: its time after the frame's own."""
+
+    frame: int
+    seconds: float
+
+
+class AlignmentJson(Schema):
+    """How a frame's cloud lies on its image.
+
+    `points`: x, y, z of some points one after the other, metres, in the camera frame without the correction.
+    `up`: unit vector in the corrected camera frame. `adjusted` identifies the present correction and up direction.
+    `labels` and `drawn_images`: number of 3D boxes, and of images with drawn boxes, in the recording.
+    """
+
+    recording: int
+    name: str
+    adjusted: int
+    camera: CameraJson
+    width: int
+    height: int
+    points: list[float]
+    correction: CorrectionJson
+    up: list[float] | None
+    up_source: Literal["unknown", "files", "project"]
+    images: list[ImageAt]
+    labels: int
+    drawn_images: int
+
+
+class EstimatedUp(Schema):
+    """An estimated up direction with its certainty (0 to 1), or the reason why there is none."""
+
+    up: list[float] | None
+    certainty: float
+    spread_deg: float
+    frames: int
+    agreeing: int
+    reason: str
+
+
+class Adjusting(Schema):
+    """The frame on screen, and the `adjusted` of the recording that the change is based on."""
+
+    frame: RowId
+    adjusted: RowId
+    effort: Effort | None = None
+
+    def basis(self) -> Basis:
+        return Basis(self.adjusted, self.frame, None if self.effort is None else self.effort.stored())
+
+
+class UpIn(Adjusting):
+    """The up direction in the corrected camera frame; null = as the recording's files give it."""
+
+    up: Unit3 | None
+
+
+class CorrectionIn(Adjusting):
+    """The whole correction; zeros remove it."""
+
+    correction: CorrectionJson
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}/alignment")
+def show(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> AlignmentJson:
+    """How the frame's cloud lies on its image."""
+    return _alignment(ctx, name, frame_id)
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}/recorded.jpg", response_class=Response)
+def recorded_image(ctx: Ctx, name: str, frame_id: RowId) -> Response:
+    """The frame's own image, without a time offset."""
+    opened = OpenFrame(ctx.caches.frames.recorded(ctx.project(name), frame_id))
+    return Response(opened.jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-cache"})
+
+
+@router.post("/api/projects/{name}/recordings/{recording}/estimate-up")
+def estimate_up(ctx: Ctx, operator: Operator, name: str, recording: RowId) -> EstimatedUp:
+    """Estimate the up direction from some of the recording's frames. Nothing is stored."""
+    found = estimate_recording_up(ctx.project(name), recording)
+    return EstimatedUp(
+        up=None if found.up is None else list(found.up),
+        certainty=found.certainty,
+        spread_deg=float(np.degrees(found.spread_rad)),
+        frames=found.frames,
+        agreeing=found.agreeing,
+        reason=found.reason,
+    )
+
+
+@router.post("/api/projects/{name}/recordings/{recording}/up")
+def set_up(ctx: Ctx, operator: Operator, name: str, recording: RowId, body: UpIn) -> AlignmentJson:
+    """Set the recording's up direction. Stored boxes do not change."""
+    ctx.project(name).adjustments.set_up(recording, body.up, operator, body.basis())
+    return _adjusted(ctx, operator, name, body.frame)
+
+
+@router.post("/api/projects/{name}/recordings/{recording}/correction")
+def correct(ctx: Ctx, operator: Operator, name: str, recording: RowId, body: CorrectionIn) -> AlignmentJson:
+    """Correct the recording's calibration. 3D boxes and pseudo-views stay where they are in the clouds."""
+    correct_calibration(ctx.project(name), recording, body.correction.correction(), operator, body.basis())
+    return _adjusted(ctx, operator, name, body.frame)
+
+
+def _adjusted(ctx: Context, operator: str, name: str, frame_id: int) -> AlignmentJson:
+    shown = _alignment(ctx, name, frame_id)
+    ctx.hub.recording_adjusted(name, shown.recording, shown.adjusted, operator)
+    return shown
+
+
+def _alignment(ctx: Context, name: str, frame_id: int) -> AlignmentJson:
+    shown = alignment(ctx.project(name), ctx.caches.frames, frame_id)
+    camera = shown.recorded.camera
+    return AlignmentJson.model_construct(
+        recording=shown.recording.id,
+        name=shown.recording.name,
+        adjusted=shown.recording.adjusted,
+        camera=CameraJson.of(camera),
+        width=camera.width_px,
+        height=camera.height_px,
+        points=shown.xyz_m.astype(np.float64).round(4).ravel().tolist(),
+        correction=CorrectionJson.of(shown.recording.correction),
+        up=None if shown.up is None else list(shown.up),
+        up_source=shown.up_source,
+        images=[ImageAt(frame=frame, seconds=seconds) for frame, seconds in shown.images],
+        labels=shown.labels,
+        drawn_images=shown.drawn_images,
+    )

@@ -1,0 +1,191 @@
+"""The up direction and the correction of a recording: events, undoable, and what they do to what is stored."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes, state_of
+
+from annotator.geometry.oriented_box import same_box
+from annotator.project import Basis, NewLabel, Project, StoredRecording, ViewGeometry
+from annotator.project.derived import rebuild
+from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, OrientedBox
+from annotator.types.errors import HistoryError, ProjectError, StaleRevisionError
+
+TURNED = Correction((0.0, 0.3, 0.05), (0.1, -0.2, 0.4))
+AGAIN = Correction((0.2, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def box_of(project: Project, frame: int) -> OrientedBox:
+    (label,) = project.labels.of_frame(frame)
+    return label.box
+
+
+def revision_of(project: Project, frame: int) -> int:
+    return project.frames.get(frame).revision
+
+
+@pytest.fixture
+def labelled(project: Project, frame: int) -> int:
+    """The frame with one label."""
+    project.labels.create(frame, [NewLabel("hand", box_at())], by_hand())
+    return frame
+
+
+def test_up_is_set_cleared_undone_and_redone(project: Project, recording: StoredRecording):
+    project.adjustments.set_up(recording.id, [0.0, -3.0, -4.0], "ann")
+    assert project.recordings.get(recording.id).up == pytest.approx((0.0, -0.6, -0.8))
+    project.adjustments.set_up(recording.id, None, "ann")
+    assert project.recordings.get(recording.id).up is None
+    assert project.history.next("ann") == ("set up of take", None)
+    project.history.undo("ann")
+    assert project.recordings.get(recording.id).up == pytest.approx((0.0, -0.6, -0.8))
+    project.history.undo("ann")
+    assert project.recordings.get(recording.id).up is None
+    project.history.redo("ann")
+    assert project.recordings.get(recording.id).up == pytest.approx((0.0, -0.6, -0.8))
+
+
+def test_undo_returns_to_the_direction_that_the_recording_was_added_with(project: Project, tmp_path):
+    added = project.recordings.add(tmp_path / "other", "rgbd", "other", ["0"], True, up=[0, -1, 0])
+    project.adjustments.set_up(added.id, [0.1, -1.0, 0.0], "ann")
+    project.history.undo("ann")
+    assert project.recordings.get(added.id).up == (0.0, -1.0, 0.0)
+
+
+def test_up_leaves_boxes_and_a_correction_moves_them_with_the_cloud(project: Project, recording, labelled: int):
+    before = box_of(project, labelled)
+    project.adjustments.set_up(recording.id, [0.0, -1.0, 0.0], "ann")
+    assert same_box(box_of(project, labelled), before)
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    moved = box_of(project, labelled)
+    assert same_box(moved, before.transformed(TURNED.T_camera_recorded))
+    # a second correction replaces the first one
+    project.adjustments.correct(recording.id, AGAIN, "ann")
+    assert same_box(box_of(project, labelled), before.transformed(AGAIN.T_camera_recorded))
+    assert project.recordings.get(recording.id).correction == AGAIN
+    project.adjustments.correct(recording.id, NO_CORRECTION, "ann")
+    assert same_box(box_of(project, labelled), before)
+
+
+def test_a_set_up_direction_turns_with_the_cloud(project: Project, recording: StoredRecording):
+    project.adjustments.set_up(recording.id, [0.0, -1.0, 0.0], "ann")
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    up = project.recordings.get(recording.id).up
+    assert np.allclose(up, Rotation.from_rotvec(TURNED.turn_rad).apply([0.0, -1.0, 0.0]))
+
+
+def test_boxes_of_finalised_frames_and_open_proposals_move_and_other_recordings_stay(
+    project: Project, recording: StoredRecording, labelled: int, tmp_path
+):
+    other = project.recordings.add(tmp_path / "other", "rgbd", "other", ["0"], True)
+    foreign = project.frames.find(other.id, "0").id
+    project.labels.create(foreign, [NewLabel("hand", box_at())], by_hand())
+    project.frames.finalise(labelled, by_hand(1))
+    open_ = project.frames.find(recording.id, "0").id
+    project.proposals.replace(open_, [proposal_at()], by_machine())
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    expected = box_at().transformed(TURNED.T_camera_recorded)
+    assert same_box(box_of(project, labelled), expected)
+    assert same_box(box_of(project, open_), expected)
+    assert all(same_box(box, expected) for box in project.proposals.boxes(recording.id).values())
+    latest = project.proposals.latest(open_)
+    assert latest is not None
+    assert same_box(latest.objects[0].proposal.box, expected)
+    assert same_box(box_of(project, foreign), box_at())
+    assert revision_of(project, foreign) == 1
+
+
+def test_views_keep_their_points(project: Project, recording: StoredRecording, frame: int):
+    point = np.array([0.3, -0.2, 2.0])
+    axes = Rotation.from_euler("xyz", [0.4, 0.2, -0.3]).as_matrix()
+    geometry = ViewGeometry(
+        axes=tuple(map(tuple, axes.tolist())),
+        metres_per_px=0.01,
+        origin_m=(0.5, -0.7),
+        image_box=Box2D("hand", 0.0, 0.0, 9.0, 9.0),
+    )
+    view = project.views.store(np.zeros((4, 4, 3), np.uint8))
+    project.boxes.set_on_view(view, some_boxes(1), BoxKind.BOX, by_hand(), frame_id=frame, step=0, geometry=geometry)
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    moved = project.boxes.on_views()[0].geometry
+    assert moved is not None
+    there = TURNED.T_camera_recorded.apply(point)
+    before = axes[:2] @ point - geometry.origin_m
+    assert np.allclose(np.array(moved.axes)[:2] @ there - moved.origin_m, before)
+    assert moved.image_box == geometry.image_box
+
+
+def test_changes_that_are_based_on_the_earlier_geometry_are_refused(project: Project, recording, labelled: int):
+    revisions = [frame.revision for frame in project.frames.of([recording.id])]
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    assert [frame.revision for frame in project.frames.of([recording.id])] == [r + 1 for r in revisions]
+    with pytest.raises(StaleRevisionError):
+        project.labels.create(labelled, [NewLabel("hand", box_at())], by_hand(1))
+
+
+def test_two_operators_cannot_correct_at_once(project: Project, recording: StoredRecording):
+    seen = project.recordings.get(recording.id).adjusted
+    project.adjustments.correct(recording.id, TURNED, "ann", Basis(adjusted=seen))
+    with pytest.raises(StaleRevisionError):
+        project.adjustments.correct(recording.id, AGAIN, "bob", Basis(adjusted=seen))
+    assert project.recordings.get(recording.id).correction == TURNED
+
+
+def test_undo_of_an_older_edit_puts_the_box_where_the_cloud_is_now(project: Project, recording, labelled: int):
+    uid = project.labels.of_frame(labelled)[0].uid
+    project.labels.edit(labelled, uid, by_hand(1, "bob"), label="hand", box=box_at(5.0))
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    project.history.undo("bob")
+    assert same_box(box_of(project, labelled), box_at().transformed(TURNED.T_camera_recorded))
+    project.history.redo("bob")
+    assert same_box(box_of(project, labelled), box_at(5.0).transformed(TURNED.T_camera_recorded))
+    project.history.undo("ann")
+    assert same_box(box_of(project, labelled), box_at(5.0))
+
+
+def test_a_label_deleted_before_the_correction_is_restored_in_its_place(project: Project, recording, labelled: int):
+    uid = project.labels.of_frame(labelled)[0].uid
+    project.labels.delete(labelled, uid, by_hand(1, "bob"))
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    project.history.undo("bob")
+    assert same_box(box_of(project, labelled), box_at().transformed(TURNED.T_camera_recorded))
+
+
+def test_an_older_change_of_an_adjustment_cannot_be_undone_over_a_newer_one(project: Project, recording):
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    project.adjustments.correct(recording.id, AGAIN, "bob", Basis(frame_id=project.frames.of()[3].id))
+    with pytest.raises(HistoryError, match="the recording was changed by bob"):
+        project.history.undo("ann")
+
+
+def test_an_untouched_proposal_counts_as_untouched_after_a_correction(project: Project, recording, frame: int):
+    project.proposals.replace(frame, [proposal_at()], by_machine())
+    project.labels.accept(frame, project.labels.of_frame(frame)[0].uid, by_hand(1))
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    review = project.statistics()
+    assert (review.accepted_untouched, review.iou_proposal_to_final) == (1.0, pytest.approx(1.0))
+
+
+def test_frames_added_after_a_correction_are_rebuilt_as_they_are(project: Project, recording, labelled: int):
+    project.adjustments.correct(recording.id, TURNED, "ann")
+    project.recordings.rescan(recording.id, [*map(str, range(7))])
+    maintained = state_of(project)
+    with project.store.write() as connection:
+        rebuild(connection)
+    assert state_of(project) == maintained
+
+
+@pytest.mark.parametrize("up", [[0.0, 0.0, 0.0], [1.0, np.nan, 0.0], [1.0, 2.0]])
+def test_a_vector_that_is_no_direction_is_refused(project: Project, recording: StoredRecording, up: list[float]):
+    with pytest.raises(ProjectError, match="three finite numbers"):
+        project.adjustments.set_up(recording.id, up, "ann")
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"turn_rad": (4.0, 0.0, 0.0)}, {"shift_m": (np.inf, 0.0, 0.0)}, {"time_offset_s": np.nan}]
+)
+def test_a_correction_is_finite_and_bounded(wrong):
+    with pytest.raises(ValueError, match="finite"):
+        Correction(**wrong)

@@ -1,0 +1,94 @@
+"""Alignment in a real browser: sliders, the level, and what other modes show afterwards."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from browser_page import label_truth, sign_in
+
+from annotator.geometry.oriented_box import same_box
+from annotator.project import Project
+from annotator.types import Correction
+
+if TYPE_CHECKING:
+    from conftest import Shop
+    from playwright.sync_api import Page
+
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+
+@pytest.fixture
+def aligned(shared_page: Page, shop: Shop, room: Project) -> Page:
+    """Alignment mode on the first frame."""
+    sign_in(shared_page, shop.live.url)
+    shared_page.goto(f"/#/{room.path.name}/alignment")
+    expect(shared_page.get_by_test_id("correction-effect")).not_to_be_empty()
+    return shared_page
+
+
+def test_a_correction_is_tried_kept_and_undone(aligned: Page, shop: Shop, room: Project) -> None:
+    count = label_truth(room, shop.recording, 2)
+    before = room.labels.select()
+    page, keep = aligned, aligned.get_by_test_id("keep-correction")
+    page.reload()
+    expect(page.get_by_test_id("correction-effect")).to_contain_text(f"{count} 3D boxes")
+    expect(keep).to_be_disabled()
+    page.get_by_test_id("turn-y-field").fill("1.25")
+    slider = page.get_by_test_id("shift-x")
+    box = slider.bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + box["height"] / 2)
+    expect(keep).to_be_enabled()
+    assert room.recordings.all()[0].correction == Correction()
+    keep.click()
+    expect(page.get_by_test_id("clear-correction")).to_be_enabled()
+    kept = room.recordings.all()[0].correction
+    assert kept.turn_rad[1] == pytest.approx(0.0218, abs=1e-4)
+    assert 0.3 < kept.shift_m[0] < 0.5
+    assert not any(same_box(a.label.box, b.label.box) for a, b in zip(before, room.labels.select(), strict=True))
+    page.get_by_test_id("undo").click()
+    expect(page.get_by_test_id("turn-y-field")).to_have_value("0.00")
+    assert room.recordings.all()[0].correction == Correction()
+    assert all(same_box(a.label.box, b.label.box) for a, b in zip(before, room.labels.select(), strict=True))
+
+
+def test_changes_can_be_discarded_and_are_not_lost_unasked(aligned: Page) -> None:
+    page = aligned
+    page.get_by_test_id("turn-x-field").fill("2")
+    page.get_by_test_id("mode-statistics").click()
+    expect(page.locator("dialog[open]")).to_be_visible()
+    page.keyboard.press("Escape")
+    page.get_by_test_id("discard-correction").click()
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("0.00")
+    page.get_by_test_id("mode-statistics").click()
+    expect(page.get_by_test_id("statistics")).to_be_visible()
+
+
+def test_a_level_is_proposed_turned_kept_and_cleared(aligned: Page, room: Project) -> None:
+    page, source = aligned, aligned.get_by_test_id("up-source")
+    expect(source).to_have_text("Known from the recording's files.")
+    page.get_by_test_id("estimate-up").click()
+    expect(source).to_contain_text("certainty")
+    page.get_by_test_id("refuse-up").click()
+    expect(source).to_have_text("Known from the recording's files.")
+    page.get_by_test_id("roll-field").fill("7")
+    expect(source).to_contain_text("not kept yet")
+    page.get_by_test_id("keep-up").click()
+    expect(source).to_have_text("Set in this project.")
+    up = room.recordings.all()[0].up
+    assert up is not None
+    assert up[0] == pytest.approx(0.12, abs=0.01)
+    page.get_by_test_id("clear-up").click()
+    expect(source).to_have_text("Known from the recording's files.")
+
+
+def test_label_mode_opens_the_frame_anew_after_a_correction_by_another(
+    aligned: Page, shop: Shop, room: Project
+) -> None:
+    page, name = aligned, room.path.name
+    page.goto(f"/#/{name}/label/1")
+    page.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+    room.adjustments.correct(1, Correction((0.0, 0.02, 0.0)), "Bob")
+    expect(page.get_by_text("Bob has changed this recording's calibration")).to_be_visible()
+    expect(page.get_by_test_id("image-editor").locator("img.picture[src*='adjusted=']")).to_be_visible()

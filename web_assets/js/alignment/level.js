@@ -1,0 +1,82 @@
+// The up direction as roll and pitch of the camera, and the lines that show it. Pure functions; angles are degrees.
+
+import { add, cross, dot, scale, subtract, unit } from "../rotation.js";
+
+const RAD = Math.PI / 180;
+/** Lines of the grid in each direction, and the points of a line. */
+const [LINES, STEPS] = [9, 40];
+
+/**
+ * The up direction of a camera that is rolled clockwise and pitched up by these angles.
+ *
+ * @param {{ roll: number, pitch: number }} angles
+ */
+export function upOf({ roll, pitch }) {
+  const level = Math.cos(pitch * RAD);
+  return [Math.sin(roll * RAD) * level, -Math.cos(roll * RAD) * level, Math.sin(pitch * RAD)];
+}
+
+/** @param {Vector} up */
+export function anglesOf(up) {
+  const [x, y, z] = unit(up);
+  return { roll: Math.atan2(x, -y) / RAD, pitch: Math.asin(Math.max(-1, Math.min(1, z))) / RAD };
+}
+
+/**
+ * A level grid through the lowest points, and plumb lines on some points: lists of points in the camera frame.
+ *
+ * @param {Vector} up
+ * @param {Vector[]} points
+ */
+export function levelLines(up, points) {
+  if (points.length === 0) return { grid: [], plumb: [] };
+  const heights = points.map((point) => dot(point, up)).sort((a, b) => a - b);
+  const floor = heights[Math.floor(heights.length * 0.02)];
+  const reach = quantile(
+    points.map((point) => Math.hypot(...subtract(point, scale(up, dot(point, up))))),
+    0.7,
+  );
+  const axis = subtract([0, 0, 1], scale(up, up[2]));
+  const ahead = Math.hypot(...axis) > 0.1 ? unit(axis) : unit(cross(up, [1, 0, 0]));
+  const aside = cross(ahead, up);
+  const centre = add(scale(up, floor), scale(ahead, 0.6 * reach));
+  /** @param {number} i */
+  const at = (i) => reach * ((2 * i) / (LINES - 1) - 1);
+  /**
+   * @param {Vector} offset
+   * @param {Vector} along
+   */
+  const line = (offset, along) =>
+    Array.from({ length: STEPS + 1 }, (_, n) => add(offset, scale(along, reach * ((2 * n) / STEPS - 1))));
+  const grid = Array.from({ length: LINES }, (_, i) => i).flatMap((i) => [
+    line(add(centre, scale(ahead, at(i))), aside),
+    line(add(centre, scale(aside, at(i))), ahead),
+  ]);
+  const every = Math.max(1, Math.floor(points.length / 40));
+  const plumb = points.filter((_, i) => i % every === 0).map((point) => [point, add(point, scale(up, 0.08 * reach))]);
+  return { grid, plumb };
+}
+
+/**
+ * Points at an equal height as the camera, straight ahead and to both sides: the horizon.
+ *
+ * @param {Vector} up
+ */
+export function horizon(up) {
+  const axis = subtract([0, 0, 1], scale(up, up[2]));
+  if (Math.hypot(...axis) < 0.1) return [];
+  const ahead = unit(axis);
+  const aside = cross(ahead, up);
+  return Array.from({ length: STEPS + 1 }, (_, i) => {
+    const angle = 80 * ((2 * i) / STEPS - 1) * RAD;
+    return add(scale(ahead, 1e4 * Math.cos(angle)), scale(aside, 1e4 * Math.sin(angle)));
+  });
+}
+
+/**
+ * @param {number[]} values
+ * @param {number} share
+ */
+function quantile(values, share) {
+  return values.toSorted((a, b) => a - b)[Math.floor((values.length - 1) * share)];
+}

@@ -1,0 +1,188 @@
+/** The image with the cloud over it, coloured by depth, and the level. The wheel zooms, a drag moves the picture. */
+
+import { project } from "../camera.js";
+import { h } from "../dom.js";
+import { aboutAxis, add, dot, IDENTITY, length, scale } from "../rotation.js";
+import { horizon, levelLines } from "./level.js";
+
+const [LEAST_ZOOM, MOST_ZOOM] = [1, 20];
+const RAD = Math.PI / 180;
+
+/** @typedef {{ image: string, camera: Camera, points: Vector[], up: Vector | null, isFirm: boolean }} Shown */
+/** @typedef {{ points: boolean, level: boolean, size: number }} Show */
+
+/** @param {HTMLElement} host */
+export function createPicture(host) {
+  const canvas = h("canvas", { "data-testid": "alignment-picture", "aria-label": "The cloud over the image" });
+  const image = new Image();
+  /** @type {Shown | null} */
+  let shown = null;
+  /** @type {Show} */
+  let show = { points: true, level: true, size: 2 };
+  let [zoom, left, top, pending] = [1, 0, 0, 0];
+  host.append(canvas);
+
+  /** Draws once per animation frame. */
+  function draw() {
+    if (pending === 0) pending = requestAnimationFrame(paint);
+  }
+
+  function paint() {
+    pending = 0;
+    const context = canvas.getContext("2d");
+    const { clientWidth: width, clientHeight: height } = host;
+    if (context === null || width === 0) return;
+    const ratio = devicePixelRatio || 1;
+    canvas.width = width * ratio;
+    canvas.height = height * ratio;
+    context.scale(ratio, ratio);
+    if (shown === null) return;
+    const { camera } = shown;
+    const fit = Math.min(width / camera.width, height / camera.height) * zoom;
+    context.translate(width / 2 + left, height / 2 + top);
+    context.scale(fit, fit);
+    // pixel coordinates: the centre of the first pixel is (0, 0)
+    context.translate(0.5 - camera.width / 2, 0.5 - camera.height / 2);
+    if (image.complete && image.naturalWidth > 0) {
+      context.imageSmoothingEnabled = fit < 3;
+      context.drawImage(image, -0.5, -0.5, camera.width, camera.height);
+    }
+    context.beginPath();
+    context.rect(-0.5, -0.5, camera.width, camera.height);
+    context.clip();
+    if (show.points) paintPoints(context, shown, show.size / fit);
+    if (show.level && shown.up !== null) paintLevel(context, shown, 1.5 / fit);
+  }
+
+  /** @param {WheelEvent} event */
+  function onWheel(event) {
+    event.preventDefault();
+    const factor = Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, zoom * Math.exp(-event.deltaY / 400))) / zoom;
+    const box = canvas.getBoundingClientRect();
+    const [x, y] = [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2];
+    zoom *= factor;
+    [left, top] = zoom === 1 ? [0, 0] : [x - (x - left) * factor, y - (y - top) * factor];
+    draw();
+  }
+
+  /** @param {PointerEvent} event */
+  function onMove(event) {
+    if (event.buttons === 0) return;
+    left += event.movementX;
+    top += event.movementY;
+    draw();
+  }
+
+  canvas.addEventListener("wheel", onWheel, { passive: false });
+  canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+  canvas.addEventListener("pointermove", onMove);
+  image.addEventListener("load", draw);
+  const size = new ResizeObserver(draw);
+  size.observe(host);
+
+  return {
+    /** @param {Shown | null} next */
+    set(next) {
+      shown = next;
+      if (next !== null && !image.src.endsWith(next.image)) image.src = next.image;
+      draw();
+    },
+    /** @param {Show} next */
+    setShow(next) {
+      show = next;
+      draw();
+    },
+    close() {
+      size.disconnect();
+      cancelAnimationFrame(pending);
+    },
+  };
+}
+
+/**
+ * The points after a correction.
+ *
+ * @param {Vector[]} points
+ * @param {Api.CorrectionJson} correction
+ */
+export function moved(points, { turn_deg, shift_m }) {
+  const turn = rotationOf(turn_deg);
+  return points.map((point) =>
+    add(
+      turn.map((row) => dot(row, point)),
+      shift_m,
+    ),
+  );
+}
+
+/**
+ * The matrix of a rotation vector in degrees.
+ *
+ * @param {Vector} turn
+ */
+export function rotationOf(turn) {
+  const angle = length(turn);
+  return angle === 0 ? IDENTITY : aboutAxis(scale(turn, 1 / angle), angle * RAD);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Shown} shown
+ * @param {number} size
+ */
+function paintPoints(context, { camera, points }, size) {
+  const depths = points
+    .map((point) => point[2])
+    .filter((z) => z > 0)
+    .sort((a, b) => a - b);
+  if (depths.length === 0) return;
+  const near = depths[Math.floor(depths.length * 0.02)];
+  const far = Math.max(near * 1.01, depths[Math.floor((depths.length - 1) * 0.98)]);
+  for (const point of points) {
+    const px = project(camera, point);
+    if (px === null) continue;
+    // equal steps of 1 / depth, as the effect of a shift on the image
+    const share = Math.min(1, Math.max(0, (1 / point[2] - 1 / far) / (1 / near - 1 / far)));
+    context.fillStyle = `hsl(${Math.round(250 * (1 - share))} 95% 55%)`;
+    context.fillRect(px[0] - size / 2, px[1] - size / 2, size, size);
+  }
+}
+
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Shown} shown
+ * @param {number} width
+ */
+function paintLevel(context, { camera, points, up, isFirm }, width) {
+  if (up === null) return;
+  const { grid, plumb } = levelLines(up, points);
+  context.setLineDash(isFirm ? [] : [6 * width, 4 * width]);
+  for (const [lines, color, factor] of /** @type {[Vector[][], string, number][]} */ ([
+    [grid, "rgb(0 0 0 / 60%)", 2.4],
+    [grid, "#7fffb0", 1],
+    [plumb, "#ffffff", 1.4],
+    [[horizon(up)], "#ffd84a", 1.4],
+  ])) {
+    context.strokeStyle = color;
+    context.lineWidth = width * factor;
+    for (const line of lines) paintLine(context, camera, line);
+  }
+  context.setLineDash([]);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Camera} camera
+ * @param {Vector[]} line
+ */
+function paintLine(context, camera, line) {
+  context.beginPath();
+  let isDown = false;
+  for (const point of line) {
+    const px = point[2] > 0.05 ? project(camera, point) : null;
+    if (px !== null && isDown) context.lineTo(px[0], px[1]);
+    else if (px !== null) context.moveTo(px[0], px[1]);
+    isDown = px !== null;
+  }
+  context.stroke();
+}

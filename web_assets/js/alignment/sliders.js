@@ -1,0 +1,42 @@
+/** A slider with a field for its number; both change together. */
+
+import { h } from "../dom.js";
+
+/**
+ * @param {{ label: string, testid: string, most: number, step: number, unit: string, onChange: () => void }} options
+ *     `most`: the slider's greatest value, and minus its least one; the field takes any number.
+ */
+export function createSlider({ label, testid, most, step, unit, onChange }) {
+  let value = 0;
+  const decimals = Math.max(0, Math.ceil(-Math.log10(step)));
+  const range = h("input", { type: "range", min: -most, max: most, step, value: "0", "data-testid": testid });
+  range.setAttribute("aria-label", label);
+  range.addEventListener("input", () => change(Number(range.value)));
+  const field = h("input", { type: "number", step, class: "number", "data-testid": `${testid}-field` });
+  field.setAttribute("aria-label", `${label}, ${unit}`);
+  field.addEventListener("input", () => {
+    if (Number.isFinite(field.valueAsNumber)) change(field.valueAsNumber);
+  });
+  const root = h("div", { class: "slider" }, h("span", {}, label), range, field, h("span", { class: "muted" }, unit));
+
+  /** @param {number} next */
+  function change(next) {
+    value = next;
+    if (document.activeElement !== field) field.value = next.toFixed(decimals);
+    if (document.activeElement !== range) range.value = String(next);
+    onChange();
+  }
+
+  return {
+    root,
+    get value() {
+      return value;
+    },
+    /** @param {number} next */
+    set(next) {
+      value = next;
+      range.value = String(next);
+      field.value = next.toFixed(decimals);
+    },
+  };
+}
