@@ -7,12 +7,16 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fnmatch import fnmatch
 from pathlib import Path
 
 from annotator.types.errors import FrameError, RecordingError
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 NUMBER = re.compile("[0-9]+")
+# Files about a data set, which no reader needs.
+DOCUMENTS = ("README*", "LICENSE*", "LICENCE*")
+MOST_NAMED = 8
 
 REMEDIES = {
     errno.ENAMETOOLONG: "give a shorter path",
@@ -48,6 +52,23 @@ def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
         files = (entry.name for entry in entries if entry.name[0] != "." and entry.is_file())
         named = map(os.path.splitext, files)
         return {stem for stem, suffix in named if suffix.lower() in suffixes}
+
+
+def unread_note(folder: Path, known: tuple[str, ...], labels: str) -> str | None:
+    """Returns a sentence that names the entries of a folder that no reader of its format knows; None if there are none.
+
+    Args:
+        known: patterns of the names that are read.
+        labels: where the labels are read from.
+    """
+    with path_errors(folder), os.scandir(folder) as entries:
+        names = sorted(entry.name + "/" * entry.is_dir() for entry in entries if entry.name[0] != ".")
+    patterns = (*known, *DOCUMENTS)
+    unread = [name for name in names if not any(fnmatch(name.rstrip("/"), pattern) for pattern in patterns)]
+    if not unread:
+        return None
+    more = f" and {len(unread) - MOST_NAMED} more" if len(unread) > MOST_NAMED else ""
+    return f"not read: {', '.join(unread[:MOST_NAMED])}{more}; labels are read from {labels}"
 
 
 def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:

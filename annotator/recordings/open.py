@@ -8,15 +8,16 @@ from typing import Any
 
 from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import look_around
+from annotator.recordings.nearest import Below, kind_of_file, nearest_formats, recording_above, recordings_below
 from annotator.recordings.options import ReaderOptions, option_flag
 from annotator.recordings.recording import NotFound, Recording
 from annotator.recordings.rig import Scanned
 from annotator.recordings.table import OPTIONS, QUICK_CHECKS, READERS
-from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
+from annotator.types.errors import ConfigError, UnknownFormatError
 
-MOST_HINTS = 5
 # Suffixes of single files that are recordings.
 FILE_SUFFIXES = (".mkv", ".r3d", ".bag", ".mcap", ".db3")
+MOST_PROBLEMS = 2
 NO_OPTIONS = ReaderOptions()
 
 
@@ -100,29 +101,22 @@ def _load(target: str) -> Any:
 
 
 def _explain(path: Path, looked_for: list[str]) -> str:
+    """Returns what a path lacks, what each reader looked for, and where recordings are."""
     if not path.exists():
         return f"{path}: no such file or folder; give the path of a recording"
-    kind = "folder" if path.is_dir() else "file"
-    lines = [f"{path}: no known recording format in this {kind}; looked for"]
+    is_folder = path.is_dir()
+    kind = "folder" if is_folder else "file"
+    near = nearest_formats(path) if is_folder else kind_of_file(path)
+    lines = ["; ".join([f"{path}: no known recording format in this {kind}", *near]), "looked for"]
     lines += [f"  {line}" for line in looked_for]
-    nested = _openable_children(path)
-    if nested:
-        lines.append("it contains recordings; give the path of one of them: " + ", ".join(nested))
+    below = recordings_below(path, detect_format, FILE_SUFFIXES) if is_folder else Below()
+    if below.is_partial:
+        lines.append("it has many folders, and not all were searched for recordings")
+    if below.recordings:
+        lines.append("it contains recordings; give the path of one of them: " + ", ".join(below.recordings))
+    elif below.problems:
+        lines.append("it contains recordings that cannot be opened:")
+        lines += [f"  {problem}" for problem in below.problems[:MOST_PROBLEMS]]
+    elif (above := recording_above(path, detect_format)) is not None:
+        lines.append(f"it is a part of the recording {above}; give that path")
     return "\n".join(lines)
-
-
-def _openable_children(path: Path) -> list[str]:
-    """Returns the first few subfolders and files that a reader recognises."""
-    if not path.is_dir():
-        return []
-    names: list[str] = []
-    for child in sorted(child for child in path.iterdir() if child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
-        try:
-            is_known = detect_format(child) is not None
-        except RecordingError:  # without frames or unreadable, so not suggested
-            continue
-        if is_known:
-            names.append(child.name)
-        if len(names) == MOST_HINTS:
-            break
-    return names

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt16
@@ -13,8 +13,9 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.projection import resized
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
+from annotator.recordings.rotated_depth import decode_depth, looks_rotated
 from annotator.types import Camera
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, UnclearError
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0
@@ -32,6 +33,7 @@ class IntrinsicFile(BaseModel):
         width, height: image size, pixels.
         intrinsic_matrix: the nine numbers of K, column by column.
         depth_scale: depth units per metre; default that of the format, 1000 (millimetres) for most.
+        depth_encoding: `plain`, or `sunrgbd` for SUN RGB-D's rotated bits; default plain, unless it looks rotated.
         distortion: OpenCV's coefficients, see `Camera`; default none.
     """
 
@@ -42,6 +44,7 @@ class IntrinsicFile(BaseModel):
     height: Side
     intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
     depth_scale: Positive | None = None
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
     distortion: tuple[Number, ...] = ()
 
 
@@ -74,12 +77,14 @@ class RgbdCamera:
         path: the file.
         camera: the camera.
         depth_scale: depth units per metre.
+        depth_encoding: as in the file.
         T_color_depth: for a depth camera, the transform from its frame to the colour camera's; else None.
     """
 
     path: Path
     camera: Camera
     depth_scale: float
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
     T_color_depth: RigidTransform | None = None
 
     @property
@@ -134,11 +139,25 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
         camera = pinhole(K, content.width, content.height, content.distortion)
     except ValueError as error:
         raise FrameError(path, str(error), "correct the camera file") from error
-    return RgbdCamera(path, camera, depth_scale if content.depth_scale is None else content.depth_scale)
+    scale = depth_scale if content.depth_scale is None else content.depth_scale
+    return RgbdCamera(path, camera, scale, content.depth_encoding)
 
 
-def depth_metres(raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
-    """Returns the metres of a depth image."""
+def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of the depth image at `path`.
+
+    Raises:
+        UnclearError: it looks like one of SUN RGB-D, and the camera file does not say whether it is.
+    """
+    if camera.depth_encoding == "sunrgbd":
+        return decode_depth(raw)
+    if camera.depth_encoding is None and looks_rotated(raw, camera.depth_scale):
+        raise UnclearError(
+            path,
+            f"its depth reaches {raw.max() / camera.depth_scale:.1f} m in steps of 8 units, as in SUN RGB-D, whose "
+            "depth has its bits rotated by three",
+            f'write "depth_encoding": "sunrgbd" (or "plain" to read it as it is) into {camera.path.name}',
+        )
     return np.divide(raw, np.float32(camera.depth_scale), dtype=np.float32)
 
 

@@ -137,13 +137,15 @@ def read_images(
     raw = read_depth(depth_path)
     depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
     if depth is None or depth.T_color_depth is None:
-        depth_m = depth_metres(raw, color)
+        depth_m = depth_metres(depth_path, raw, color)
         xyz_m, pixel = unproject_depth(color.camera, depth_m)
         cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel)
         problem = "no pixel has a depth, so the cloud is empty"
     else:
         _check_size(depth_path, raw, depth, "correct the file")
-        cloud, depth_m = registered(depth_metres(raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera)
+        cloud, depth_m = registered(
+            depth_metres(depth_path, raw, depth), depth.camera, depth.T_color_depth, rgb, color.camera
+        )
         problem = f"no pixel with a depth lies in the colour image, so the cloud is empty (by {depth.path.name})"
     if len(cloud) == 0:
         raise FrameError(depth_path, problem, "record the frame again, or remove it")

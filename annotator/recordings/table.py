@@ -19,6 +19,8 @@ READERS: dict[str, str] = {
     "argoverse2": "annotator.recordings.argoverse.log:open_argoverse2",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
+    "rcv": "annotator.recordings.exports.rcv_dataset:open_rcv",
+    "openlabel": "annotator.recordings.exports.openlabel_folder:open_openlabel",
     # last, because other formats contain cloud files, too
     "cloud_folder": "annotator.recordings.clouds.cloud_folder:open_cloud_folder",
 }
@@ -26,6 +28,10 @@ READERS: dict[str, str] = {
 # The options (`ReaderOptions`) that readers take. Such a reader is called with the path and the options.
 OPTIONS: dict[str, tuple[str, ...]] = {
     "ros_bag": ("image", "points", "depth", "camera_info", "tf_frame", "tolerance_s"),
+    "kitti_object": ("columns",),
+    "kitti_tracking": ("columns",),
+    "kitti_raw": ("columns",),
+    "cloud_folder": ("columns",),
     "stray_scanner": ("min_confidence",),
     "record3d": ("min_confidence",),
     "tum_rgbd": ("tolerance_s",),

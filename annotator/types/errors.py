@@ -5,6 +5,7 @@
     │   ├── RecordingError        a recording or one of its frames
     │   │   ├── UnknownFormatError    no reader recognises the path
     │   │   ├── FrameError            one frame cannot be read; the others may be fine
+    │   │   │   └── UnclearError          its file can be read in several ways, or not as its place says
     │   │   └── DeviceError           a camera is missing, not usable or disconnected
     │   ├── FormatError           a label or dataset file
     │   ├── ConfigError           a setting or a command-line value
@@ -55,6 +56,10 @@ class FrameError(RecordingError):
     def __init__(self, path: Path, problem: str, remedy: str = "") -> None:
         self.path = path
         super().__init__(f"{path}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+
+class UnclearError(FrameError):
+    """A file can be read in several ways, or its content contradicts its name or place."""
 
 
 class DeviceError(RecordingError):

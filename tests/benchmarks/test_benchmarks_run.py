@@ -16,7 +16,7 @@ import pytest
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, batch, listing, loop, memory, pseudo_view
+from benchmarks import axes, batch, columns, listing, loop, memory, pseudo_view
 from benchmarks.memory import growth
 from benchmarks.repeating import FOLDERS, lengthen
 from benchmarks.report import guarded
@@ -207,6 +207,16 @@ def test_loop_reports_scores_and_times(
     assert result["boxes_2d"] == 3 * 2 * 5
     assert {"label", "train_image", "train_view", "propose"} <= set(result["seconds"])
     assert all(value is None or 0 <= value <= 1 for key, value in result.items() if key in LOOP_KEYS[1:7])
+
+
+def test_columns_counts_made_up_scans_and_files_that_are_none(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = in_process(columns, monkeypatch, capsys, "--sets", "6")
+    assert result["made_up"]["wrong"] == 0
+    assert result["made_up"]["read"] >= 5
+    assert sum(sum(row.values()) for row in result["made_up"]["by_columns"].values()) == 6
+    assert set(result["others_read"].values()) == {0}
 
 
 def test_listing_recognises_the_data_sets_that_it_creates(

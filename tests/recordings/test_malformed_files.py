@@ -6,7 +6,9 @@ import json
 import re
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -22,7 +24,11 @@ from scipy.io import savemat
 from sunrgbd_samples import IMAGE as SUN_IMAGE
 from sunrgbd_samples import RTILT, K, png, upright_points, write_scene
 
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.openlabel import write_openlabel
+from annotator.formats.rcv import RcvInfo, RcvOptions, export_rcv
 from annotator.recordings import open_recording
+from annotator.types import Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import FrameError, RecordingError
 
 
@@ -98,6 +104,26 @@ def cloud_folder(folder: Path) -> None:
     put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
 
 
+def exported_items(folder: Path) -> list[DatasetItem]:
+    """One frame of an RGB-D folder, with a box."""
+    with TemporaryDirectory() as place:
+        rgbd_folder(Path(place))
+        frame = open_recording(Path(place)).frame(0)
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.5]), np.eye(3), np.array([0.5, 0.4, 0.3]))
+    label = Label("a", "cup", box, None, Source.MANUAL, ReviewState.ACCEPTED, "me", 0)
+    return [DatasetItem("take", replace(frame, timestamp_ns=1_500_000_001), [label])]
+
+
+def rcv(folder: Path) -> None:
+    folder.rmdir()
+    export_rcv(folder, exported_items(folder), RcvInfo(("cup",), (), "annotator", RcvOptions()))
+
+
+def openlabel(folder: Path) -> None:
+    folder.rmdir()
+    write_openlabel(folder, exported_items(folder), "annotator")
+
+
 def record3d(folder: Path) -> None:
     folder.rmdir()
     made.write_record3d(folder, made.frames(2))
@@ -128,6 +154,8 @@ BUILDERS: list[Callable[[Path], None]] = [
     nuscenes,
     argoverse2,
     cloud_folder,
+    rcv,
+    openlabel,
     tum_rgbd,
     record3d,
     stray_scanner,

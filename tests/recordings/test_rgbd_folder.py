@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import pytest
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, UnclearError
+from annotator.workflows.checking.check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
 INTRINSICS = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
@@ -231,3 +233,45 @@ def test_damage_is_an_error_with_file_cause_and_solution(
     assert "; " in str(caught.value)  # the solution
     if "/" in name:
         assert recording.frame(1).key == "000001"  # the other frame can be read
+
+
+def test_sun_rgbds_rotated_depth_is_noticed(folder: Path, depth: np.ndarray):
+    """Its bits are rotated by three: read as millimetres, the room was 8 to 64 m away."""
+    rotated = depth << np.uint16(3) | depth >> np.uint16(13)
+    for key in ("000000", "000001"):
+        (folder / "depth" / f"{key}.png").write_bytes(png(rotated))
+    with pytest.raises(UnclearError, match=r"depth reaches 3\d\.\d m in steps of 8 units, as in SUN RGB-D") as caught:
+        open_recording(folder).frame(0)
+    assert '"depth_encoding": "sunrgbd"' in str(caught.value)
+    assert [finding.rule for finding in check_datasets(folder).findings] == ["unclear-file", "unclear-file"]
+    for encoding, expected in (("sunrgbd", depth / 1000), ("plain", rotated / 1000)):
+        camera = json.dumps(INTRINSICS | {"depth_encoding": encoding})
+        (folder / "camera_intrinsic.json").write_text(camera)
+        np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, expected, atol=1e-5)
+
+
+def test_depth_in_steps_of_eight_that_is_near_is_read_as_it_is(folder: Path, depth: np.ndarray):
+    (folder / "depth" / "000000.png").write_bytes(png(depth // 8 * 8))
+    np.testing.assert_allclose(open_recording(folder).frame(0).depth_m, depth // 8 * 8 / 1000, atol=1e-6)
+
+
+@pytest.mark.shared
+def test_a_real_image_of_sun_rgbd_in_an_rgbd_folder_is_noticed(shared: Path, tmp_path: Path):
+    source = shared / "data" / "sunrgbd" / "raw"
+    for name, target, suffix in (("image", "color", ".jpg"), ("depth", "depth", ".png")):
+        (tmp_path / target).mkdir()
+        shutil.copy(next((source / name).glob(f"000001{suffix}")), tmp_path / target)
+    camera = {"width": 730, "height": 530, "intrinsic_matrix": [529.5, 0, 0, 0, 529.5, 0, 365, 265, 1]}
+    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera))
+    with pytest.raises(UnclearError, match="bits rotated by three"):
+        open_recording(tmp_path).frame(0)
+    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera | {"depth_encoding": "sunrgbd"}))
+    assert 0.5 < np.median(open_recording(tmp_path).frame(0).depth_m) < 8
+
+
+@pytest.mark.shared
+def test_no_real_depth_is_taken_for_rotated(shared: Path):
+    for folder in ("human_turn", "hand_gesture", "rgbd_open3d_testdata/RGBD"):
+        recording = open_recording(shared / "data" / folder)
+        for index in range(0, len(recording), 5):
+            assert len(recording.frame(index).cloud) > 1000

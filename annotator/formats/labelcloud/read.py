@@ -54,6 +54,20 @@ def read_labelcloud(path: Path, on_fault: OnFault = raise_fault) -> dict[str, La
     return frames
 
 
+def read_labelcloud_file(file: Path) -> LabelCloudFrame:
+    """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file.
+
+    Raises:
+        FormatError: as `read_labelcloud`.
+    """
+    content = read_model(file, LabelFile)
+    degrees = _degrees(file.parent, {file: content})
+    try:
+        return LabelCloudFrame(tuple((entry.name, box_of(entry, degrees)) for entry in content.objects), None)
+    except ValueError as error:
+        raise FormatError(file, str(error)) from error
+
+
 def _label_folders(path: Path) -> list[Path]:
     folders = [folder for folder in (path / LABELS, *sorted(path.glob(f"*/{LABELS}"))) if folder.is_dir()]
     labelled = [folder for folder in folders or [path] if any(_label_files(folder))]

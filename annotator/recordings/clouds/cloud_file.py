@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud
 from annotator.recordings.clouds.las_file import parse_las
 from annotator.recordings.clouds.numpy_file import parse_npy, parse_npz
 from annotator.recordings.clouds.pcd_file import parse_pcd
 from annotator.recordings.clouds.ply_file import parse_ply
-from annotator.recordings.kitti.frame import read_scan
+from annotator.recordings.scan_file import SCAN_SUFFIX, Scans
 from annotator.types.errors import FrameError
 
 PARSERS: dict[str, Callable[[Path, bytes], RawCloud]] = {
@@ -23,22 +23,24 @@ PARSERS: dict[str, Callable[[Path, bytes], RawCloud]] = {
     ".las": parse_las,
     ".laz": parse_las,
 }
-# KITTI's scans have no header and are read by `read_scan`.
-SCAN_SUFFIX = ".bin"
 CLOUD_SUFFIXES = (*PARSERS, SCAN_SUFFIX)
 
 
-def read_cloud(path: Path) -> RawCloud:
+def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
     """Returns the valid points of a file with one of `CLOUD_SUFFIXES`, in its own frame, metres.
 
+    Args:
+        scans: reads `.bin` files; None = this one alone decides how many values its points have.
+
     Raises:
+        UnclearError: a `.bin` file with an uncertain number of values per point.
         MissingExtraError: a LAS or LAZ file, but the extra `las` is not installed.
         FrameError: the file is missing, damaged, shorter than its header says, or has no valid point.
     """
     suffix = path.suffix.lower()
     if suffix == SCAN_SUFFIX:
-        scan = read_scan(path)
-        return from_columns(path, dict(zip(("x", "y", "z", "reflectance"), scan.T.astype(np.float64), strict=True)))
+        scan = (scans or Scans()).read(path)
+        return RawCloud(scan.xyz_m.astype(np.float64), reflectance=scan.reflectance)
     try:
         data = path.read_bytes()
     except OSError as error:

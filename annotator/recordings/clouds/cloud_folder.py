@@ -1,8 +1,9 @@
-"""Folders of point clouds: PLY, PCD, KITTI's BIN, NPY, NPZ, LAS or LAZ, one file per frame.
+"""Folders of point clouds: PLY, PCD, BIN, NPY, NPZ, LAS or LAZ, one file per frame.
 
 KEY.ply (and so on)        in the folder itself, or in points/ (clouds/, pointcloud/, velodyne/, lidar/, pcd/, ply/)
 image/KEY.png|jpg          optional (images/, image_2/, color/, rgb/): needs a calibration
 calib/KEY.txt, calib.txt   optional: KITTI's calibration of a LiDAR and colour camera 2
+labels/_classes.json       optional: a project of labelCloud, with labels/KEY.json [read by annotator.formats]
 camera_intrinsic.json      optional alternative, as in an RGB-D folder; the clouds are in the camera's frame, or in the
                            frame that "cloud_to_camera" (4 x 4, row by row) maps to it
 gravity.json               optional, beside camera_intrinsic.json
@@ -15,7 +16,7 @@ camera is in the middle of the cloud. Without images, the image is rendered from
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Never
 
@@ -35,9 +36,11 @@ from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.rig import Scan
+from annotator.recordings.scan_file import Scans
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -48,6 +51,8 @@ IMAGE_FOLDERS = ("image", "images", "image_2", "color", "rgb")
 VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 # Rows: the camera's x (right), y (down) and z (forward) in a LiDAR's x forward, y left, z up.
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
+# In labelCloud's projects, z of the clouds points up.
+LEVEL_MARK = "labels/_classes.json"
 # If the nearest point is farther away, the coordinates are map coordinates.
 FARTHEST_SEEN_M = 10_000.0
 
@@ -92,13 +97,19 @@ class CloudFolder(KeyedFrames):
         clouds: the folder of the cloud files.
         images: the folder of the images; None without images.
         times_ns: capture times from `timestamps.csv`; None without that file.
+        scans: reads the clouds that are `.bin` files.
     """
 
     clouds: Path
     images: Path | None
     times_ns: Times | None = None
+    scans: Scans = field(default_factory=Scans)
     format: ClassVar[str] = "cloud_folder"
     is_sequence: ClassVar[bool] = True
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return self.scans.notes
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
@@ -109,7 +120,7 @@ class CloudFolder(KeyedFrames):
         """
         key = self.key(i)
         cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
-        raw = read_cloud(cloud_path)
+        raw = read_cloud(cloud_path, self.scans)
         if self.images is None:
             source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
             if source.camera.width_px * source.camera.height_px > MOST_PIXELS:
@@ -151,7 +162,7 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        raw = read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"))
+        raw = read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"), self.scans)
         source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
         return Scan(
             raw.xyz_m,
@@ -168,7 +179,8 @@ class CloudFolder(KeyedFrames):
         """Returns the camera from the folder's calibration; None without one."""
         for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
             if path.is_file():
-                return _kitti_camera(path, rgb)
+                camera = _kitti_camera(path, rgb)
+                return replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera
         path = self.path / FILE_NAME
         return _json_camera(path, rgb) if path.is_file() else None
 
@@ -181,8 +193,8 @@ class CloudFolder(KeyedFrames):
         )
 
 
-def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
-    """Opens the folder of point clouds at `path`; `NotFound` if it is not one.
+def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFound:
+    """Opens the folder of point clouds at `path`; `NotFound` if it is not one. Takes the option `columns`.
 
     Raises:
         RecordingError: `timestamps.csv` is invalid.
@@ -196,7 +208,7 @@ def open_cloud_folder(path: Path) -> CloudFolder | NotFound:
             if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
-            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered))
+            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns))
     return NotFound(LOOKED_FOR)
 
 
@@ -221,6 +233,11 @@ def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
             raise FrameError(path, f"P2 implies an image of {width} x {height} pixels", "correct the calibration")
         camera = calibration.camera(width, height)
     return CloudCamera(path, calibration.T_camera_lidar, camera, UP, calibration)
+
+
+def _z_of(source: CloudCamera) -> Float64[np.ndarray, "3"]:
+    """Returns the direction of the clouds' z axis in the camera frame."""
+    return np.asarray(source.T_camera_cloud.rotation.apply([0.0, 0.0, 1.0]))
 
 
 def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:

@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from annotator.recordings.plausible import LARGEST
+from annotator.recordings.scan_file import fractions
 from annotator.types.errors import FrameError
 
 CLOUD_REMEDY = "save the cloud again, or remove the frame"
 COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
 REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_reflectance", "i")
-# Maximum of reflectance values: fractions, 8 bits or 16 bits.
-REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Longest number in a text file, characters.
 LONGEST_NUMBER = 400
 
@@ -101,12 +100,9 @@ def _reflectance(columns: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n"] 
     if name is None:
         return None
     values = np.nan_to_num(_real(columns[name]), nan=0.0, posinf=0.0, neginf=0.0)
-    highest = values.max(initial=0.0)
     if columns[name].dtype in (np.uint8, np.uint16):
-        scale = float(np.iinfo(columns[name].dtype).max)
-    else:
-        scale = next((scale for scale in REFLECTANCE_SCALES if highest <= scale), highest)
-    return np.clip(values / scale, 0, 1).astype(np.float32)
+        return np.asarray(values / np.iinfo(columns[name].dtype).max).astype(np.float32)
+    return fractions(values)
 
 
 def text_columns(path: Path, body: bytes, count: int, names: tuple[str, ...], first_line: int) -> dict[str, np.ndarray]:

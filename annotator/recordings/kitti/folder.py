@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
@@ -11,11 +11,13 @@ import numpy as np
 
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.kitti.calibration import KittiCalibration
-from annotator.recordings.kitti.frame import UP, read_frame, read_scan
+from annotator.recordings.kitti.frame import UP, read_frame
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.rig import Scan
+from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
+from annotator.types.errors import RecordingError
 
 # The rotating LiDAR triggers KITTI's sensors ten times a second.
 PERIOD_NS = 100_000_000
@@ -29,8 +31,10 @@ class KittiFolder(KeyedFrames, ABC):
 
     Attributes:
         images, scans: their folders, relative to `root`.
+        reader: reads the scans.
     """
 
+    reader: Scans = field(default_factory=Scans, kw_only=True)
     images: ClassVar[str]
     scans: ClassVar[str]
 
@@ -47,6 +51,7 @@ class KittiFolder(KeyedFrames, ABC):
             i,
             frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin"),
             self._scan_file(key),
+            self.reader,
             self.calibration(key),
             self._time_of(i),
         )
@@ -59,12 +64,12 @@ class KittiFolder(KeyedFrames, ABC):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        points = read_scan(self._scan_file(key))
+        points = self.reader.read(self._scan_file(key))
         calibration = self.calibration(key)
         return Scan(
-            points[:, :3].astype(np.float64),
+            points.xyz_m.astype(np.float64),
             None,
-            points[:, 3],
+            points.reflectance,
             level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
             np.zeros(3),
             calibration.T_camera_lidar.inv() * calibration.T_camera_label,
@@ -107,3 +112,16 @@ class KittiFolder(KeyedFrames, ABC):
             return None
         expected = f"{cls.images}/KEY.png and {cls.scans}/KEY.bin"
         return sorted_keys(root, stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",)), expected)
+
+
+def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:
+    """Refuses a folder of images and scans without a calibration, in place of an error for each frame.
+
+    Raises:
+        RecordingError: there is no `name`.
+    """
+    if not (root / name).exists():
+        raise RecordingError(
+            f"{root}: looks like {looks_like}: {name} is missing; copy it from the data set, or give the path of "
+            f"{scans} to label the scans without images"
+        )

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
-from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.kitti.folder import KittiFolder, require_calibration
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
+from annotator.recordings.scan_file import Scans
 
 LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
 
@@ -41,14 +43,15 @@ class KittiObject(KittiFolder):
         """Unrelated frames have no time."""
 
 
-def open_kitti_object(path: Path) -> KittiObject | NotFound:
+def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFound:
     """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none.
 
     Raises:
-        RecordingError: the folders exist but have no frame.
+        RecordingError: the folders exist but have no frame, or there is no calibration.
     """
     for root in (path, path / "training"):
         keys = KittiObject.keys_in(root)
         if keys is not None:
-            return KittiObject(path, keys, root)
+            require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
+            return KittiObject(path, keys, root, reader=Scans(options.columns))
     return NotFound(LOOKED_FOR)

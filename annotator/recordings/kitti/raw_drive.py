@@ -16,7 +16,9 @@ from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_raw_calibration
 from annotator.recordings.kitti.folder import PERIOD_NS, KittiFolder
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
+from annotator.recordings.scan_file import Scans
 from annotator.types.errors import FrameError
 
 LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, here or in the folder above)"
@@ -81,11 +83,11 @@ def _nanoseconds(line: str) -> int | None:
     return int(moment.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
 
 
-def open_kitti_raw(path: Path) -> KittiRaw | NotFound:
-    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one.
+def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
+    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one. Takes the option `columns`.
 
     Raises:
         RecordingError: the folders exist but have no frame.
     """
     keys = KittiRaw.keys_in(path)
-    return NotFound(LOOKED_FOR) if keys is None else KittiRaw(path, keys)
+    return NotFound(LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
-from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.kitti.folder import KittiFolder, require_calibration
+from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
+from annotator.recordings.scan_file import Scans
 
 LOOKED_FOR = "folders image_02/ and velodyne/ (and calib.txt)"
 
@@ -29,11 +31,14 @@ class KittiTracking(KittiFolder):
         return read_calibration(self.path / "calib.txt")
 
 
-def open_kitti_tracking(path: Path) -> KittiTracking | NotFound:
-    """Opens the KITTI tracking folder at `path`; `NotFound` if it is not one.
+def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | NotFound:
+    """Opens the KITTI tracking folder at `path`; `NotFound` if it is not one. Takes the option `columns`.
 
     Raises:
-        RecordingError: the folders exist but have no frame.
+        RecordingError: the folders exist but have no frame, or there is no calibration.
     """
     keys = KittiTracking.keys_in(path)
-    return NotFound(LOOKED_FOR) if keys is None else KittiTracking(path, keys)
+    if keys is None:
+        return NotFound(LOOKED_FOR)
+    require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")
+    return KittiTracking(path, keys, reader=Scans(options.columns))

@@ -19,13 +19,15 @@ from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.image_file import read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems, unread_note
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
 LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"
+# What is read here and by annotator.formats.
+READ = ("image", "calib", "depth", "points", "label", "*_data_idx.txt", "SUNRGBDMeta*.mat", "frames.csv", "classes.txt")
 CLOUD_REMEDY = "extract it again from the data set"
 # A cloud is organised if its points project to pixel centres within this distance.
 ON_PIXEL_PX = 0.05
@@ -44,6 +46,11 @@ class SunRgbdExtracted(KeyedFrames):
     clouds: Path
     format: ClassVar[str] = "sunrgbd_extracted"
     is_sequence: ClassVar[bool] = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        note = unread_note(self.path, READ, "label/KEY.txt")
+        return () if note is None else (note,)
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in upright depth (`T_camera_label`).

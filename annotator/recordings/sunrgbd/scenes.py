@@ -16,13 +16,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
-from jaxtyping import Float32, UInt16
-
 from annotator.geometry.projection import unproject_depth
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys
+from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys, unread_note
 from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rotated_depth import decode_depth
 from annotator.recordings.sunrgbd.calibration import read_scene_calibration
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -34,6 +32,9 @@ CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
 MOST_LEVELS = 5
 SCENE_MARKS = ("image", "extrinsics")
 DEPTH_FOLDERS = ("depth", "depth_bfx")
+LABELS = "annotation3Dfinal/index.json"
+# What is read here and by annotator.formats.
+READ = (MARK, *SCENE_MARKS, *DEPTH_FOLDERS, "annotation3Dfinal")
 KEY_SEPARATOR = "__"
 
 
@@ -48,6 +49,12 @@ class SunRgbdScenes(KeyedFrames):
     folders: tuple[str, ...]
     format: ClassVar[str] = "sunrgbd_scenes"
     is_sequence: ClassVar[bool] = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Names what the first scene has besides."""
+        note = unread_note(Path(self.folders[0]), READ, LABELS)
+        return () if note is None else (f"in the first scene, {note}",)
 
     @cached_property
     def scenes(self) -> tuple[Path, ...]:
@@ -89,12 +96,6 @@ class SunRgbdScenes(KeyedFrames):
             )
         cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3)[pixel], pixel_index=pixel)
         return Frame(key, i, camera, rgb, cloud, depth_m, calibration.up, calibration.T_camera_upright)
-
-
-def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Returns the metres of a SUN RGB-D depth image, whose bits are rotated left by three."""
-    millimetres = raw >> np.uint16(3) | raw << np.uint16(13)
-    return millimetres.astype(np.float32) / np.float32(1000)
 
 
 def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:

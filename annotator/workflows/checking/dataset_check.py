@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv.export import MANIFEST
 from annotator.types import Frame
-from annotator.types.errors import AnnotatorError, FormatError
+from annotator.types.errors import AnnotatorError, FormatError, UnclearError
 from annotator.workflows.checking import rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.box_rules import heading_jumps, odd_size_message, usual_sizes
@@ -109,7 +109,8 @@ class DatasetCheck:
             return self.source.read(index)
         except AnnotatorError as error:
             file = getattr(error, "path", self.source.path)
-            self.findings.add_error(_rule_of_file(file), error, self.source.path, frame=key)
+            rule = rules.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
+            self.findings.add_error(rule, error, self.source.path, frame=key)
         except Exception as error:
             # a bug of a reader in one frame must not stop the check of the others
             message = f"frame {key}: {type(error).__name__}: {error}; this is a bug of annotator's reader"

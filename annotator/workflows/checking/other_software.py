@@ -36,6 +36,7 @@ class OtherSoftwareDataset:
     Attributes:
         format: the format's name to display.
         is_recording: the folder has clouds or images beside the labels, so it may also be a recording.
+        opened_as: format of the recordings whose own labels these are; their boxes are checked there.
         read: reads the parts one by one, so that a fault in one does not affect the others.
     """
 
@@ -43,6 +44,7 @@ class OtherSoftwareDataset:
     format: str
     is_recording: bool
     read: Callable[[Path, OnFault], Iterator[Part]]
+    opened_as: str | None = None
 
     def parts(self, on_fault: OnFault) -> Iterator[Part]:
         """Yields the counts of each part.
@@ -60,9 +62,9 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
     if any((folder / "sample_annotation.json").is_file() for folder in path.glob("v1.0-*")):
         return OtherSoftwareDataset(path, "nuScenes tables", False, _nuscenes)
     if any(_is_openlabel(file) for file in path.glob("*.json")):
-        return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel)
+        return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel, "openlabel")
     if _is_labelcloud(path):
-        return OtherSoftwareDataset(path, "labelCloud labels", True, _labelcloud)
+        return OtherSoftwareDataset(path, "labelCloud labels", True, _labelcloud, "cloud_folder")
     if is_coco_dataset(path):
         return OtherSoftwareDataset(path, "COCO boxes", True, _coco)
     if _is_yolo(path):

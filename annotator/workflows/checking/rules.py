@@ -54,6 +54,11 @@ def _note(rule_id: str, meaning: str) -> Rule:
 UNREADABLE_DATASET = _error("unreadable-dataset", "a folder looks like a dataset but cannot be opened")
 MISSING_FILE = _error("missing-file", "a frame lacks one of its files, such as an image without its cloud")
 UNREADABLE_FILE = _error("unreadable-file", "a frame's file is damaged, or differs in size from those beside it")
+UNCLEAR_FILE = _error(
+    "unclear-file",
+    "how a file is to be read is not certain: the number of values per point in a `.bin`, or SUN RGB-D's depth in "
+    "an RGB-D folder",
+)
 UNREADABLE_CALIBRATION = _error(
     "unreadable-calibration", "a calibration lacks a matrix, or has an invalid camera matrix or rotation"
 )

@@ -208,6 +208,10 @@ def find_sources(path: Path) -> Iterator[SourceOrError]:
 def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
     dataset = other_software_dataset(path)
     if dataset is not None:
+        source = _with_own_labels(path, dataset)
+        if source is not None:
+            yield source
+            return
         yield dataset
         if not dataset.is_recording:
             return
@@ -224,6 +228,20 @@ def _below(path: Path, levels: int) -> Iterator[SourceOrError]:
     for child in sorted(path.iterdir()):
         if not child.name.startswith(".") and (child.is_dir() or child.suffix.lower() in FILE_SUFFIXES):
             yield from _below(child, levels - 1)
+
+
+def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None:
+    """Returns the recording whose own labels the sound dataset holds, so that its boxes can be checked."""
+    faults: list[FormatError] = []
+    try:
+        source = _open(path) if dataset.opened_as is not None else None
+    except AnnotatorError:
+        return None
+    if source is None or source.format != dataset.opened_as or source.labels is None:
+        return None
+    for _ in dataset.parts(faults.append):
+        pass
+    return None if faults else source
 
 
 def _open(path: Path) -> Source:

@@ -12,13 +12,21 @@ from jaxtyping import UInt8
 
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
+from annotator.formats.frames_csv import read_frames
 from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
 from annotator.formats.kitti.tracklets import read_tracklets
+from annotator.formats.labelcloud.model import CLASSES_FILE
+from annotator.formats.labelcloud.read import read_labelcloud_file
+from annotator.formats.labelcloud.write import LABELS
 from annotator.formats.masks import read_mask
 from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_sample_boxes
+from annotator.formats.rcv.export import MANIFEST
+from annotator.formats.rcv.read import RcvDataset, read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
 from annotator.recordings import Recording
 from annotator.recordings.argoverse.log import ArgoverseLog
+from annotator.recordings.clouds.cloud_folder import CloudFolder
+from annotator.recordings.exports.openlabel_folder import OpenLabelFolder
 from annotator.recordings.kitti.raw_drive import KittiRaw
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes.recording import NuScenes
@@ -26,6 +34,7 @@ from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
+from annotator.workflows.importing.formats_3d import LabelCloudLabels, OpenLabelLabels, RcvLabels, openlabel_labels
 
 # Generated recordings have their truth in a separate folder.
 TRUTH_FOLDER = "truth"
@@ -115,13 +124,17 @@ def label_file(recording: Recording, key: str) -> Path | None:
         labels = recording.scene(key) / SCENE_LABELS
         labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
         return labels if labelled else None
+    if isinstance(recording, OpenLabelFolder):
+        return recording.document(key)
+    if isinstance(recording, CloudFolder) and not (recording.root / LABELS / CLASSES_FILE).is_file():
+        return None
     folder = recording.tables if isinstance(recording, NuScenes) else recording.root
     for name in _PLACES.get(recording.format, ()):
         place = folder / name
         if place.is_file() and not (isinstance(recording, NuScenes) and place.stat().st_size <= EMPTY_LIST_BYTES):
             return place
         if place.is_dir():
-            return place / f"{key}.txt"
+            return place / f"{key}{_SUFFIXES.get(recording.format, '.txt')}"
     return None
 
 
@@ -226,6 +239,21 @@ def _from_scene(path: Path, key: str, frame: Frame) -> list[Truth]:
     return read_scene_labels(path, frame.T_camera_label)
 
 
+def _from_rcv(path: Path, key: str, frame: Frame) -> list[Truth]:
+    manifest = path.parent.parent / MANIFEST
+    labels = _rcv(manifest, *file_version(manifest)).labels(frame.index)
+    return RcvLabels(path, {key: labels}).truths(key, frame)
+
+
+def _from_openlabel(path: Path, key: str, frame: Frame) -> list[Truth]:
+    labels, names = _openlabel(path, *file_version(path))
+    return labels.truths(names.get(key, key), frame)
+
+
+def _from_labelcloud(path: Path, key: str, frame: Frame) -> list[Truth]:
+    return LabelCloudLabels(path, {key: read_labelcloud_file(path)}).truths(key, frame)
+
+
 def file_version(path: Path) -> tuple[int, int]:
     """Returns the modification time (ns) and size of a file, which identify its content in caches."""
     status = path.stat()
@@ -262,6 +290,19 @@ def _tracklets(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]
     return read_tracklets(path)
 
 
+@lru_cache(maxsize=4)
+def _rcv(path: Path, changed_ns: int, size: int) -> RcvDataset:
+    """As `_boxes` for the manifest of an `rcv` dataset."""
+    return read_rcv(path.parent)
+
+
+@lru_cache(maxsize=4)
+def _openlabel(path: Path, changed_ns: int, size: int) -> tuple[OpenLabelLabels, dict[str, str]]:
+    """As `_boxes` for a document; also returns the frames' names in it, by key."""
+    origins = read_frames(path.parent) or read_frames(path.parent.parent)
+    return openlabel_labels(path), {key: origin.name for key, origin in origins.items()}
+
+
 def _looked_for(recording: Recording) -> str:
     return " or ".join(_PLACES.get(recording.format, ())) or f"labels of the format {recording.format}"
 
@@ -275,7 +316,11 @@ _PLACES = {
     "argoverse2": (argoverse.ANNOTATIONS,),
     "sunrgbd_extracted": ("label",),
     "sunrgbd_scenes": (SCENE_LABELS,),
+    "rcv": (LABELS,),
+    "cloud_folder": (LABELS,),
 }
+# Suffix of the label files of single frames; others have .txt.
+_SUFFIXES = {"rcv": ".json", "cloud_folder": ".json"}
 _MASKED = frozenset({"rgbd_folder"})
 _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "rgbd_folder": _from_boxes_json,
@@ -284,4 +329,7 @@ _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "argoverse2": _from_annotations,
     "sunrgbd_extracted": _from_extracted,
     "sunrgbd_scenes": _from_scene,
+    "rcv": _from_rcv,
+    "openlabel": _from_openlabel,
+    "cloud_folder": _from_labelcloud,
 }

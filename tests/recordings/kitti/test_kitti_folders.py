@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from kitti_samples import HEIGHT, OBJECT_CALIB, P2, TRACKING_CALIB, WIDTH, by_fo
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
 from annotator.recordings.kitti.calibration import read_calibration
-from annotator.types.errors import FrameError
+from annotator.types.errors import FrameError, RecordingError
 
 
 @pytest.fixture
@@ -158,7 +159,6 @@ DAMAGES = [
     pytest.param(scan_path, points([[-5, 0, 0, 0.5]]), "none of its 1 points lies in the image", id="all-behind"),
     pytest.param(image_path, truncate, "the PNG image is truncated", id="truncated-image"),
     pytest.param(image_path, lambda p: p.write_bytes(b"x" * 99), "cannot be decoded", id="no-image"),
-    pytest.param(calib_path, Path.unlink, "the calibration is missing", id="no-calibration"),
     pytest.param(calib_path, without("P2"), "P2 is missing", id="no-p2"),
     pytest.param(calib_path, without("R"), "R0_rect or R_rect is missing", id="no-rectification"),
     pytest.param(calib_path, without("Tr"), "Tr_velo_to_cam or Tr_velo_cam is missing", id="no-lidar-pose"),
@@ -167,6 +167,19 @@ DAMAGES = [
     pytest.param(calib_path, replaced("P2: 7", "P2: -7"), "not a pinhole camera", id="p2-negative"),
     pytest.param(calib_path, lambda p: p.write_bytes(b"\xff\xfe\xfa"), "cannot be read", id="no-text"),
 ]
+
+
+def test_a_missing_calibration_is_an_error_of_its_frame_or_of_the_recording(folder: Path):
+    path = calib_path(folder)
+    path.unlink()
+    missing = "calib.txt"
+    if path.name != missing:
+        with pytest.raises(FrameError, match="the calibration is missing"):
+            open_recording(folder).frame(0)
+        shutil.rmtree(path.parent)
+        missing = "calib/"
+    with pytest.raises(RecordingError, match=f"looks like a KITTI .* folder: {missing} is missing; copy it"):
+        open_recording(folder)
 
 
 @pytest.mark.parametrize(("where", "damage", "complaint"), DAMAGES)

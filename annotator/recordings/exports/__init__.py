@@ -1,0 +1,1 @@
+"""Datasets that annotator exported, opened as recordings again."""

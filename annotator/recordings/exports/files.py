@@ -1,0 +1,72 @@
+"""The files of an exported frame: image and cloud in the camera's frame; and JSON documents."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from annotator.files import is_within
+from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
+from annotator.recordings.image_file import read_rgb
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError
+
+REMEDY = "export the dataset again"
+
+
+def read_document(path: Path) -> Any:
+    """Returns the content of a JSON file.
+
+    Raises:
+        FrameError: it cannot be read, or is not JSON.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise FrameError(path, f"cannot be read as JSON ({str(error)[:80]})", REMEDY) from error
+
+
+def exported_frame(
+    key: str,
+    index: int,
+    folder: Path,
+    files: tuple[str, str],
+    camera: Camera,
+    up: Float64[np.ndarray, "3"] | None,
+    timestamp_ns: int | None,
+) -> Frame:
+    """Reads the image and the cloud of a frame.
+
+    Args:
+        folder: the dataset.
+        files: paths of image and cloud in it.
+
+    Raises:
+        FrameError: a file is missing, broken, outside the dataset, or the image has another size than the camera.
+    """
+    image, cloud = (_inside(folder, name) for name in files)
+    rgb = read_rgb(image)
+    _check_size(image, rgb, camera)
+    if cloud.suffix.lower() not in CLOUD_SUFFIXES:
+        raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
+    raw = read_cloud(cloud)
+    points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
+    return Frame(key, index, camera, rgb, points, up=up, timestamp_ns=timestamp_ns)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    if not is_within(folder, name):
+        raise FrameError(folder / name[:60], "is outside the dataset", REMEDY)
+    return folder / name
+
+
+def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:
+    height, width = rgb.shape[:2]
+    if (width, height) != (camera.width_px, camera.height_px):
+        raise FrameError(
+            path, f"has {width} x {height} pixels, but its camera {camera.width_px} x {camera.height_px}", REMEDY
+        )

@@ -1,0 +1,189 @@
+"""`.bin` scans: rows of 32-bit floats without a header: x, y, z and, in rows of four or more, reflectance.
+
+How many values a row has is never guessed. It is said by an option, by the file's name or place, or by the values of
+several scans, if only one number is plausible (`scan_columns`). Without the option, each scan must agree.
+
+    *.pcd.bin, LIDAR_TOP/*.bin            5, nuScenes: x y z intensity ring
+    velodyne/*.bin, velodyne_points/...   4, KITTI: x y z reflectance
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, Never
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from annotator.recordings.plausible import LARGEST
+from annotator.recordings.scan_columns import BYTES_PER_VALUE, FEWEST, MOST, Evidence, weigh_columns
+from annotator.types.errors import FrameError, UnclearError
+
+SCAN_SUFFIX = ".bin"
+NUSCENES, KITTI = 5, 4
+NUSCENES_SUFFIX, NUSCENES_FOLDER = ".pcd.bin", "LIDAR_TOP"
+KITTI_FOLDERS = ("velodyne", "velodyne_points")
+# Maximum of reflectance values: fractions, 8 bits or 16 bits.
+REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
+# Scans of a folder that are examined together.
+SCANS = 8
+REMEDY = "copy the scan again from the data set"
+
+
+class ScanPoints(NamedTuple):
+    """Points in a scan's own frame, metres, and their reflectance 0..1, if the file has it."""
+
+    xyz_m: Float32[np.ndarray, "n 3"]
+    reflectance: Float32[np.ndarray, "n"] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """The `.bin` files of a recording.
+
+    Attributes:
+        columns: the option `columns`: values per point of all files, which are not examined then; None = not given.
+    """
+
+    columns: int | None = None
+    _found: dict[Path, Evidence] = field(default_factory=dict)
+
+    def read(self, path: Path) -> ScanPoints:
+        """Returns the valid points of a scan.
+
+        Points with a coordinate that is NaN, infinite or beyond `LARGEST` are left out, and those whose reflectance is
+        not finite.
+
+        Raises:
+            UnclearError: the number of values per point is not certain.
+            FrameError: the file is missing, empty, truncated, or has no valid point.
+        """
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise FrameError(
+                path, f"the scan cannot be read ({error.strerror})", "copy it from the data set"
+            ) from error
+        if not data:
+            raise FrameError(path, "the file is empty", REMEDY)
+        if len(data) % BYTES_PER_VALUE:
+            _raise_truncated(path, len(data), BYTES_PER_VALUE, "32-bit floats")
+        columns = self._columns(path, data)
+        if len(data) % (BYTES_PER_VALUE * columns):
+            _raise_truncated(path, len(data), BYTES_PER_VALUE * columns, f"{columns} 32-bit floats per point")
+        points = np.frombuffer(data, "<f4").reshape(-1, columns)
+        reflectance = points[:, 3] if columns > 3 and _is_reflectance(points[:, 3]) else None
+        # false also for infinity and NaN
+        valid = (np.abs(points[:, :3]) < LARGEST).all(axis=1)
+        if reflectance is not None:
+            valid &= np.isfinite(reflectance)
+        if not valid.any():
+            raise FrameError(path, "every point is NaN or infinite", REMEDY)
+        return ScanPoints(points[valid, :3], None if reflectance is None else fractions(reflectance[valid]))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was found by the values of the scans that were read so far."""
+        return tuple(
+            f"points in {folder.name}/*{SCAN_SUFFIX} have {found.columns} values each, which only their values say; "
+            "--columns sets another number"
+            for folder, found in self._found.items()
+            if found.columns is not None
+        )
+
+    def _columns(self, path: Path, data: bytes) -> int:
+        if self.columns is not None:
+            return self.columns
+        evidence = weigh_columns([data])
+        said = said_columns(path)
+        if said is not None:
+            columns, source = said
+            if evidence.columns not in (None, columns):
+                raise UnclearError(
+                    path,
+                    f"{source} says {columns} values per point, but its values look like rows of {evidence.columns}",
+                    f"give --columns {evidence.columns} (or {columns} to read it so all the same)",
+                )
+            return columns
+        found = self._of_folder(path, data)
+        if found.columns is None:
+            _refuse(path, found)
+        if evidence.columns not in (None, found.columns):
+            raise UnclearError(
+                path,
+                f"the folder's scans have {found.columns} values per point, but those of this one look like rows of "
+                f"{evidence.columns}",
+                "put scans of different sensors into different folders, or give --columns",
+            )
+        return found.columns
+
+    def _of_folder(self, path: Path, data: bytes) -> Evidence:
+        """Returns what this and some other scans of its folder say."""
+        folder = path.parent
+        if folder in self._found:
+            return self._found[folder]
+        others = sorted(file for file in folder.iterdir() if file.suffix.lower() == SCAN_SUFFIX and file != path)
+        chosen = [
+            others[i] for i in np.unique(np.linspace(0, len(others) - 1, min(SCANS - 1, len(others))).astype(int))
+        ]
+        # in a mirror of remote storage, the files of other frames may be empty
+        scans = [data, *filter(None, map(_content, chosen))]
+        evidence = weigh_columns(scans)
+        alone = sorted({columns for scan in scans if (columns := weigh_columns([scan]).columns) is not None})
+        if len(alone) > 1:
+            evidence = Evidence(
+                None, tuple(alone), f"its folder has scans like rows of {' and of '.join(map(str, alone))}"
+            )
+        if evidence.columns is not None or len(scans) > len(chosen):
+            self._found[folder] = evidence
+        return evidence
+
+
+def said_columns(path: Path) -> tuple[int, str] | None:
+    """Returns the number of values per point that a scan's name or place says, and which of them; None if neither."""
+    if path.name.lower().endswith(NUSCENES_SUFFIX):
+        return NUSCENES, f"its name (*{NUSCENES_SUFFIX}, nuScenes)"
+    folders = path.parent.parts[-2:]
+    if NUSCENES_FOLDER in folders:
+        return NUSCENES, f"its place ({NUSCENES_FOLDER}/, nuScenes)"
+    name = next((folder for folder in folders if folder in KITTI_FOLDERS), None)
+    return None if name is None else (KITTI, f"its place ({name}/, KITTI)")
+
+
+def _raise_truncated(path: Path, size: int, unit: int, what: str) -> Never:
+    raise FrameError(
+        path,
+        f"the scan is truncated: {size} bytes are not a multiple of {unit} ({what})",
+        REMEDY + ", or remove the frame",
+    )
+
+
+def _is_reflectance(values: Float32[np.ndarray, "n"]) -> bool:
+    """False if a row's fourth values are something else: velocities, times, bit patterns."""
+    known = values[np.isfinite(values)]
+    return len(known) * 2 > len(values) and bool((known >= 0).all() and (known <= REFLECTANCE_SCALES[-1]).all())
+
+
+def fractions(values: Float[np.ndarray, "n"]) -> Float32[np.ndarray, "n"]:
+    """Returns reflectances as 0..1: of the usual scales, theirs is the first that holds all of them."""
+    highest = float(values.max(initial=0.0))
+    scale = next((scale for scale in REFLECTANCE_SCALES if highest <= scale), highest)
+    return np.clip(values.astype(np.float64) / scale, 0, 1).astype(np.float32)
+
+
+def _content(path: Path) -> bytes:
+    """Returns a file's content; empty if it cannot be read, which is reported when its own frame is read."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _refuse(path: Path, evidence: Evidence) -> Never:
+    possible = ", ".join(map(str, evidence.candidates)) or f"none of {FEWEST} to {MOST}"
+    raise UnclearError(
+        path,
+        f"the number of values per point is not certain: {evidence.reason} (possible: {possible})",
+        "give --columns N if its points are rows of N 32-bit floats, x y z first, in metres; else save them as .npy",
+    )

@@ -1,0 +1,207 @@
+"""`.bin` scans are read with the right number of values per point, or refused with what to do."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cloud_samples import SCAN, put_image
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kitti_samples import OBJECT_CALIB, TRACKING_CALIB
+
+from annotator.cli.main import main
+from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.scan_columns import weigh_columns
+from annotator.recordings.scan_file import Scans, said_columns
+from annotator.types.errors import ConfigError, FrameError, UnclearError
+from annotator.workflows.checking.check import check_datasets
+from benchmarks.column_scans import OTHERS, make_set
+
+RANDOM = np.random.default_rng(3)
+COUNT = len(SCAN)
+# Like SCAN: x y z, then intensity, ring, time, and more.
+WIDE = np.column_stack(
+    [
+        SCAN,
+        RANDOM.integers(0, 64, COUNT),
+        np.linspace(0, 0.1, COUNT),
+        RANDOM.normal(0, 3, COUNT),
+        np.ones(COUNT),
+    ]
+).astype(np.float32)
+
+
+def put(folder: Path, name: str, columns: int, count: int = COUNT) -> Path:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(WIDE[:count, :columns].tobytes())
+    return path
+
+
+@given(st.integers(100_000, 200_000))
+@settings(max_examples=20, deadline=None)
+def test_made_up_scans_are_never_taken_for_others(seed: int):
+    made = make_set(seed)
+    for scans in (made.scans, made.scans[:1]):
+        assert weigh_columns(scans).columns in (made.columns, None)
+
+
+def test_most_made_up_scans_are_recognised():
+    sets = [make_set(seed) for seed in range(300, 340)]
+    assert {made.columns for made in sets} == set(range(3, 9))
+    assert sum(weigh_columns(made.scans).columns == made.columns for made in sets) >= 36
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_files_are_refused(tmp_path: Path, name: str):
+    for seed in range(3):
+        path = tmp_path / f"{seed}.bin"
+        path.write_bytes(OTHERS[name](np.random.default_rng(seed)))
+        with pytest.raises(FrameError):
+            Scans().read(path)
+
+
+@pytest.mark.parametrize("columns", range(3, 9))
+def test_a_folder_of_scans_is_read_by_its_values(tmp_path: Path, columns: int):
+    for number in range(3):
+        put(tmp_path, f"{number}.bin", columns, COUNT - number)
+    recording = open_recording(tmp_path)
+    cloud = recording.frame(1).cloud
+    assert f"have {columns} values each, which only their values say" in recording.notes[0]
+    assert len(cloud) == COUNT - 1
+    np.testing.assert_allclose(cloud.xyz_m[:, 2], SCAN[: COUNT - 1, 0], atol=1e-6)
+    assert (cloud.reflectance is None) == (columns == 3)
+
+
+@pytest.mark.parametrize(
+    ("place", "columns"),
+    [
+        ("velodyne/000001.bin", 4),
+        ("velodyne_points/data/0000000001.bin", 4),
+        ("sweeps/LIDAR_TOP/a.bin", 5),
+        ("points/a__LIDAR_TOP__1.pcd.bin", 5),
+        ("points/a.bin", None),
+    ],
+)
+def test_name_and_place_say_the_columns(tmp_path: Path, place: str, columns: int | None):
+    said = said_columns(tmp_path / place)
+    assert (said and said[0]) == columns
+
+
+def test_values_that_contradict_name_or_place_are_refused(tmp_path: Path):
+    for columns, place in ((6, "velodyne/1.bin"), (4, "points/1.pcd.bin")):
+        with pytest.raises(UnclearError, match=f"its (place|name) .* but its values look like rows of {columns}; give"):
+            Scans().read(put(tmp_path, place, columns))
+        assert len(Scans(columns).read(tmp_path / place).xyz_m) == COUNT
+
+
+@pytest.mark.parametrize("images", ["image_2", "image_02"])
+def test_kitti_folders_with_other_scans_are_refused_unless_the_option_says_so(tmp_path: Path, images: str):
+    """Six floats a point, in KITTI's folders: mmdetection3d writes Waymo's scans so."""
+    put(tmp_path, "velodyne/000001.bin", 6)
+    put_image(tmp_path / images / "000001.png", 1)
+    (tmp_path / "calib").mkdir()
+    (tmp_path / "calib" / "000001.txt").write_text(OBJECT_CALIB)
+    (tmp_path / "calib.txt").write_text(TRACKING_CALIB)
+    with pytest.raises(UnclearError, match="look like rows of 6"):
+        open_recording(tmp_path).frame(0)
+    frame = open_recording(tmp_path, ReaderOptions(columns=6)).frame(0)
+    put(tmp_path, "velodyne/000001.bin", 4)
+    kitti = open_recording(tmp_path).frame(0)
+    np.testing.assert_array_equal(frame.cloud.xyz_m, kitti.cloud.xyz_m)
+    np.testing.assert_array_equal(frame.cloud.reflectance, kitti.cloud.reflectance)
+
+
+def test_scans_of_two_sensors_in_a_folder_are_refused(tmp_path: Path):
+    for number in range(40):
+        put(tmp_path, f"{number}.bin", 4)
+    put(tmp_path, "12.bin", 6)  # not among the scans that are examined first
+    recording = open_recording(tmp_path)
+    assert len(recording.frame(0).cloud) == COUNT
+    with pytest.raises(UnclearError, match=r"12\.bin: the folder's scans have 4 values .* look like rows of 6"):
+        recording.frame(12)
+    for number in range(13, 40):
+        (tmp_path / f"{number}.bin").unlink()
+    put(tmp_path, "9.bin", 6)
+    with pytest.raises(UnclearError, match="its folder has scans like rows of 4 and of 6"):
+        open_recording(tmp_path).frame(0)
+
+
+def test_a_truncated_scan_among_whole_ones_is_an_error_of_its_frame(tmp_path: Path):
+    for number in range(4):
+        put(tmp_path, f"{number}.bin", 4)
+    (tmp_path / "1.bin").write_bytes((tmp_path / "1.bin").read_bytes()[:-4])
+    recording = open_recording(tmp_path)
+    assert len(recording.frame(0).cloud) == COUNT
+    with pytest.raises(FrameError, match=r"1\.bin: the scan is truncated"):
+        recording.frame(1)
+
+
+def test_a_refusal_names_the_candidates(tmp_path: Path):
+    shuffled = np.random.default_rng(0).uniform(-1, 1, (600, 3)).astype(np.float32)
+    (tmp_path / "a.bin").write_bytes(shuffled.tobytes())
+    with pytest.raises(UnclearError, match=r"not certain: .* \(possible: 3, 4, 5, 6, 8\); give --columns N"):
+        open_recording(tmp_path).frame(0)
+    frame = open_recording(tmp_path, ReaderOptions(columns=3)).frame(0)
+    np.testing.assert_allclose(frame.cloud.xyz_m[:, 2], shuffled[:, 0], atol=1e-6)
+
+
+def test_beams_that_fire_in_turns_are_uncertain():
+    """Every second point is alike, as in rows of twice as many values."""
+    azimuth = np.linspace(0, 6 * np.pi, 8000)
+    distance = np.tile([7.0, 60.0], 4000) * np.random.default_rng(0).uniform(0.9, 1.1, 8000)
+    z = np.tile([-1.8, 9.0], 4000)
+    xyz = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), z], axis=1).astype(np.float32)
+    evidence = weigh_columns([xyz.tobytes()])
+    assert (evidence.columns, evidence.candidates) == (None, (3, 6))
+
+
+def test_only_reflectances_are_read_as_reflectance(tmp_path: Path):
+    for name, fourth, expected in (
+        ("a", SCAN[:, 3] * 255, SCAN[:, 3]),
+        ("b", SCAN[:, 3] - 0.5, None),
+        ("c", np.full(COUNT, 1.5e9), None),
+    ):
+        path = tmp_path / f"{name}.bin"
+        path.write_bytes(np.column_stack([SCAN[:, :3], fourth]).astype(np.float32).tobytes())
+        scan = Scans(4).read(path)
+        assert len(scan.xyz_m) == COUNT
+        assert (scan.reflectance is None) == (expected is None)
+        if expected is not None:
+            np.testing.assert_allclose(scan.reflectance, expected, atol=1e-6)
+
+
+def test_the_option_is_stored_with_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    scan = np.random.default_rng(0).uniform(2, 9, (600, 3)).astype(np.float32)
+    (tmp_path / "take").mkdir()
+    (tmp_path / "take" / "a.bin").write_bytes(scan.tobytes())
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "cars", "--classes", "car"]) == 0
+    assert main(["add", "cars", "take"]) == 2
+    assert "give --columns N" in capsys.readouterr().err.replace("\n", " ")
+    assert main(["add", "cars", "take", "--columns", "3"]) == 0
+    with pytest.raises(ConfigError, match="takes --columns, not --camera"):
+        open_recording(tmp_path / "take", ReaderOptions(camera="left"))
+
+
+def test_check_reports_unclear_scans(tmp_path: Path):
+    put(tmp_path, "velodyne/1.bin", 6)
+    report = check_datasets(tmp_path)
+    assert [finding.rule for finding in report.findings] == ["unclear-file"]
+
+
+@pytest.mark.shared
+def test_real_scans_are_read_by_name_and_by_their_values(shared: Path, tmp_path: Path):
+    files = [*sorted((shared / "data").glob("kitti*/**/*.bin")), *(shared / "data").glob("nuscenes*/*.bin")]
+    assert len(files) == 31
+    for file in files:
+        columns = 5 if "nuscenes" in str(file) else 4
+        expected = np.fromfile(file, "<f4").reshape(-1, columns)[:, :3]
+        np.testing.assert_array_equal(Scans().read(file).xyz_m, expected)
+        alone = shutil.copy(file, tmp_path / "scan.bin")
+        np.testing.assert_array_equal(Scans().read(alone).xyz_m, expected)

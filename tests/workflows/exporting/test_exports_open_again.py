@@ -1,0 +1,195 @@
+"""Exports open as recordings: clouds, images, cameras, up directions, times and labels are those of the project."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.recordings import Recording, detect_format, open_recording
+from annotator.types import Frame, Source
+from annotator.types.errors import FrameError, RecordingError
+from annotator.workflows.checking.check import check_datasets
+from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, Split, export_project
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.own_labels import import_own_labels
+from annotator.workflows.recorded.reading import has_truth, load_truth
+
+MakeProject = Callable[..., Project]
+ALL = ExportFilter(empty_frames=True)
+# Format, its reader, and how far corners of boxes and points may be off: KITTI's boxes lose the camera's tilt.
+CASES = [
+    pytest.param(ExportFormat.RCV, "rcv", 1e-6, 0.0, id="rcv"),
+    pytest.param(ExportFormat.OPENLABEL, "openlabel", 1e-6, 0.0, id="openlabel"),
+    pytest.param(ExportFormat.LABELCLOUD, "cloud_folder", 1e-6, 1e-5, id="labelcloud"),
+    pytest.param(ExportFormat.KITTI, "kitti_object", 0.3, 1e-5, id="kitti"),
+    pytest.param(ExportFormat.SUNRGBD, "sunrgbd_extracted", 1e-4, 1e-5, id="sunrgbd"),
+]
+# Formats that keep the image as it is, the up direction, and times.
+LOSSLESS, KEEP_UP, KEEP_TIMES = {"rcv", "openlabel", "labelcloud", "kitti"}, {"rcv", "labelcloud", "sunrgbd"}, {"rcv"}
+
+
+@pytest.fixture
+def people(make_project: MakeProject, generated: Path) -> Project:
+    """A project with the true boxes of the generated people."""
+    project = make_project(generated / "people")
+    import_own_labels(project, project.recordings.all()[0].id)
+    return project
+
+
+def in_order(project: Project, recording: Recording) -> Iterator[tuple[Frame, Frame, int, int]]:
+    """Pairs of the exported frame that was opened and the project's frame; index of the former, id of the latter."""
+    source = FrameSource(project)
+    stored = project.frames.of()
+    assert len(recording) == len(stored)
+    for index, each in enumerate(stored):
+        yield recording.frame(index), source.read(each), index, each.id
+
+
+@pytest.mark.parametrize(("format", "reader", "box_m", "point_m"), CASES)
+def test_an_export_opens_with_its_labels(
+    people: Project, tmp_path: Path, format: ExportFormat, reader: str, box_m: float, point_m: float
+) -> None:
+    export_project(people, tmp_path / "out", format, choose=ALL)
+    recording = open_recording(tmp_path / "out")
+    assert (recording.format, detect_format(tmp_path / "out"), recording.notes) == (reader, reader, ())
+    assert has_truth(recording)
+    boxes = 0
+    for opened, known, index, frame_id in in_order(people, recording):
+        assert (opened.camera.width_px, opened.camera.height_px) == (known.camera.width_px, known.camera.height_px)
+        np.testing.assert_allclose(opened.camera.matrix, known.camera.matrix, atol=1e-9)
+        np.testing.assert_allclose(opened.cloud.xyz_m, known.cloud.xyz_m, atol=point_m)
+        np.testing.assert_array_equal(opened.cloud.rgb, known.cloud.rgb)
+        if format.value in LOSSLESS:
+            np.testing.assert_array_equal(opened.rgb, known.rgb)
+        assert np.abs(opened.rgb.astype(int) - known.rgb).mean() < 3
+        if format.value in KEEP_UP:
+            np.testing.assert_allclose(opened.up, known.up, atol=1e-6)
+        if format.value in KEEP_TIMES:
+            assert opened.timestamp_ns == known.timestamp_ns
+        labels, truths = people.labels.of_frame(frame_id), load_truth(recording, index, opened)
+        assert [truth.label for truth in truths] == [label.label for label in labels]
+        for truth, label in zip(truths, labels, strict=True):
+            np.testing.assert_allclose(box_corners(truth.box), box_corners(label.box), atol=box_m)
+        boxes += len(truths)
+    assert boxes >= 5
+
+
+@pytest.mark.parametrize(("format", "reader", "box_m", "point_m"), CASES)
+def test_an_opened_export_is_labelled_and_checked(
+    people: Project, make_project: MakeProject, tmp_path: Path, format: ExportFormat, reader: str, box_m: float,
+    point_m: float,
+) -> None:  # fmt: skip
+    report = export_project(people, tmp_path / "out", format, choose=ALL)
+    again = make_project(tmp_path / "out")
+    counts = import_own_labels(again, again.recordings.all()[0].id)
+    assert (counts.labels.total(), counts.unreadable) == (report.objects, [])
+    checked = check_datasets(tmp_path / "out")
+    assert [(each.format, each.frames, each.labels) for each in checked.datasets] == [(reader, 5, report.objects)]
+    assert "unchecked-dataset" not in {finding.rule for finding in checked.findings}
+
+
+@pytest.mark.parametrize("format", [ExportFormat.OPENLABEL, ExportFormat.LABELCLOUD])
+def test_a_part_of_a_divided_export_opens(people: Project, tmp_path: Path, format: ExportFormat) -> None:
+    report = export_project(people, tmp_path / "out", format, choose=ALL, split=Split({"train": 0.6, "val": 0.4}))
+    assert report.splits == {"train": 3, "val": 2}
+    for part, frames in report.splits.items():
+        recording = open_recording(tmp_path / "out" / part)
+        assert len(recording) == frames
+        assert sum(len(load_truth(recording, i, recording.frame(i))) for i in range(frames)) > 0
+
+
+def test_the_clouds_of_a_nuscenes_export_are_read_with_five_values_a_point(people: Project, tmp_path: Path) -> None:
+    """Read with four, they were noise, or called truncated."""
+    export_project(people, tmp_path / "out", ExportFormat.NUSCENES, choose=ALL)
+    recording = open_recording(tmp_path / "out" / "samples" / "LIDAR_TOP")
+    source = FrameSource(people)
+    counts = sorted(len(source.read(stored).cloud) for stored in people.frames.of())
+    assert sorted(len(recording.frame(i).cloud) for i in range(len(recording))) == counts
+    first = np.sort(np.linalg.norm(recording.frame(0).cloud.xyz_m, axis=1))
+    known = [np.sort(np.linalg.norm(source.read(stored).cloud.xyz_m, axis=1)) for stored in people.frames.of()]
+    assert min(np.abs(first - each).max() for each in known if len(each) == len(first)) < 1e-5
+
+
+@pytest.mark.parametrize("vertices", [False, True])
+def test_labelclouds_forms_of_boxes_are_read(people: Project, tmp_path: Path, vertices: bool) -> None:
+    options = ExportOptions(vertices=vertices)
+    export_project(people, tmp_path / "out", ExportFormat.LABELCLOUD, choose=ALL, options=options)
+    recording = open_recording(tmp_path / "out")
+    (first, *_), frame = people.labels.of_frame(people.frames.of()[0].id), recording.frame(0)
+    np.testing.assert_allclose(box_corners(load_truth(recording, 0, frame)[0].box), box_corners(first.box), atol=1e-6)
+
+
+def test_only_reviewed_boxes_of_an_export_are_labels(people: Project, tmp_path: Path) -> None:
+    stored = people.frames.of()[0]
+    box = people.labels.of_frame(stored.id)[0].box
+    revision = people.frames.get(stored.id).revision
+    made = people.labels.create(stored.id, [NewLabel("person", box)], WriteContext(revision, "me", Source.MANUAL))
+    people.labels.reject(stored.id, made.uids[0], WriteContext(made.receipt.revision, "me"))
+    known = len(people.labels.of_frame(stored.id)) - 1
+    for format in (ExportFormat.RCV, ExportFormat.OPENLABEL):
+        every = ExportFilter(
+            empty_frames=True, states=tuple({each.state for each in people.labels.of_frame(stored.id)})
+        )
+        export_project(people, tmp_path / format.value, format, choose=every)
+        recording = open_recording(tmp_path / format.value)
+        assert len(load_truth(recording, 0, recording.frame(0))) == known
+
+
+def test_several_recordings_are_one(make_project: MakeProject, generated: Path, tmp_path: Path) -> None:
+    project = make_project(generated / "people", generated / "hands")
+    for format, reader in ((ExportFormat.RCV, "rcv"), (ExportFormat.OPENLABEL, "openlabel")):
+        report = export_project(project, tmp_path / reader, format, choose=ALL)
+        recording = open_recording(tmp_path / reader)
+        assert len(recording) == len(set(recording.keys)) == report.frames
+        sizes = {recording.frame(i).rgb.shape for i in range(len(recording))}
+        assert len(sizes) == len({FrameSource(project).read(each).rgb.shape for each in project.frames.of()})
+
+
+@pytest.mark.shared
+def test_extras_of_sun_rgbd_are_named_as_ignored(shared: Path, tmp_path: Path) -> None:
+    folder = shared / "data" / "sunrgbd"
+    (note,) = open_recording(folder / "imvotenet").notes
+    assert note == "not read: FasterRCNN_labels/, boxes.json; labels are read from label/KEY.txt"
+    assert open_recording(folder / "sunrgbd_trainval").notes == ()
+
+
+def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def test_damaged_exports_are_errors(people: Project, tmp_path: Path) -> None:
+    rcv, openlabel = tmp_path / "rcv", tmp_path / "openlabel"
+    export_project(people, rcv, ExportFormat.RCV, choose=ALL)
+    export_project(people, openlabel, ExportFormat.OPENLABEL, choose=ALL)
+    first = open_recording(rcv).keys[0]
+    label = rcv / "labels" / f"{first}.json"
+    for change, complaint in (
+        (lambda record: record.update(image="../secret.png"), "outside the dataset"),
+        (lambda record: record.update(cloud="labels/x.json"), "is none of"),
+        (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
+        (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
+        (lambda record: record["camera"].update(width_px=7), "but its camera 7 x"),
+    ):
+        sound = label.read_text()
+        changed(label, change)
+        with pytest.raises(FrameError, match=complaint):
+            open_recording(rcv).frame(0)
+        label.write_text(sound)
+        open_recording(rcv).frame(0)
+    (document,) = openlabel.glob("*.json")
+    changed(document, lambda content: content["openlabel"]["streams"]["camera"].pop("stream_properties"))
+    with pytest.raises(RecordingError, match=r"is not a document of annotator \(KeyError 'stream_properties'\)"):
+        open_recording(openlabel).frame(0)
+    (rcv / "dataset.json").write_text('{"format": "annotator-rcv", "version": 1, "frames": []}')
+    with pytest.raises(RecordingError, match="no frames"):
+        open_recording(rcv)
+    (rcv / "dataset.json").write_text('{"format": "other"}')
+    assert detect_format(rcv) != "rcv"
