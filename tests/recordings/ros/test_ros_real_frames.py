@@ -10,7 +10,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings import open_recording
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.kitti.frame import read_scan
 from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.recording import RosBag, message
 from annotator.types import Camera
@@ -122,6 +121,11 @@ def test_a_real_realsense_recording(shared: Path):
     np.testing.assert_allclose(back[:, 2], expected_m, atol=1e-6)
     assert len(frame.cloud) > 100_000
     assert frame.depth_m is not None and frame.timestamp_ns == 360_713_523_000
+
+
+def read_scan(path: Path) -> np.ndarray:
+    """The x y z reflectance of a KITTI scan."""
+    return np.fromfile(path, "<f4").reshape(-1, 4)
 
 
 def assert_same_camera(camera: Camera, expected: Camera) -> None:
