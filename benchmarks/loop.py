@@ -1,7 +1,7 @@
 """The whole loop: a simulated operator labels frames, both detectors are trained, and RCV proposes on other frames.
 
     python -m benchmarks.loop TRAIN_DIR [TEST_DIR] [--operator silhouette|box] [--upright | --free]
-        [--model yolov5nu] [--json]
+        [--weights never] [--minutes N] [--model yolov5nu] [--json]
 
 With one folder, every second frame is for training and the others for testing. The ground truth is used only by the
 simulated operator on the training frames and to score the proposals on the test frames. The operator `silhouette` draws
@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -71,6 +71,8 @@ class Arguments:
     """Epochs of both training runs; None = as many as show the default number of images."""
     model: str | None = None
     """Name of an ultralytics detection model for both detectors; None = the default of each."""
+    weights: Literal["auto", "never"] = "auto"
+    """What the view detector starts from: auto = the base detector, never = random weights."""
     size: int | None = None
     """Longer side of the pseudo-views, rendered and in the network, pixels; None = the default."""
     refine_steps: int | None = None
@@ -270,7 +272,9 @@ def plan(args: Arguments) -> TrainPlan:
     changes = dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model
-    view_changes = changes if args.size is None else changes | {"image_size_px": args.size}
+    view_changes = changes | {"pretrained": args.weights}
+    if args.size is not None:
+        view_changes["image_size_px"] = args.size
     return TrainPlan(
         image=IMAGE_DEFAULTS.model_copy(update=changes),
         view=VIEW_DEFAULTS.model_copy(update=view_changes),
