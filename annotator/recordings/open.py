@@ -91,7 +91,10 @@ def _scanned(path: Path, name: str, recording: Recording) -> Scanned:
         ConfigError: the recording has no scans that look all around.
     """
     if not isinstance(recording, Scanned):
-        raise ConfigError(f"{path}: is read as {name}, which has no LiDAR, so it takes no {option_flag('look_around')}")
+        raise ConfigError(
+            f"{path}: is read as {name}, which takes no {option_flag('look_around')}; only scans of KITTI, nuScenes, "
+            "Argoverse 2 and folders of point clouds do"
+        )
     return recording
 
 
