@@ -192,6 +192,8 @@ BROKEN: list[tuple[str, Callable[[list[dict[str, Any]]], Any], str]] = [
         lambda rows: rows[-1].update(timestamp=2**63),
         r"the row at byte \d+: timestamp: Input should be less than",
     ),
+    ("sample_data", lambda rows: rows[-1].update(filename="/dev/zero"), "filename: .*must be a path in the dataset"),
+    ("sample_data", lambda rows: rows[-1].update(filename="a/../../b"), "filename: .*must be a path in the dataset"),
     ("ego_pose", lambda rows: rows.pop(), r"refers to LIDAR_TOP1-5, which is not in ego_pose\.json"),
     ("calibrated_sensor", lambda rows: rows.pop(0), r"refers to c-CAM_BACK, which is not in calibrated_sensor\.json"),
     ("scene", lambda rows: rows.clear(), r"scene\.json: has no scene"),
