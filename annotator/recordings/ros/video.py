@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.decode import byte_array, message
+from annotator.recordings.video_file import STRICT, STRICTEST
 
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
 # Encoders put a key frame every few seconds.
@@ -38,19 +39,25 @@ def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"
         packets.append(byte_array(message(topic, before).data).tobytes())
     if not is_key_frame(form, packets[-1]):
         raise ValueError(f"has no key frame among the {len(packets)} pictures before it")
-    picture = None
+    pictures = []
     try:
         decoder: Any = av.CodecContext.create(CODECS[form], "r")
-        for packet in reversed(packets):
-            for decoded in decoder.decode(av.Packet(packet)):
-                picture = decoded
-        for decoded in decoder.decode(None):
-            picture = decoded
+        decoder.options = {"err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT}
+        for number, packet in enumerate([*reversed(packets), None], 1):
+            encoded = None if packet is None else av.Packet(packet)
+            if encoded is not None:
+                encoded.pts = number
+            # only the last one is kept
+            for picture in decoder.decode(encoded):
+                pictures = [picture]
+                if picture.is_corrupt:
+                    raise ValueError("a picture is incomplete")
     except (av.FFmpegError, ValueError) as error:
         raise ValueError(f"its video cannot be decoded ({error})") from error
-    if picture is None:
+    # of a message without a picture, an earlier one would be shown
+    if not pictures or pictures[-1].pts != len(packets):
         raise ValueError("its video has no picture here")
-    return np.asarray(picture.to_ndarray(format="rgb24"))
+    return np.asarray(pictures[-1].to_ndarray(format="rgb24"))
 
 
 def is_key_frame(form: str, data: bytes) -> bool:
