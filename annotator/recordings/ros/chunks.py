@@ -16,8 +16,8 @@ from annotator.types.errors import MissingExtraError
 
 # Limit of a chunk's content; recorders write some megabytes.
 MOST_BYTES = 1 << 29
-# Contents that are kept: the messages of a frame are often in the same chunks.
-MOST_KEPT, MOST_KEPT_BYTES = 16, 1 << 26
+# Contents that are kept, of all files together: the messages of a frame are often in the same chunks.
+MOST_KEPT, MOST_KEPT_BYTES = 64, 1 << 26
 PIECE = 1 << 16
 # Compressed bytes of a message that contain its head: the largest block of zstd.
 HEAD_OF_MESSAGE = 1 << 18
@@ -42,14 +42,37 @@ class Chunk:
     checksum: int = 0
 
 
+class Kept:
+    """The contents of chunks that were read last, for all threads; a bag may have hundreds of files."""
+
+    def __init__(self) -> None:
+        self._contents: OrderedDict[tuple[Chunks, int], bytes] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, chunks: Chunks, number: int) -> bytes:
+        """Returns the content of a chunk as far as it is kept."""
+        with self._lock:
+            return self._contents.get((chunks, number), b"")
+
+    def keep(self, chunks: Chunks, number: int, content: bytes) -> None:
+        """Keeps the content of a chunk, and forgets the oldest ones beyond the limits."""
+        with self._lock:
+            self._contents[chunks, number] = content
+            self._contents.move_to_end((chunks, number))
+            total = sum(map(len, self._contents.values()))
+            while len(self._contents) > 1 and (len(self._contents) > MOST_KEPT or total > MOST_KEPT_BYTES):
+                total -= len(self._contents.popitem(last=False)[1])
+
+
+KEPT = Kept()
+
+
 class Chunks:
     """Reads the chunks of a file. A chunk is decompressed only as far as its messages are needed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.all: list[Chunk] = []
-        self._kept: OrderedDict[int, bytes] = OrderedDict()
-        self._lock = Lock()
 
     def add(self, chunk: Chunk) -> int:
         """Adds a chunk and returns its number."""
@@ -69,12 +92,11 @@ class Chunks:
         if chunk.compression in UNCOMPRESSED:
             return self._stored(chunk.at + start, min(size, chunk.size - start)) if start < chunk.size else b""
         end = min(start + size, chunk.full_size)
-        with self._lock:
-            content = self._kept.get(number, b"")
+        content = KEPT.get(self, number)
         if len(content) < end:
             # more than is asked for, so that a chunk of many messages is not decompressed for each of them
             content = self._unpacked(chunk, end, min(max(end, 2 * len(content), PIECE), chunk.full_size))
-            self._keep(number, content)
+            KEPT.keep(self, number, content)
         return content[start : start + size]
 
     def sound(self, number: int) -> bytes:
@@ -91,14 +113,6 @@ class Chunks:
         if chunk.checksum and len(content) == chunk.full_size and crc32(content) != chunk.checksum:
             raise ValueError("the checksum of a chunk is wrong")
         return content
-
-    def _keep(self, number: int, content: bytes) -> None:
-        with self._lock:
-            self._kept[number] = content
-            self._kept.move_to_end(number)
-            total = sum(map(len, self._kept.values()))
-            while len(self._kept) > 1 and (len(self._kept) > MOST_KEPT or total > MOST_KEPT_BYTES):
-                total -= len(self._kept.popitem(last=False)[1])
 
     def _pieces(self, chunk: Chunk) -> Iterator[bytes]:
         with self.path.open("rb") as file:
