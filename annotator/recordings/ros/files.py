@@ -55,7 +55,8 @@ def _open(path: Path, state: tuple[tuple[str, int, int], ...]) -> Bag:
     if path.is_file():
         return join(path, [_open_file(path)])
     metadata, files = _metadata(path), _files_in(path)
-    declared = [path / Path(str(name)).name for name in metadata.get("relative_file_paths") or ()]
+    names = metadata.get("relative_file_paths")
+    declared = [path / Path(str(name)).name for name in names] if isinstance(names, list) else []
     missing = [file.name for file in declared if not file.is_file()]
     compression = str(metadata.get("compression_mode") or "").lower()
     if missing:
@@ -95,7 +96,8 @@ def _metadata(folder: Path) -> dict[str, Any]:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         info = content["rosbag2_bagfile_information"]
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, RecursionError) as error:
+    # ValueError: not UTF-8, or a date that does not exist
+    except (yaml.YAMLError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(
             f"{path}: is not the description of a bag ({str(error)[:100]}); remove it to read the bag without it"
         ) from error

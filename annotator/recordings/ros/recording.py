@@ -251,13 +251,13 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
         keys = pairs.image
     if not len(keys):
         raise RecordingError(f"{path}: no frames; {'; '.join(pairs.notes)}")
-    tf = TransformReader.of(bag)
-    fixed = None if realsense or chosen.image is None else _fixed_frame(tf, bag, chosen, pairs, options.tf_frame or "")
+    tf, camera_frame = TransformReader.of(bag), (options.tf_frame or "").lstrip("/")
+    fixed = None if realsense or chosen.image is None else _fixed_frame(tf, chosen, pairs, camera_frame)
     if fixed is not None:
         notes += (f"clouds are moved to the images' times by the motion of the rig in {fixed}",)
     return RosBag(
-        path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, (options.tf_frame or "").lstrip("/"),
-        fixed, realsense, (*bag.notes, *pairs.notes, *notes),
+        path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, camera_frame, fixed,
+        realsense, (*bag.notes, *pairs.notes, *notes),
     )  # fmt: skip
 
 
@@ -269,7 +269,7 @@ def _alone(clouds: Topic) -> Pairs:
     return Pairs(order, order, times[order], times[order], ())
 
 
-def _fixed_frame(tf: TransformReader, bag: Bag, chosen: Chosen, pairs: Pairs, camera_frame: str) -> str | None:
+def _fixed_frame(tf: TransformReader, chosen: Chosen, pairs: Pairs, camera_frame: str) -> str | None:
     """Returns the frame in which tf knows the motion of both camera and cloud; None without one."""
     assert chosen.image is not None
     camera, cloud = camera_frame or chosen.image.frame, frame_of(chosen.partner)

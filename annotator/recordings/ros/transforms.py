@@ -129,8 +129,8 @@ class TransformReader:
     """Reads the links of a bag around a time.
 
     Attributes:
-        static, moving: topics.
-        fixed: links that hold at all times.
+        static: topics of links that hold at all times.
+        moving: the other topics.
     """
 
     static: tuple[Topic, ...]

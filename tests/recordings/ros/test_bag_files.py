@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -20,8 +21,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 from ros_takes import IMAGE, MS, POINTS_M, SIZE, START_NS, T_CAMERA_LIDAR, K, seen_points, write_take
 
 from annotator.recordings import detect_format, open_recording
-from annotator.recordings.ros import decode, kept_times, pairing
-from annotator.recordings.ros.chunks import Chunk, Chunks, unpack
+from annotator.recordings.ros import decode, kept_times, pairing, video
+from annotator.recordings.ros.bag import Topic
+from annotator.recordings.ros.chunks import KEPT, MOST_KEPT_BYTES, Chunk, Chunks, unpack
 from annotator.recordings.ros.files import open_bag
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
 from benchmarks.bag_writer import CONTAINERS, BagWriter
@@ -187,6 +189,31 @@ def test_video_is_decoded_from_the_last_key_frame(tmp_path: Path, form: str):
         assert abs(int(np.median(recording.frame(i).rgb)) - levels[i]) <= 4
 
 
+def test_pictures_made_up_from_damaged_video_are_errors(monkeypatch: pytest.MonkeyPatch):
+    import av
+
+    try:
+        encoder = av.CodecContext.create("libx264", "w")
+    except ValueError:
+        pytest.skip("PyAV has no libx264")
+    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = 128, 96, "yuv420p", 10
+    encoder.max_b_frames = 0
+    encoder.options = {"tune": "zerolatency"}
+    packets: list[bytes] = []
+    for level in (40, 90, 140, None):
+        frame = None if level is None else av.VideoFrame.from_ndarray(np.full((96, 128, 3), level, np.uint8), "rgb24")
+        packets += [bytes(packet) for packet in encoder.encode(frame)]
+    packets[1] = packets[1][:-5]
+    contents = [SimpleNamespace(data=packet, format="h264") for packet in packets]
+    monkeypatch.setattr(video, "message", lambda _, i: contents[i])
+    none = np.empty(0, np.int64)
+    topic = Topic("/video", "foxglove/CompressedVideo", (), none, none, none)
+    assert abs(video.video_image(topic, 0, contents[0]).mean() - 40) <= 4
+    for i in (1, 2):
+        with pytest.raises(ValueError, match="its video cannot be decoded"):
+            video.video_image(topic, i, contents[i])
+
+
 def cut(path: Path, share: float) -> None:
     with path.open("r+b") as opened:
         opened.truncate(int(path.stat().st_size * share))
@@ -269,9 +296,12 @@ def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):
     metadata.write_text(text.replace("take_mcap.mcap", "other_0.mcap"))
     with pytest.raises(RecordingError, match=r"other_0\.mcap is missing"):
         open_recording(bag.path)
-    metadata.write_text("[1, 2")
-    with pytest.raises(RecordingError, match="is not the description of a bag"):
-        open_recording(bag.path)
+    for damaged in ("[1, 2", "rosbag2_bagfile_information: 2026-13-45"):
+        metadata.write_text(damaged)
+        with pytest.raises(RecordingError, match="is not the description of a bag"):
+            open_recording(bag.path)
+    metadata.write_text("rosbag2_bagfile_information: {relative_file_paths: 5}")
+    assert len(open_recording(bag.path)) == 3
     metadata.unlink()
     assert "has no metadata.yaml" in open_recording(bag.path).notes[0]
 
@@ -322,8 +352,23 @@ def test_chunks_are_unpacked_only_as_far_as_needed(tmp_path: Path, monkeypatch: 
     chunks = Chunks(path)
     chunks.add(Chunk(0, path.stat().st_size, "bz2", len(data)))
     assert chunks.read(0, 10, 20) == data[10:30]
-    assert len(chunks._kept[0]) < 100_000
+    assert 30 <= len(KEPT.get(chunks, 0)) < 100_000
     assert chunks.read(0, 3_999_990, 100) == data[-10:]
+
+
+def test_the_kept_contents_of_many_files_are_few(tmp_path: Path):
+    import bz2
+
+    size = MOST_KEPT_BYTES // 8
+    path = tmp_path / "a"
+    path.write_bytes(bz2.compress(bytes(size)))
+    files = [Chunks(path) for _ in range(12)]
+    for file in files:
+        file.add(Chunk(0, path.stat().st_size, "bz2", size))
+        assert file.read(0, size - 4, 9) == bytes(4)
+    kept = [len(KEPT.get(file, 0)) for file in files]
+    assert kept[-1] == size
+    assert sum(kept) <= MOST_KEPT_BYTES
 
 
 @pytest.fixture(scope="module")

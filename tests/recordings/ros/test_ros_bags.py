@@ -225,6 +225,7 @@ def test_a_cloud_is_moved_to_the_time_of_the_image(tmp_path: Path, container: st
         write_camera(bag, "cam", image_ns)
     recording = open_recording(bag.path)
     assert recording.notes == ("clouds are moved to the images' times by the motion of the rig in odom",)
+    assert open_recording(bag.path, ReaderOptions(tf_frame="/camera")).notes == recording.notes
     T = (pose(image_ns) * T_rig_camera).inv() * pose(scan_ns) * T_rig_lidar
     expected = T.apply(POINTS_M.astype(np.float64))
     found = recording.frame(0).cloud.xyz_m
