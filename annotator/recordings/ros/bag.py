@@ -68,6 +68,16 @@ class BagFile(Protocol):
         """Makes the reading of many messages faster, by this thread and within the block."""
 
 
+# Damaged places of a file that are named.
+MOST_NAMED = 8
+
+
+def shortened(damages: list[str]) -> list[str]:
+    """Returns sentences about the first damaged places of a file, and how many more there are."""
+    more = len(damages) - MOST_NAMED
+    return [*damages[:MOST_NAMED], f"is damaged at {more} more places"] if more > 0 else damages
+
+
 class ChannelBuilder:
     """Collects the messages of a file while its records are listed."""
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import os
 import struct
+from bisect import bisect_right
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from annotator.recordings.ros.bag import Channel, ChannelBuilder
+from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, Chunk, Chunks, unpack_message
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -105,12 +106,14 @@ class McapFile:
                 is_cut = end > size and kind not in (CHUNK, DATA_END)
                 if not 0 < kind < 0x80 or is_cut or (kind == FOOTER and length != 20) or end > size + length:
                     places = _chunk_places(file, size) if places is None else places
-                    later = [place for place in places if place > at]
-                    if later or end <= size:
-                        notes.append(f"is damaged at byte {at}; {(later or [size])[0] - at} bytes are lost")
-                    if not later:
+                    later = bisect_right(places, at)
+                    is_last = later == len(places)
+                    sound_at = size if is_last else places[later]
+                    if not is_last or end <= size:
+                        notes.append(f"is damaged at byte {at}; {sound_at - at} bytes are lost")
+                    if is_last:
                         break
-                    at = later[0]
+                    at = sound_at
                     continue
                 if kind not in (INDEX, HEADER) and open_chunk >= 0:
                     self._search(open_chunk)
@@ -132,6 +135,7 @@ class McapFile:
             self._search(open_chunk)
         for number, entries in loose.entries.items():
             self._messages.add(number, *_split(entries, -1))
+        notes = shortened(notes)
         if not is_closed:
             notes.append("was not closed by its recorder, or its end is missing; it is read as far as it is sound")
         for number in self._messages.first_chunk.keys() - self._described.keys():

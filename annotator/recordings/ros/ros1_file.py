@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import os
 import struct
+from bisect import bisect_right
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from annotator.recordings.ros.bag import Channel, ChannelBuilder
+from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import Chunk, Chunks
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -87,14 +88,15 @@ class Ros1File:
                 op = -1 if record is None else _op(record[0])
                 if record is None or op not in (MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION):
                     places = _chunk_places(file, index_at, size) if places is None else places
-                    later = [place for place in places if place > at]
+                    later = bisect_right(places, at)
+                    is_last = later == len(places)
                     notes.append(
                         f"is damaged at byte {at}; "
-                        + (f"{later[0] - at} bytes are lost" if later else f"{size - at} bytes are not used")
+                        + (f"{size - at} bytes are not used" if is_last else f"{places[later] - at} bytes are lost")
                     )
-                    if not later:
+                    if is_last:
                         break
-                    at = later[0]
+                    at = places[later]
                     continue
                 fields, data_at, data_size = record
                 if op in (CHUNK, CHUNK_INFO, CONNECTION) and open_chunk >= 0:
@@ -115,6 +117,7 @@ class Ros1File:
                 at = data_at + data_size
         if open_chunk >= 0:
             self._search(open_chunk)
+        notes = shortened(notes)
         if not index_at:
             notes.append("was not closed by its recorder; it is read as far as it is sound")
         elif at > size:

@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -283,6 +284,30 @@ def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
             except FrameError as error:
                 assert str(error).startswith(str(bag.path))
         assert readable > 150
+
+
+def test_an_index_of_thousands_of_damaged_chunks_is_read_once(tmp_path: Path):
+    count = 20_000
+
+    def record(op: int, *fields: bytes) -> bytes:
+        named = [b"op=" + bytes([op]), *fields]
+        head = b"".join(len(field).to_bytes(4, "little") + field for field in named)
+        return len(head).to_bytes(4, "little") + head + bytes(4)
+
+    def start(index_at: int) -> bytes:
+        return b"#ROSBAG V2.0\n" + record(3, b"index_pos=" + index_at.to_bytes(8, "little"))
+
+    damaged_at = len(start(0))
+    places = range(damaged_at, damaged_at + 4 * count, 4)
+    index = b"".join(record(6, b"chunk_pos=" + place.to_bytes(8, "little")) for place in places)
+    path = tmp_path / "a.bag"
+    path.write_bytes(start(places.stop) + b"\xff" * 4 * count + index)
+    started = time.process_time()
+    bag = open_bag(path)
+    assert bag is not None
+    assert time.process_time() - started < 2
+    assert bag.notes[0] == f"a.bag is damaged at byte {damaged_at}; 4 bytes are lost"
+    assert bag.notes[-1] == "a.bag is damaged at 19992 more places"
 
 
 def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):
