@@ -79,12 +79,15 @@ def stamps_ns(topic: Topic) -> Int64[np.ndarray, "n"]:
 def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Returns the times of both topics, by the same clock."""
     stamps = stamps_ns(images), stamps_ns(clouds)
+    late = []
     for topic, times in zip((images, clouds), stamps, strict=True):
-        unset = int((times <= 0).sum())
-        if unset:
+        known = times > 0
+        if 2 * int(known.sum()) <= len(times):
+            unset = len(times) - int(known.sum())
             notes.append(f"{unset} messages of {topic.name} have no time in their headers; log times are used")
             return images.log_ns, clouds.log_ns
-    late = [float(np.median(topic.log_ns - times)) for topic, times in zip((images, clouds), stamps, strict=True)]
+        late.append(float(np.median((topic.log_ns - times)[known])))
+    stamps = tuple(map(_completed, (images, clouds), stamps, late, [notes] * 2))
     if abs(late[0] - late[1]) > MOST_APART_NS:
         notes.append(
             f"the header times of {images.name} and {clouds.name} are from clocks "
@@ -92,6 +95,15 @@ def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, 
         )
         return images.log_ns, clouds.log_ns
     return stamps
+
+
+def _completed(topic: Topic, times: np.ndarray, late_ns: float, notes: list[str]) -> np.ndarray:
+    """Returns a topic's times; messages without one are taken to be logged as late as the others."""
+    unset = int((times <= 0).sum())
+    if not unset:
+        return times
+    notes.append(f"{unset} messages of {topic.name} have no readable time; it is taken from when they were logged")
+    return np.where(times > 0, times, np.maximum(topic.log_ns - round(late_ns), 0))
 
 
 def _mutual_nearest(a_ns: np.ndarray, b_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

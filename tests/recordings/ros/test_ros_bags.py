@@ -169,6 +169,20 @@ def test_times_that_are_not_set_or_run_backward_are_told(tmp_path: Path):
     assert "1 messages of /cam/image_raw have no time in their headers; log times are used" in recording.notes
 
 
+def test_one_message_without_a_time_leaves_the_times_of_the_others(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_mount(bag)
+        for i in range(4):
+            time_ns = START_NS + i * 100 * MS
+            write_scan(bag, time_ns, log_ns=time_ns + 80 * MS)
+            write_camera(bag, "cam", 0 if i == 2 else time_ns, log_ns=time_ns + 10 * MS)
+    recording = open_recording(bag.path)
+    assert [recording.frame(i).timestamp_ns for i in range(4)] == [START_NS + i * 100 * MS for i in range(4)]
+    assert recording.notes == (
+        "1 messages of /cam/image_raw have no readable time; it is taken from when they were logged",
+    )
+
+
 def test_a_missing_link_is_named(tmp_path: Path):
     with BagWriter(tmp_path, "ros1") as bag:
         write_scan(bag, START_NS)
