@@ -23,7 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.projection import resized
-from annotator.image_bytes import decode_image
+from annotator.image_bytes import MOST_PIXELS, decode_image
+from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
@@ -44,6 +45,8 @@ OPENGL = np.array([1.0, -1.0, -1.0])
 # The first pose of a recording is the identity up to single precision if poses are relative to it.
 IDENTITY_RAD = 1e-3
 S_TO_NS = 1e9
+# Digits of a frame's number.
+LONGEST_NUMBER = 9
 
 
 class Metadata(BaseModel):
@@ -154,6 +157,8 @@ class Record3D(KeyedFrames):
                 size = (short, long) if camera.height_px > camera.width_px else (long, short)
             else:
                 size = (meta.dw, meta.dh)
+            if size[0] * size[1] > MOST_PIXELS:
+                raise ValueError(f"metadata declares {size[0]} x {size[1]} pixels; the limit is {MOST_PIXELS}")
             pixels = decompress(data, bytes_each * size[0] * size[1])
         except ValueError as error:
             raise FrameError(path, str(error), REMEDY) from error
@@ -190,7 +195,8 @@ class Record3D(KeyedFrames):
         place = self._place(i, len(times))
         if place is not None:
             return round(times[place] * S_TO_NS)
-        return None if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
+        time_ns = None if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
+        return None if time_ns is None or time_ns > MOST_NS else time_ns
 
     @cached_property
     def _knows_gravity(self) -> bool:
@@ -233,7 +239,8 @@ def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
         for name in entries
         if name.startswith(FOLDER) and name.endswith(suffix)
     }
-    ordered = sorted_keys(path, {key for key in keys if key.isascii() and key.isdecimal()}, f"{FOLDER}0.jpg and so on")
+    numbers = {key for key in keys if key.isascii() and key.isdecimal() and len(key) <= LONGEST_NUMBER}
+    ordered = sorted_keys(path, numbers, f"{FOLDER}0.jpg and so on")
     return Record3D(path, ordered, _metadata(path, entries), entries, options.min_confidence)
 
 

@@ -236,12 +236,23 @@ R3D_DAMAGES = [
     pytest.param(metadata(K=[1, 0, 5, 0, 1, 5, 0, 0, 1], perFrameIntrinsicCoeffs=[]), "column by column", id="rows"),
     pytest.param(metadata(h=400), "the image is 320 x 240 pixels, but the metadata has 320 x 400", id="size"),
     pytest.param(metadata(dw=81), "it has 19200 bytes instead of 19440", id="depth-size"),
+    pytest.param(metadata(dw=60_000, dh=60_000), "declares 60000 x 60000 pixels; the limit", id="huge-size"),
     pytest.param(write("rgbd/0.depth", b"bvx2 nothing"), "compression .LZFSE. is damaged", id="depth"),
     pytest.param(write("rgbd/0.depth", bytes(100_000)), "too many for an image of 19200", id="huge-depth"),
     pytest.param(lambda path: (path / "rgbd/0.depth").unlink(), "0.depth: missing", id="no-depth"),
     pytest.param(lambda path: (path / "rgbd/0.jpg").unlink(), "0.jpg: missing", id="no-image"),
     pytest.param(write("rgbd/0.jpg", b"\xff\xd8"), "0.jpg: ", id="image"),
 ]
+
+
+def test_numbers_and_times_beyond_all_clocks_are_left_out(tmp_path: Path):
+    path = made.write_record3d(tmp_path / "take", made.frames(2), frameTimestamps=[], fps=1e-9)
+    (path / "rgbd" / ("9" * 200 + ".jpg")).write_bytes(b"")
+    for suffix in ("jpg", "depth", "conf"):
+        (path / f"rgbd/1.{suffix}").rename(path / f"rgbd/99.{suffix}")
+    recording = open_recording(path)
+    assert recording.keys == ("0", "99")
+    assert [recording.frame(i).timestamp_ns for i in range(2)] == [0, None]
 
 
 @pytest.mark.parametrize(("damage", "complaint"), R3D_DAMAGES)
