@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
+from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side
@@ -61,7 +62,7 @@ class FrameFile(_Record):
     cloud: str
     camera: CameraRecord
     up: Vector | None = None
-    timestamp_ns: int | None = None
+    timestamp_ns: Annotated[int, Field(ge=-MOST_NS, le=MOST_NS)] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,14 +87,13 @@ def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, 
             notes.append(f"{unset} messages of {topic.name} have no time in their headers; log times are used")
             return images.log_ns, clouds.log_ns
         late.append(float(np.median((topic.log_ns - times)[known])))
-    stamps = tuple(map(_completed, (images, clouds), stamps, late, [notes] * 2))
     if abs(late[0] - late[1]) > MOST_APART_NS:
         notes.append(
             f"the header times of {images.name} and {clouds.name} are from clocks "
             f"{abs(late[0] - late[1]) / SECOND:.1f} s apart; log times are used"
         )
         return images.log_ns, clouds.log_ns
-    return stamps
+    return _completed(images, stamps[0], late[0], notes), _completed(clouds, stamps[1], late[1], notes)
 
 
 def _completed(topic: Topic, times: np.ndarray, late_ns: float, notes: list[str]) -> np.ndarray:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.ros.bag import Bag, Topic
+from annotator.recordings.ros.decode import FIELD_ERRORS
 from annotator.recordings.ros.roles import Chosen, first_message
 from annotator.types.errors import RecordingError
 
@@ -53,11 +54,14 @@ def realsense_of(bag: Bag, chosen: Chosen) -> RealSense | None:
     depth = DEPTH.fullmatch(chosen.depth.topic.name)
     if depth is None:
         return None
-    unit = _first(bag, depth[1] + UNIT)
-    if unit is None or not 0 < float(unit.data) < 1:
+    try:
+        unit_m = float(_first(bag, depth[1] + UNIT).data)
+        fps = int(getattr(_first(bag, depth[1] + depth[2] + "/info"), "fps", 0)) or DEFAULT_FPS
+    except FIELD_ERRORS:  # the topic is missing, or its messages are of another type
+        unit_m, fps = 0.0, DEFAULT_FPS
+    if not 0 < unit_m < 1:
         raise RecordingError(f"{bag.path}: the unit of its depth is missing or implausible ({depth[1] + UNIT})")
-    fps = int(getattr(_first(bag, depth[1] + depth[2] + "/info"), "fps", 0)) or DEFAULT_FPS
-    return RealSense(float(unit.data), between_streams(bag, chosen.image.topic, chosen.depth.topic), 1 / max(fps, 1))
+    return RealSense(unit_m, between_streams(bag, chosen.image.topic, chosen.depth.topic), 1 / max(fps, 1))
 
 
 def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
@@ -75,8 +79,11 @@ def _pose(bag: Bag, topic: Topic) -> RigidTransform:
     content = None if stream is None else _first(bag, stream[1] + "/tf/0")
     if content is None:
         raise RecordingError(f"{bag.path}: the pose of {topic.name} is missing (tf/0 of its stream)")
-    place = np.array([getattr(content.translation, axis) for axis in "xyz"])
-    turn = np.array([getattr(content.rotation, axis) for axis in "xyzw"])
+    try:
+        place = np.array([float(getattr(content.translation, axis)) for axis in "xyz"])
+        turn = np.array([float(getattr(content.rotation, axis)) for axis in "xyzw"])
+    except FIELD_ERRORS:  # messages of another type
+        place = turn = np.full(4, np.nan)
     if not are_plausible(place) or not abs(np.linalg.norm(turn) - 1) < 1e-2:
         raise RecordingError(f"{bag.path}: the pose of {topic.name} is not a rotation and a translation")
     return RigidTransform.from_components(place, Rotation.from_quat(turn))

@@ -10,9 +10,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings import open_recording
 from annotator.recordings.image_file import read_depth, read_rgb
+from annotator.recordings.ros import realsense
 from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.recording import RosBag, message
 from annotator.types import Camera
+from annotator.types.errors import RecordingError
 from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
 
 START_NS = 1_317_000_000 * 10**9
@@ -121,6 +123,18 @@ def test_a_real_realsense_recording(shared: Path):
     np.testing.assert_allclose(back[:, 2], expected_m, atol=1e-6)
     assert len(frame.cloud) > 100_000
     assert frame.depth_m is not None and frame.timestamp_ns == 360_713_523_000
+
+
+@pytest.mark.shared
+def test_realsense_topics_of_other_messages_are_errors(shared: Path, monkeypatch: pytest.MonkeyPatch):
+    path = shared / "data" / "realsense" / "single_depth_color_640x480.bag"
+    first = realsense._first
+    for part, problem in (("Depth Units", "the unit of its depth is missing"), ("/tf/0", "is not a rotation and a")):
+        monkeypatch.setattr(
+            realsense, "_first", lambda bag, name, part=part: object() if part in name else first(bag, name)
+        )
+        with pytest.raises(RecordingError, match=problem):
+            open_recording(path)
 
 
 def read_scan(path: Path) -> np.ndarray:
