@@ -335,4 +335,7 @@ class Project:
             view, kind, agnostic = self._detector(DetectorKind.VIEW), model.box_kind, model.class_agnostic
         else:
             kind, agnostic = kind_of(view, box_kind), False
-        return GivenDetectors(Detectors(image or self._detector(DetectorKind.IMAGE), view, kind, agnostic))
+        if image is not None:
+            return GivenDetectors(Detectors(image, view, kind, agnostic))
+        image_kind = active_model(self.stored, DetectorKind.IMAGE).box_kind
+        return GivenDetectors(Detectors(self._detector(DetectorKind.IMAGE), view, kind, agnostic, image_kind))

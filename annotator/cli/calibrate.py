@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
+from annotator.project import Basis
 from annotator.types import NO_CORRECTION
 from annotator.types.errors import ConfigError
 from annotator.workflows.recorded.calibration import correct_calibration
@@ -68,7 +69,8 @@ def run(
         except ValueError as error:
             raise ConfigError(f"{error}; give smaller numbers") from error
         if new != stored.correction:
-            moved = correct_calibration(opened, stored.id, new, AUTHOR)
+            # refused if the page has corrected it meanwhile: what was not given would be undone
+            moved = correct_calibration(opened, stored.id, new, AUTHOR, Basis(stored.adjusted))
     x, y, z = np.degrees(new.turn_rad).tolist()
     report = CalibrationReport(
         recording=stored.name,

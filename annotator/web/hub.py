@@ -115,7 +115,8 @@ class Hub:
             if self._adjusted.get((project, recording), -1) >= adjusted:
                 return
             self._adjusted[project, recording] = adjusted
-        self.send({"type": "adjusted", "project": project, "recording": recording, "operator": operator})
+        event = {"type": "adjusted", "project": project, "recording": recording, "adjusted": adjusted}
+        self.send({**event, "operator": operator})
 
     def forget(self, project: str) -> None:
         """Forgets the revisions of a project that was replaced by another one of the same name."""

@@ -63,7 +63,7 @@ interface Messages {
   job: { job: Api.Job };
   follow: { run: Api.FollowRunJson };
   /** A recording has another up direction or calibration. */
-  adjusted: { recording: number; operator: string };
+  adjusted: { recording: number; adjusted: number; operator: string };
   viewport: ViewportMessage;
   /** Whether the socket is open. */
   connection: boolean;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,14 @@ def test_detection_takes_the_projects_detectors_and_settings(
         assert {label.state for label in labels} == {annotator.ReviewState.PROPOSED}
     # loaded once
     assert len(people.detect(frames[0]).proposals) == 3 and len(trained) == 2
+
+
+def test_the_projects_image_detector_is_known_to_find_silhouettes(
+    people: annotator.Project, trained: list[Path], knowing: Knowing
+) -> None:
+    people.annotate(view_detector=knowing("people").view, box_kind="box", limit=1)
+    (run,) = people.stored.jobs.all()
+    assert json.loads(run.config)["image_box_kind"] == "silhouette"
 
 
 def test_given_2d_boxes_need_no_image_detector(

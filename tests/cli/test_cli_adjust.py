@@ -14,8 +14,9 @@ from annotator.cli.main import main
 from annotator.geometry.oriented_box import contains, same_box
 from annotator.project import BoxRotation, Project, open_project
 from annotator.rcv.config import Orientation
-from annotator.types import Frame, Label
+from annotator.types import Correction, Frame, Label
 from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.recorded.calibration import correct_calibration
 
 LEVEL = np.array([0.0, -1.0, 0.0])
 
@@ -150,3 +151,15 @@ def test_adding_a_recording_that_does_not_know_up_says_what_to_do(
         capsys.readouterr()
         assert main(["add", name, str(room), "--no-labels"]) == 0
         assert (f"annotator up {name} people --estimate" in capsys.readouterr().out) == (rotation == "auto")
+
+
+def test_a_correction_by_another_meanwhile_is_not_overwritten(opened: Project, monkeypatch: pytest.MonkeyPatch):
+    theirs = Correction(shift_m=(0.0, 0.1, 0.0))
+
+    def late(project: Project, recording: int, *rest: Any) -> int:
+        project.adjustments.correct(recording, theirs, "Bob")
+        return correct_calibration(project, recording, *rest)
+
+    monkeypatch.setattr("annotator.cli.calibrate.correct_calibration", late)
+    assert main(["calibrate", "p", "room", "--turn", "3", "0", "0"]) != 0
+    assert opened.recordings.all()[0].correction == theirs

@@ -159,3 +159,10 @@ def test_a_frame_of_another_recording_is_no_basis(live: Live) -> None:
     assert answer.status_code == 400
     assert "no such frame" in answer.json()["error"]["message"]
     assert shown(live.client)["correction"] == NONE
+
+
+def test_a_large_correction_of_the_command_line_can_be_changed(live: Live, project: Project) -> None:
+    project.adjustments.correct(1, Correction((0.0, 2.5, 0.0), (0.0, 0.0, 200.0)), "Ann")
+    stored = shown(live.client)["correction"]
+    answer = correct(live.client, {**stored, "turn_deg": [1.0, *stored["turn_deg"][1:]]})
+    assert answer.status_code == 200, answer.text

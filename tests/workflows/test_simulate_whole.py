@@ -13,7 +13,7 @@ from annotator.project import BoxRotation, Origin, Project
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
-from annotator.types import Box2D, BoxKind
+from annotator.types import Box2D, BoxKind, Correction
 from annotator.workflows import simulate_whole
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
@@ -76,6 +76,17 @@ def test_another_setting_for_the_rotation_applies_at_once(drawn: Project) -> Non
     expected = WholeBoxes(drawn).of(frame, stored, image_box, None)
     assert [one.box.size_m.tolist() for one in free] == [one.box.size_m.tolist() for one in expected]
     assert [one.box.size_m.tolist() for one in free] != [one.box.size_m.tolist() for one in upright]
+
+
+def test_a_correction_of_the_calibration_applies_at_once(drawn: Project) -> None:
+    stored = drawn.frames.of()[0]
+    image_box, offers = drawn.boxes.on_image(stored.id).boxes[0], WholeBoxes(drawn)
+    before = offers.of(FrameSource(drawn).read(stored), stored, image_box, None)
+    drawn.adjustments.correct(stored.recording_id, Correction(shift_m=(0.0, 0.0, 0.2)), "Ann")
+    frame = FrameSource(drawn).read(stored)
+    corrected = [one.box.center_m.tolist() for one in offers.of(frame, stored, image_box, None)]
+    assert corrected == [one.box.center_m.tolist() for one in WholeBoxes(drawn).of(frame, stored, image_box, None)]
+    assert corrected != [one.box.center_m.tolist() for one in before]
 
 
 def test_a_long_search_does_not_block_another_operators(drawn: Project, monkeypatch: pytest.MonkeyPatch) -> None:

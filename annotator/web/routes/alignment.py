@@ -11,6 +11,7 @@ from pydantic import Field
 
 from annotator.project import Basis
 from annotator.types import Correction
+from annotator.types.correction import MOST_OFFSET_S, MOST_SHIFT_M
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.schemas import CameraJson, Effort, RowId, Schema, Unit3
 from annotator.workflows.recorded.calibration import correct_calibration
@@ -20,16 +21,17 @@ from annotator.workflows.workbench.open_frame import OpenFrame
 
 router = APIRouter(tags=["alignment"])
 
-Degrees = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
-SmallMetres = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
-Seconds = Annotated[float, Field(ge=-3600, le=3600, allow_inf_nan=False)]
+# as `Correction` allows them
+Degrees = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]
+Metres = Annotated[float, Field(ge=-MOST_SHIFT_M, le=MOST_SHIFT_M, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=-MOST_OFFSET_S, le=MOST_OFFSET_S, allow_inf_nan=False)]
 
 
 class CorrectionJson(Schema):
     """A correction: a rotation vector in degrees, a shift in metres, the lead of the clouds' clock in seconds."""
 
     turn_deg: tuple[Degrees, Degrees, Degrees]
-    shift_m: tuple[SmallMetres, SmallMetres, SmallMetres]
+    shift_m: tuple[Metres, Metres, Metres]
     time_offset_s: Seconds
 
     @classmethod

@@ -16,8 +16,8 @@ from annotator.types import Frame
 from annotator.workflows.workbench.frame_cache import FrameCache
 
 MOST_POINTS = 15_000
-# Images that are offered on each side of the frame's own.
-MOST_IMAGES = 25
+# Images that are offered: 30 seconds before and after at 30 Hz, some 90 kB of JSON.
+MOST_IMAGES = 2000
 
 UpSource = Literal["unknown", "files", "project"]
 
@@ -78,7 +78,7 @@ def _images(project: Project, cache: FrameCache, recording_id: int, key: str) ->
         return ()
     frames = [(frame, times.get(frame.key)) for frame in project.frames.of([recording_id]) if frame.index is not None]
     apart = [(frame.id, (time - now) / 1e9) for frame, time in frames if time is not None]
-    return tuple(sorted(apart, key=lambda each: abs(each[1]))[: 2 * MOST_IMAGES + 1])
+    return tuple(sorted(apart, key=lambda each: abs(each[1]))[:MOST_IMAGES])
 
 
 def _vector(up: np.ndarray) -> Up:

@@ -27,7 +27,7 @@ class WholeBoxes:
         self.project = project
         self._frames = FrameSource(project)
         self._lock = threading.Lock()
-        self._seen: OrderedDict[tuple[int, BoxRotation, tuple[int, ...]], list[SeenObject]] = OrderedDict()
+        self._seen: OrderedDict[tuple[int, BoxRotation, int, tuple[int, ...]], list[SeenObject]] = OrderedDict()
 
     def of(self, frame: Frame, stored: StoredFrame, image_box: Box2D, detector: ReadyDetector | None) -> list[Offered]:
         """Returns the boxes that a drawn object may have, best first; none while its silhouettes are not all drawn.
@@ -72,7 +72,9 @@ class WholeBoxes:
         """The drawn objects of a frame; none if it cannot be read."""
         drawn = self._drawn(stored.id)
         rotation = self.project.config.settings.rotation
-        key = stored.id, rotation, tuple(view.event_id for views in drawn for view in views)
+        # what is seen lies in the camera frame, which a correction of the calibration moves
+        adjusted = self.project.adjustments.newest(stored.recording_id)
+        key = stored.id, rotation, adjusted, tuple(view.event_id for views in drawn for view in views)
         if not drawn:
             return []
         # one frame at a time: reading takes 0.1 s, and recordings need not be thread-safe

@@ -92,3 +92,36 @@ def test_label_mode_opens_the_frame_anew_after_a_correction_by_another(
     room.adjustments.correct(1, Correction((0.0, 0.02, 0.0)), "Bob")
     expect(page.get_by_text("Bob has changed this recording's calibration")).to_be_visible()
     expect(page.get_by_test_id("image-editor").locator("img.picture[src*='adjusted=']")).to_be_visible()
+
+
+def test_what_was_not_kept_yet_stays_on_another_frame_and_when_the_other_half_is_kept(
+    aligned: Page, room: Project
+) -> None:
+    page, name = aligned, room.path.name
+    page.get_by_test_id("turn-x-field").fill("2")
+    page.get_by_test_id("roll-field").fill("7")
+    page.goto(f"/#/{name}/alignment/3")
+    page.get_by_test_id("alignment-picture").wait_for()
+    expect(page.get_by_test_id("up-source")).to_contain_text("not kept yet")
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("2.00")
+    page.get_by_test_id("keep-correction").click()
+    expect(page.get_by_test_id("clear-correction")).to_be_enabled()
+    expect(page.get_by_test_id("up-source")).to_contain_text("not kept yet")
+    page.get_by_test_id("keep-up").click()
+    expect(page.get_by_test_id("up-source")).to_have_text("Set in this project.")
+    stored = room.recordings.all()[0]
+    assert stored.correction.turn_rad[0] == pytest.approx(0.0349, abs=1e-4)
+    assert stored.up is not None and stored.up[0] == pytest.approx(0.12, abs=0.02)
+
+
+def test_changes_are_made_anew_after_another_operators(aligned: Page, room: Project) -> None:
+    page = aligned
+    page.get_by_test_id("turn-x-field").fill("2")
+    room.adjustments.correct(1, Correction((0.0, 0.02, 0.0)), "Bob")
+    expect(page.get_by_text("Bob has adjusted this recording")).to_be_visible()
+    page.get_by_test_id("discard-correction").click()
+    expect(page.get_by_test_id("turn-y-field")).to_have_value("1.15")
+    page.get_by_test_id("turn-x-field").fill("1")
+    page.get_by_test_id("keep-correction").click()
+    expect(page.get_by_test_id("keep-correction")).to_be_disabled()
+    assert room.recordings.all()[0].correction.turn_rad[0] == pytest.approx(0.01745, abs=1e-4)

@@ -3,6 +3,7 @@
  * frames of the recording, and can be undone.
  */
 
+import { confirm } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { isAborted, messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
@@ -39,6 +40,8 @@ export function mount(root, app) {
   let frame = app.state.route.frame;
   let ended = false;
   let isBusy = false;
+  /** Someone else has adjusted the recording since it was shown. */
+  let isOutdated = false;
 
   const host = h("div", { class: "picture" });
   const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "alignment-problem" });
@@ -52,7 +55,7 @@ export function mount(root, app) {
   const keep = button("Keep this correction", "keep-correction", () =>
     save("correction", { correction: correction() }),
   );
-  const back = button("Discard changes", "discard-correction", reset);
+  const back = button("Discard changes", "discard-correction", discard);
   const zero = button("Remove the correction", "clear-correction", () =>
     save("correction", { correction: { turn_deg: [0, 0, 0], shift_m: [0, 0, 0], time_offset_s: 0 } }),
   );
@@ -62,7 +65,7 @@ export function mount(root, app) {
   const source = h("p", { role: "status", "data-testid": "up-source" });
   const propose = button("Propose", "estimate-up", () => void estimateUp());
   const accept = button("Keep this level", "keep-up", () => save("up", { up }));
-  const refuse = button("Refuse", "refuse-up", reset);
+  const refuse = button("Refuse", "refuse-up", discard);
   const unknown = button("Clear", "clear-up", () => save("up", { up: null }));
   unknown.title = "Take it from the recording's files again; if they do not tell, it is unknown";
   const follows = h("p", { class: "help", "data-testid": "up-effect" });
@@ -163,10 +166,14 @@ export function mount(root, app) {
     return { turn_deg: [x, y, z], shift_m: [right, down, ahead], time_offset_s: offset.value };
   }
 
-  /** The shown level in the camera frame of the correction that the sliders give. */
-  function turnedUp() {
+  /**
+   * The shown level in the camera frame of a correction.
+   *
+   * @param {Api.CorrectionJson} after
+   */
+  function turnedUp(after) {
     if (known === null || up === null) return null;
-    const turn = multiply(rotationOf(correction().turn_deg), transpose(rotationOf(known.correction.turn_deg)));
+    const turn = multiply(rotationOf(after.turn_deg), transpose(rotationOf(known.correction.turn_deg)));
     const shown = up;
     return turn.map((row) => dot(row, shown));
   }
@@ -181,6 +188,10 @@ export function mount(root, app) {
     if (known === null || up === null) return false;
     const before = known.up;
     return before === null || dot(up, before) < 1 - SAME;
+  }
+
+  function hasUnsaved() {
+    return isCorrectionChanged() || (estimate === null && isUpChanged());
   }
 
   /** The frame whose image the time offset shows. */
@@ -198,7 +209,7 @@ export function mount(root, app) {
       image: app.path("frames", imageFrame() ?? frame, "recorded.jpg"),
       camera: { ...camera, width, height },
       points: moved(points, correction()),
-      up: turnedUp(),
+      up: turnedUp(correction()),
       isFirm: !isUpChanged(),
     });
     keep.disabled = back.disabled = isBusy || !isCorrectionChanged();
@@ -256,6 +267,11 @@ export function mount(root, app) {
     setSliders(known.correction);
   }
 
+  function discard() {
+    reset();
+    if (isOutdated) void load();
+  }
+
   /** @param {Vector | null} next */
   function setUp(next) {
     up = next;
@@ -264,14 +280,34 @@ export function mount(root, app) {
     pitch.set(pitched);
   }
 
-  /** @param {Api.AlignmentJson} answer */
+  /**
+   * Shows an answer. On another frame with the same adjustment, what was not kept yet stays.
+   *
+   * @param {Api.AlignmentJson} answer
+   */
   function take(answer) {
+    const isSame = known?.recording === answer.recording && known.adjusted === answer.adjusted;
+    const [sliders, level, proposed] = [correction(), up, estimate];
     known = answer;
+    isOutdated = false;
     const flatPoints = answer.points;
     points = Array.from({ length: flatPoints.length / 3 }, (_, i) => flatPoints.slice(3 * i, 3 * i + 3));
     problem.hidden = true;
     recordings.value = String(answer.recording);
     reset();
+    if (isSame) putBack(sliders, level, proposed);
+  }
+
+  /**
+   * @param {Api.CorrectionJson | null} sliders null: as stored.
+   * @param {Vector | null} level null: as stored.
+   * @param {Api.EstimatedUp | null} proposed
+   */
+  function putBack(sliders, level, proposed) {
+    estimate = proposed;
+    if (level !== null) setUp(level);
+    if (sliders !== null) setSliders(sliders);
+    show();
   }
 
   /** @param {unknown} error */
@@ -304,28 +340,42 @@ export function mount(root, app) {
   }
 
   async function openRecording() {
+    const question = "The correction or the level was not kept.";
+    if (hasUnsaved() && !(await confirm("Another recording", question, "Discard it", "danger"))) {
+      recordings.value = String(known?.recording);
+      return;
+    }
     const first = await firstFrame(recordings.value);
     if (first !== null) app.go(makeHash(app.state.project.name, "alignment", first));
   }
 
   /**
+   * Keeps the level or the correction; the other one stays as it is shown.
+   *
    * @param {"up" | "correction"} what
-   * @param {object} content
+   * @param {{ up?: Vector | null, correction?: Api.CorrectionJson }} content
    */
   async function save(what, content) {
     if (known === null || frame === null || isBusy) return;
+    const own = frame;
+    const sliders = content.correction === undefined ? correction() : null;
+    const level = content.correction !== undefined && isUpChanged() ? turnedUp(content.correction) : null;
     isBusy = true;
     show();
     try {
       app.effort.action();
       const path = app.path("recordings", known.recording, what);
       /** @type {Api.AlignmentJson} */
-      const answer = await app.api.change(path, { ...content, frame, adjusted: known.adjusted });
+      const answer = await app.api.change(path, { ...content, frame: own, adjusted: known.adjusted });
       isBusy = false;
-      const unsaved = what === "up" ? correction() : null;
+      if (ended) return;
+      if (own !== frame) {
+        await load();
+        return;
+      }
       take(answer);
-      if (unsaved !== null) setSliders(unsaved);
-      await app.loadFrame(frame);
+      putBack(sliders, level, null);
+      await app.loadFrame(own);
     } catch (error) {
       fail(error);
     } finally {
@@ -346,12 +396,16 @@ export function mount(root, app) {
 
   async function estimateUp() {
     if (known === null || isBusy) return;
+    const asked = known;
     isBusy = true;
+    show();
     source.textContent = "Looking at some frames …";
     try {
-      estimate = /** @type {Api.EstimatedUp} */ (
-        await app.api.post(app.path("recordings", known.recording, "estimate-up"), {})
-      );
+      /** @type {Api.EstimatedUp} */
+      const found = await app.api.post(app.path("recordings", asked.recording, "estimate-up"), {});
+      // another recording may be shown by now, or its clouds may have been turned
+      if (ended || known.recording !== asked.recording || known.adjusted !== asked.adjusted) return;
+      estimate = found;
       if (estimate.up !== null) setUp(estimate.up);
     } catch (error) {
       fail(error);
@@ -361,10 +415,12 @@ export function mount(root, app) {
     }
   }
 
-  const stop = app.events.on("adjusted", ({ recording, operator }) => {
-    if (known?.recording !== recording || isBusy) return;
+  const stop = app.events.on("adjusted", ({ recording, adjusted, operator }) => {
+    if (known?.recording !== recording || adjusted <= known.adjusted) return;
+    isOutdated = true;
+    if (isBusy) return;
     if (isCorrectionChanged() || isUpChanged())
-      app.toast(`${operator} has adjusted this recording meanwhile.`, "warn");
+      app.toast(`${operator} has adjusted this recording meanwhile. Discard your changes to see it.`, "warn");
     else void load();
   });
 
@@ -378,9 +434,7 @@ export function mount(root, app) {
       void load();
     },
     unsaved: () =>
-      isCorrectionChanged() || (estimate === null && isUpChanged())
-        ? { text: "The correction or the level was not kept.", retry: () => {}, discard: reset }
-        : null,
+      hasUnsaved() ? { text: "The correction or the level was not kept.", retry: () => {}, discard } : null,
     unmount() {
       ended = true;
       stop();
