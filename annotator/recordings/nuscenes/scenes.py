@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from scipy.spatial.transform import RigidTransform
@@ -139,7 +139,7 @@ def _read_scene(
         ego = _row(tables, "sample_data", row.token, poses, EgoPose, row.ego_pose_token)
         shot = Shot(
             row.sample_token if row.is_key_frame else None,
-            row.filename,
+            _inside(tables, row.token, row.filename),
             row.timestamp,
             ego,
             mount,
@@ -148,6 +148,20 @@ def _read_scene(
         )
         shots.setdefault((sensor.modality, sensor.channel), []).append(shot)
     return {key: tuple(sorted(each, key=lambda shot: shot.time_us)) for key, each in shots.items()}
+
+
+def _inside(tables: Path, token: str, name: str) -> str:
+    """Refuses the name of a file outside the dataset, which may be a device that never ends.
+
+    Raises:
+        RecordingError: it is one.
+    """
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or "\0" in name:
+        raise RecordingError(
+            f"{tables / 'sample_data.json'}: row {token}: filename: {name!r} must be a path in the dataset; {REMEDY}"
+        )
+    return name
 
 
 def _folder(shot: Shot) -> str:

@@ -122,6 +122,8 @@ def test_changes_are_made_anew_after_another_operators(aligned: Page, room: Proj
     page.get_by_test_id("discard-correction").click()
     expect(page.get_by_test_id("turn-y-field")).to_have_value("1.15")
     page.get_by_test_id("turn-x-field").fill("1")
-    page.get_by_test_id("keep-correction").click()
+    # the button is also disabled while the answer is awaited
+    with page.expect_response(lambda response: response.request.method != "GET"):
+        page.get_by_test_id("keep-correction").click()
     expect(page.get_by_test_id("keep-correction")).to_be_disabled()
     assert room.recordings.all()[0].correction.turn_rad[0] == pytest.approx(0.01745, abs=1e-4)
