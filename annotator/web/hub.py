@@ -22,6 +22,7 @@ class Client:
     Attributes:
         project: it receives no events of other projects.
         operator: name of its operator.
+        since: id of the project's newest event when the page connected; it receives all later ones.
         frame: id of the frame that it shows.
         viewports: ids of the 3D viewports that it shows.
         queue: unsent events; None = the end.
@@ -30,6 +31,7 @@ class Client:
 
     project: str | None
     operator: str
+    since: int = 0
     queue: asyncio.Queue[Message | None] = field(default_factory=lambda: asyncio.Queue(QUEUE + 1))
     frame: int | None = None
     viewports: set[str] = field(default_factory=set)
@@ -90,9 +92,13 @@ class Hub:
         """The names of the operators other than `besides` who have a frame open."""
         return [name for name in self.presence(project).get(str(frame), []) if name != besides]
 
-    def projects(self) -> set[str]:
-        """Projects that at least one page has open."""
-        return {client.project for client in self.clients() if client.project is not None}
+    def projects(self) -> dict[str, int]:
+        """Projects that at least one page has open -> the least `since` of these pages."""
+        least: dict[str, int] = {}
+        for client in self.clients():
+            if client.project is not None:
+                least[client.project] = min(client.since, least.get(client.project, client.since))
+        return least
 
     def clients(self) -> list[Client]:
         """The open pages."""

@@ -36,15 +36,12 @@ class Watch:
 
     def poll(self) -> None:
         """Reads new events of every project that a page has open."""
-        names = self._context.hub.projects()
-        for name in self._last_events.keys() - names:
+        opened = self._context.hub.projects()
+        for name in self._last_events.keys() - opened:
             del self._last_events[name]
-        for name, project in self._context.open_projects(names):
+        for name, project in self._context.open_projects(opened):
             try:
-                if name not in self._last_events:
-                    self._last_events[name] = project.log.last()
-                    continue
-                before = self._last_events[name]
+                before = self._last_events.get(name, opened[name])
                 self._last_events[name], changed = project.log.changed_frames(before)
                 adjusted = project.adjustments.since(before) if changed else ()
             except AnnotatorError as error:

@@ -15,7 +15,6 @@ from annotator.project import create_project
 from annotator.recordings import open_recording
 from annotator.types import BoxKind
 from annotator.web.settings import ServerSettings
-from annotator.web.watch import Watch
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.tracks.follow_frames import Follower
@@ -35,25 +34,6 @@ def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Worker processes can import `fake_jobs` and `knowing_jobs`."""
     paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
-
-
-@pytest.fixture
-def wait_for_poll(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """`wait_for_poll()`: waits for a poll of the watch that starts after the call."""
-    looks: list[Watch] = []
-    poll = Watch.poll
-
-    def counted(watch: Watch) -> None:
-        poll(watch)
-        looks.append(watch)
-
-    monkeypatch.setattr(Watch, "poll", counted)
-
-    def wait() -> None:
-        before = len(looks)
-        wait_until(lambda: len(looks) >= before + 2)
-
-    return wait
 
 
 @pytest.fixture

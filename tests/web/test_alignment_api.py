@@ -132,15 +132,12 @@ def test_a_time_offset_shows_another_image(live: Live, own_copy: Callable[[str],
     assert correct(live.client, {**NONE, "time_offset_s": 0.1}).status_code == 400
 
 
-def test_pages_hear_of_adjustments_by_others_and_by_the_command_line(
-    live: Live, wait_for_poll: Callable[[], None]
-) -> None:
+def test_pages_hear_of_adjustments_by_others_and_by_the_command_line(live: Live) -> None:
     with listen(live) as socket, open_project(live.settings.projects_root / "room") as outside:
         next_of(socket, "presence")
         correct(live.client, TURNED)
         event = next_of(socket, "adjusted")
         assert (event["recording"], event["operator"]) == (1, "Ada")
-        wait_for_poll()
         outside.adjustments.correct(1, Correction(), "annotator calibrate")
         assert next_of(socket, "adjusted")["operator"] == "annotator calibrate"
     assert shown(live.client)["correction"] == NONE

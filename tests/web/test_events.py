@@ -54,10 +54,9 @@ def test_a_changed_frame_is_announced_once_to_pages_of_its_project(live: Live) -
             other.recv(timeout=0.2)
 
 
-def test_changes_by_another_process_are_announced(wait_for_poll: Callable[[], None], live: Live) -> None:
+def test_changes_by_another_process_are_announced(live: Live) -> None:
     with listen(live) as socket, open_project(live.settings.projects_root / "room") as project:
         next_of(socket, "presence")
-        wait_for_poll()
         frame = project.frames.of()[2]
         project.frames.finalise(frame.id, WriteContext(frame.revision, "the command line", Source.MANUAL))
         event = next_of(socket, "frame")

@@ -117,10 +117,9 @@ def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest
         assert project.problems() == []
 
 
-def test_pages_get_events_for_changes_of_a_job(wait_for_poll: Callable[[], None], server: Live) -> None:
+def test_pages_get_events_for_changes_of_a_job(server: Live) -> None:
     with listen(server) as socket:
         next_of(socket, "presence")
-        wait_for_poll()
         begin(server, fake_jobs.EDITS)
         event = next_of(socket, "frame")
         assert (event["revision"], event["operator"]) == (1, "a job")

@@ -2,6 +2,8 @@
 
 const FIRST_WAIT_MS = 400;
 const LONGEST_WAIT_MS = 8000;
+// A page does not wait longer for the first connection; it reads everything again once it is connected.
+const FIRST_CONNECTION_MS = 2000;
 
 /** See `Messages` for the types of messages and their contents. */
 export function createEvents() {
@@ -15,7 +17,10 @@ export function createEvents() {
   let shownFrame = null;
   let waitMs = FIRST_WAIT_MS;
   let timer = 0;
-  let wasConnected = false;
+  /** Whether the page may have read something before it was connected. */
+  let hasRead = false;
+  let onFirst = () => {};
+  let ready = Promise.resolve();
 
   /**
    * @template {keyof Messages} K
@@ -35,8 +40,9 @@ export function createEvents() {
       waitMs = FIRST_WAIT_MS;
       emit("connection", true);
       if (shownFrame !== null) send({ type: "open", project, frame: shownFrame });
-      if (wasConnected) emit("reconnected", null);
-      wasConnected = true;
+      if (hasRead) emit("reconnected", null);
+      hasRead = true;
+      onFirst();
     };
     mine.onmessage = ({ data }) => {
       const message = JSON.parse(data);
@@ -44,10 +50,23 @@ export function createEvents() {
     };
     mine.onclose = () => {
       if (socket !== mine) return;
+      hasRead = true;
+      onFirst();
       emit("connection", false);
       timer = setTimeout(connect, waitMs, name);
       waitMs = Math.min(waitMs * 2, LONGEST_WAIT_MS);
     };
+  }
+
+  /** @param {string} name */
+  async function begin(name) {
+    /** @type {Promise<void>} */
+    const first = new Promise((resolve) => {
+      onFirst = resolve;
+    });
+    connect(name);
+    await Promise.race([first, new Promise((resolve) => setTimeout(resolve, FIRST_CONNECTION_MS))]);
+    if (project === name) hasRead = true;
   }
 
   /** @param {object} message */
@@ -70,20 +89,23 @@ export function createEvents() {
     },
 
     /**
-     * Receives the messages of a project; null: receives no messages.
+     * Receives the messages of a project; null: receives no messages. What is read after this call has resolved
+     * is followed by every later message, or by "reconnected".
      *
      * @param {string | null} name
      */
     follow(name) {
-      if (name === project) return;
+      if (name === project) return ready;
       project = name;
       shownFrame = null;
-      wasConnected = false;
+      hasRead = false;
+      onFirst();
       clearTimeout(timer);
       const old = socket;
       socket = null;
       old?.close();
-      if (name !== null) connect(name);
+      ready = name === null ? Promise.resolve() : begin(name);
+      return ready;
     },
 
     /**

@@ -165,6 +165,20 @@ async function readjust({ recording, operator }) {
   await follow(true);
 }
 
+/** Opens the frame anew if its recording was adjusted while there was no connection. */
+async function catchUp() {
+  const { route, frame } = app.state;
+  if (!["label", "review"].includes(route.mode) || frame === null) return;
+  try {
+    /** @type {FrameState} */
+    const now = await app.api.get(app.path("frames", frame.frame.id));
+    const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;
+    if (isShown && now.image.url !== frame.image.url) await follow(true);
+  } catch (error) {
+    toast(error);
+  }
+}
+
 /**
  * Mounts what the address names.
  *
@@ -182,18 +196,19 @@ async function follow(isAnew = false) {
   }
   if (ownVisit !== visit) return;
   app.state.set({ route });
-  if (route.project !== before.project) {
-    frameRequest?.abort();
-    app.frames.close(true);
-    app.state.set({ project: null, presence: {} });
-    app.events.follow(route.project);
-  }
   if (isSameMode) {
     mounted?.route?.(route);
     return;
   }
   leave();
+  if (route.project !== before.project) {
+    frameRequest?.abort();
+    app.frames.close(true);
+    app.state.set({ project: null, presence: {} });
+  }
   try {
+    await app.events.follow(route.project);
+    if (ownVisit !== visit) return;
     if (route.project !== null && app.state.project === null) await refreshProject();
     /** @type {Mode} */
     const module = await import(MODULES[route.mode]);
@@ -293,6 +308,7 @@ async function start() {
     app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),
   );
   app.events.on("adjusted", (message) => void readjust(message));
+  app.events.on("reconnected", () => void catchUp());
   app.events.on("connection", (connected) => app.state.set({ connected }));
   mountTopbar(topbar, app);
   try {

@@ -49,13 +49,14 @@ async def events(
     socket: WebSocket, ctx: Ctx, operator: Operator, project: Annotated[str | None, Query(max_length=64)] = None
 ) -> None:
     """Sends events to a page, and receives which frame and viewport it shows."""
-    if project is not None:
-        await run_in_threadpool(ctx.project, project)
-    await socket.accept()
-    client = Client(project, operator)
+    since = 0 if project is None else await run_in_threadpool(lambda: ctx.project(project).log.last())
+    # joined before the page knows that it is connected: what it reads from then on is followed by every later event
+    client = Client(project, operator, since)
     ctx.hub.join(client)
-    tasks = [asyncio.create_task(_send(socket, client)), asyncio.create_task(_receive(socket, ctx, client))]
+    tasks = []
     try:
+        await socket.accept()
+        tasks = [asyncio.create_task(_send(socket, client)), asyncio.create_task(_receive(socket, ctx, client))]
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         ctx.hub.leave(client)

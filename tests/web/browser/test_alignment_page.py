@@ -127,3 +127,24 @@ def test_changes_are_made_anew_after_another_operators(aligned: Page, room: Proj
         page.get_by_test_id("keep-correction").click()
     expect(page.get_by_test_id("keep-correction")).to_be_disabled()
     assert room.recordings.all()[0].correction.turn_rad[0] == pytest.approx(0.01745, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("mode", "shown"),
+    [
+        ("alignment", "[data-testid=turn-y-field]"),
+        ("label", "[data-testid=image-editor] img.picture[src*='adjusted=']"),
+    ],
+)
+def test_an_adjustment_made_while_there_was_no_connection_is_shown(
+    aligned: Page, shop: Shop, room: Project, monkeypatch: pytest.MonkeyPatch, mode: str, shown: str
+) -> None:
+    page, hub = aligned, shop.live.context.hub
+    monkeypatch.setattr(hub, "recording_adjusted", lambda *_: None)
+    page.goto(f"/#/{room.path.name}/{mode}/1")
+    page.locator("img.picture[src]" if mode == "label" else shown).first.wait_for()
+    hub.close()
+    room.adjustments.correct(1, Correction((0.0, 0.02, 0.0)), "Bob")
+    expect(page.locator(shown)).to_be_visible()
+    if mode == "alignment":
+        expect(page.locator(shown)).to_have_value("1.15")

@@ -415,14 +415,29 @@ export function mount(root, app) {
     }
   }
 
-  const stop = app.events.on("adjusted", ({ recording, adjusted, operator }) => {
+  /** @param {Messages["adjusted"]} message */
+  function onAdjusted({ recording, adjusted, operator }) {
     if (known?.recording !== recording || adjusted <= known.adjusted) return;
     isOutdated = true;
     if (isBusy) return;
     if (isCorrectionChanged() || isUpChanged())
       app.toast(`${operator} has adjusted this recording meanwhile. Discard your changes to see it.`, "warn");
     else void load();
-  });
+  }
+
+  /** Asks whether the recording was adjusted while there was no connection. */
+  async function onReconnected() {
+    if (known === null || frame === null) return;
+    try {
+      /** @type {Api.AlignmentJson} */
+      const { recording, adjusted } = await app.api.get(app.path("frames", frame, "alignment"));
+      if (!ended) onAdjusted({ recording, adjusted, operator: "Someone" });
+    } catch (error) {
+      fail(error);
+    }
+  }
+
+  const stops = [app.events.on("adjusted", onAdjusted), app.events.on("reconnected", onReconnected)];
 
   recordings.append(...app.state.project.recordings.map(({ id, name }) => h("option", { value: String(id) }, name)));
   void load();
@@ -437,7 +452,7 @@ export function mount(root, app) {
       hasUnsaved() ? { text: "The correction or the level was not kept.", retry: () => {}, discard } : null,
     unmount() {
       ended = true;
-      stop();
+      for (const stop of stops) stop();
       picture.close();
     },
   };
