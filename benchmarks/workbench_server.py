@@ -25,19 +25,22 @@ class Server:
     Attributes:
         url: `http://127.0.0.1:PORT`.
         link: the URL with the token.
+        port, pid: of the server, and of its process.
     """
 
-    def __init__(self, projects: Path) -> None:
+    def __init__(self, projects: Path, log: Path | None = None) -> None:
         arguments = ["-m", "annotator", "serve", "--projects", str(projects), "--port", "0"]
-        self._process = subprocess.Popen(
-            [sys.executable, *arguments], env=os.environ, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
+        with (log or Path(os.devnull)).open("wb") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, *arguments], env=os.environ, stdout=subprocess.PIPE, stderr=errors, text=True
+            )
         assert self._process.stdout is not None
         printed = re.search(r"(http://[^/]+)/\S+", self._process.stdout.readline())
         if printed is None:
             self.kill()
             raise ConfigError("the server did not start; run `annotator serve` to see why")
         self.link, self.url = printed.group(), printed.group(1)
+        self.port, self.pid = int(self.url.rpartition(":")[2]), self._process.pid
 
     def client(self, operator: str | None = "Ada") -> httpx.Client:
         """A client with the token's cookie and the origin of the server's own page; signed in, except as None."""
@@ -68,9 +71,9 @@ class Server:
 
 
 @contextmanager
-def serving(projects: Path) -> Iterator[Server]:
-    """A server that is stopped at the end of the block."""
-    server = Server(projects)
+def serving(projects: Path, log: Path | None = None) -> Iterator[Server]:
+    """A server that is stopped at the end of the block; `log` gets its standard error."""
+    server = Server(projects, log)
     try:
         yield server
     finally:

@@ -34,7 +34,6 @@ from annotator.web.errors import (
     internal_error,
     status_of,
 )
-from annotator.web.limits.protocols import VISIT
 from annotator.web.limits.rates import Rate, address_key
 from annotator.web.settings import ServerSettings
 
@@ -128,8 +127,6 @@ class Guard:
             if not is_known:
                 raise NotSignedInError("sign in with the link that the server printed when it started")
             _check_origin(connection)
-            if VISIT in scope.get("state", {}):
-                scope["state"][VISIT].show_token()
             body = await _whole_body(scope, connection.headers, receive)
         except AnnotatorError as error:
             await _refuse(error, scope, receive, send)

@@ -29,7 +29,7 @@ from annotator.web.window import check_window, has_display, in_window
 # Maximum size of a WebSocket message from a browser, bytes.
 WS_LIMIT = 1 << 22
 # Connections that the system keeps for the server, and those that are accepted at once, before others are served.
-WAITING, AT_ONCE = 1024, 128
+WAITING, AT_ONCE = 1024, 32
 # The page that leads a browser to the printed link: a link in the browser's command line would be seen by all users.
 OPENING = (
     '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={link}"><title>annotator</title>'

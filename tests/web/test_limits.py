@@ -30,10 +30,10 @@ TOKEN = "a-token-for-the-tests"
 
 @pytest.fixture
 def locked(tmp_path: Path) -> Iterator[Live]:
-    """A server with a token, and room for 64 connections: 32 of strangers, 8 of them from one address."""
+    """A server with a token, and room for 16 connections: 12 silent ones, 8 of them from one address."""
     create_project(tmp_path / "projects", "room", ("person",)).close()
     with running(ServerSettings(tmp_path / "projects", port=0, token=TOKEN)) as live:
-        visits(live).__init__(64)  # type: ignore[misc]
+        connections_of(live).__init__(16)  # type: ignore[misc]
         yield live
 
 
@@ -42,10 +42,10 @@ def wait_for(find: Callable[[], Any]) -> Any:
     return find()
 
 
-def visits(live: Live) -> Connections:
+def connections_of(live: Live) -> Connections:
     config = live.server.config
     assert isinstance(config, protocols.LimitedConfig)
-    return config.visits
+    return config.open
 
 
 def dial(live: Live) -> socket.socket:
@@ -108,7 +108,7 @@ def test_bodies_must_make_progress(live: Live) -> None:
         assert rest(slow) == b"", "nothing came since"
 
 
-def test_strangers_are_turned_out_and_those_who_have_signed_in_are_not(locked: Live) -> None:
+def test_silent_connections_are_turned_out_and_those_who_have_signed_in_are_not(locked: Live) -> None:
     with ExitStack() as stack:
         known = stack.enter_context(httpx.Client(base_url=locked.url, cookies=locked.client.cookies, timeout=20))
         known.get("/api/session")
@@ -116,10 +116,10 @@ def test_strangers_are_turned_out_and_those_who_have_signed_in_are_not(locked: L
         for connection in slow:
             connection.sendall(HEAD)
         assert [rest(connection) for connection in slow[:22]] == [b""] * 22, "the oldest"
-        wait_until(lambda: visits(locked).strangers == 8)
+        wait_until(lambda: connections_of(locked).silent == 8)
         assert known.get("/api/session").status_code == 200
         assert httpx.get(f"{locked.url}/api/session", cookies=locked.client.cookies, timeout=20).status_code == 200
-    wait_until(lambda: visits(locked).strangers == 0)
+    wait_until(lambda: connections_of(locked).silent == 0)
 
 
 class Transport(asyncio.Transport):
@@ -130,23 +130,31 @@ class Transport(asyncio.Transport):
 
 
 def test_room_is_kept_for_those_who_have_signed_in() -> None:
-    connections = Connections(8)  # 4 strangers, 1 of an address
-    known = [connections.arrive(f"a{number}", Transport()) for number in range(4)]
-    for visit in known:
-        visit.show_token()
-    strangers = [connections.arrive(f"b{number}", Transport()) for number in range(5)]
-    assert [visit.transport.closed for visit in strangers] == [True, False, False, False, False]
-    again = connections.arrive("b4", Transport())
-    assert strangers[4].transport.closed and not again.transport.closed
-    more = [connections.arrive(f"c{number}", Transport()) for number in range(20)]
-    for visit in more:
-        visit.show_token()
-    assert not any(visit.transport.closed for visit in known)
-    assert (len(connections), connections.strangers) == (8, 0)
-    assert connections.arrive("d", Transport()).transport.closed, "there is no stranger to turn out"
-    for visit in [*known, *more]:
-        connections.leave(visit)
-    assert len(connections) == 0 and not connections._of_address
+    connections = Connections(8)  # 6 silent ones, 4 of an address
+
+    def arrive(*addresses: str) -> list[Transport]:
+        new = [Transport() for _ in addresses]
+        for address, transport in zip(addresses, new, strict=True):
+            connections.arrive(address, transport)
+        return new
+
+    known = arrive("a", "b", "c", "d")
+    for transport in known:
+        connections.heard(transport)
+    silent = arrive("e", "f", "g", "h", "i")
+    assert [transport.closed for transport in silent] == [True, False, False, False, False], "room for 8"
+    more = arrive("j", "k", "l", "m")
+    for transport in more:
+        connections.heard(transport)
+    assert not any(transport.closed for transport in [*known, *more])
+    assert (len(connections), connections.silent) == (8, 0)
+    assert arrive("n")[0].closed, "there is no silent one to turn out"
+    for transport in [*known, *more]:
+        connections.leave(transport)
+    assert len(connections) == 0 and not connections._silent_of
+    silent = arrive("o", "p", "q", "q", "q", "q", "q")
+    assert [transport.closed for transport in silent] == [False] * 2 + [True] + [False] * 4, "room for 4 of an address"
+    assert [transport.closed for transport in [*arrive("r"), silent[0]]] == [False, True], "room for 6 silent ones"
 
 
 def test_there_are_descriptors_for_all_connections() -> None:

@@ -1,97 +1,83 @@
-"""The open connections of a server. A *stranger* is a connection that has not shown the token.
+"""The open connections of a server. A connection is *silent* until the headers of its first request are complete.
 
-Only strangers are turned out, the oldest first, so that those who have signed in always find room. An honest browser
-shows its token within milliseconds.
+Only silent connections are turned out, the oldest first, so that there is always room for those who have signed in: an
+honest browser sends its headers at once. Whoever then lacks the token gets a refusal, and is disconnected.
 """
 
 from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from dataclasses import dataclass
 
 # File descriptors that a server asks the system for; those that it keeps for databases, recordings and jobs; and the
 # most connections that it accepts.
-DESCRIPTORS, KEPT, MOST = 4096, 512, 2048
-# Shares of the connections that strangers may have: all of them, and those of one address.
-STRANGERS, OF_ADDRESS = 2, 8
-
-
-@dataclass(eq=False)
-class Visit:
-    """One connection.
-
-    Attributes:
-        address: of the client, as in `address_key`.
-        transport: the connection itself.
-    """
-
-    address: str
-    transport: asyncio.Transport
-    connections: Connections
-
-    def show_token(self) -> None:
-        """The client has shown the token, or none is needed."""
-        self.connections.forget_stranger(self)
+DESCRIPTORS, KEPT, MOST = 8192, 512, 4096
+# Shares of the connections that may be silent: of all, and of one address. Large ones: who is turned out comes back at
+# once, which costs more than a connection that waits for the end of its time.
+SILENT, OF_ADDRESS = 0.75, 0.5
 
 
 class Connections:
-    """Counts connections, and closes the oldest strangers if there are too many."""
+    """Counts connections, and closes the oldest silent ones if there are too many."""
 
     def __init__(self, most: int) -> None:
         """
         Args:
-            most: number of connections; the shares of strangers follow from it.
+            most: number of connections; the numbers of silent ones follow from it.
         """
-        self._most, self._most_strangers, self._most_of_address = most, most // STRANGERS, max(1, most // OF_ADDRESS)
-        self._open: set[Visit] = set()
+        self._most, self._most_silent, self._most_of_address = most, int(most * SILENT), int(most * OF_ADDRESS)
+        self._addresses: dict[asyncio.Transport, str] = {}
         # dictionaries, since they keep the order of arrival
-        self._strangers: dict[Visit, None] = {}
-        self._of_address: dict[str, dict[Visit, None]] = {}
+        self._silent: dict[asyncio.Transport, None] = {}
+        self._silent_of: dict[str, dict[asyncio.Transport, None]] = {}
 
     def __len__(self) -> int:
-        return len(self._open)
+        return len(self._addresses)
 
     @property
-    def strangers(self) -> int:
-        """The number of strangers."""
-        return len(self._strangers)
+    def silent(self) -> int:
+        """The number of silent connections."""
+        return len(self._silent)
 
-    def arrive(self, address: str, transport: asyncio.Transport) -> Visit:
-        """Adds a connection, as a stranger; closes the oldest stranger, or this one, if there are too many."""
-        visit = Visit(address, transport, self)
-        if len(self._open) >= self._most and not self._turn_out(self._strangers):
+    def arrive(self, address: str, transport: asyncio.Transport) -> None:
+        """Adds a connection; closes the oldest silent one, or this one, if there are too many.
+
+        Args:
+            address: of the client, as in `address_key`.
+        """
+        if len(self._addresses) >= self._most and not self._turn_out(self._silent):
             transport.abort()
-            return visit
-        self._open.add(visit)
-        self._strangers[visit] = None
-        same = self._of_address.setdefault(address, {})
-        same[visit] = None
+            return
+        self._addresses[transport] = address
+        self._silent[transport] = None
+        same = self._silent_of.setdefault(address, {})
+        same[transport] = None
         if len(same) > self._most_of_address:
             self._turn_out(same)
-        elif len(self._strangers) > self._most_strangers:
-            self._turn_out(self._strangers)
-        return visit
+        elif len(self._silent) > self._most_silent:
+            self._turn_out(self._silent)
 
-    def leave(self, visit: Visit) -> None:
-        """Removes a connection that has ended."""
-        self._open.discard(visit)
-        self.forget_stranger(visit)
-
-    def forget_stranger(self, visit: Visit) -> None:
-        """A stranger is none any more."""
-        self._strangers.pop(visit, None)
-        if same := self._of_address.get(visit.address):
-            same.pop(visit, None)
+    def heard(self, transport: asyncio.Transport) -> None:
+        """A connection has sent the headers of a request."""
+        if transport in self._silent:
+            del self._silent[transport]
+            address = self._addresses[transport]
+            same = self._silent_of[address]
+            del same[transport]
             if not same:
-                del self._of_address[visit.address]
+                del self._silent_of[address]
 
-    def _turn_out(self, strangers: dict[Visit, None]) -> bool:
-        oldest = next(iter(strangers), None)
+    def leave(self, transport: asyncio.Transport) -> None:
+        """Removes a connection that has ended."""
+        self.heard(transport)
+        self._addresses.pop(transport, None)
+
+    def _turn_out(self, silent: dict[asyncio.Transport, None]) -> bool:
+        oldest = next(iter(silent), None)
         if oldest is None:
             return False
         self.leave(oldest)
-        oldest.transport.abort()
+        oldest.abort()
         return True
 
 

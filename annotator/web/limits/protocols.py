@@ -14,15 +14,13 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from uvicorn.server import ServerState
 
-from annotator.web.limits.connections import Connections, Visit
+from annotator.web.limits.connections import Connections
 from annotator.web.limits.rates import address_key
 
 # Time for the headers of a request: of the first one from the connection's beginning, else from their first byte.
 HEADERS_WITHIN_S = 10.0
 # A body must bring this many bytes, or its end, in each such time.
 BODY_EVERY_S, BODY_BYTES = 30.0, 32 * 1024
-# The key of a connection's `Visit` in `scope["state"]`.
-VISIT = "visit"
 
 
 class LimitedConfig(uvicorn.Config):
@@ -30,7 +28,7 @@ class LimitedConfig(uvicorn.Config):
 
     def __init__(self, app: Any, connections: Connections, **options: Any) -> None:
         super().__init__(app, http=LimitedHttp, ws=LimitedSocket, **options)
-        self.visits = connections
+        self.open = connections
 
 
 class LimitedHttp(H11Protocol):
@@ -49,13 +47,11 @@ class LimitedHttp(H11Protocol):
         self._timer: asyncio.TimerHandle | None = None
         self._awaited: Literal["headers", "body"] | None = None
         self._received = 0
-        self._visit: Visit
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Counts the connection, and starts the time for its first headers."""
         super().connection_made(transport)
-        self._visit = self.config.visits.arrive(address_key(self.client[0] if self.client else ""), transport)
-        self.app_state = {**self.app_state, VISIT: self._visit}
+        self.config.open.arrive(address_key(self.client[0] if self.client else ""), transport)
         self._watch()
 
     def data_received(self, data: bytes) -> None:
@@ -67,7 +63,7 @@ class LimitedHttp(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Forgets the connection."""
         self._stop()
-        self.config.visits.leave(self._visit)
+        self.config.open.leave(self.transport)
         super().connection_lost(exc)
 
     def _watch(self) -> None:
@@ -79,6 +75,8 @@ class LimitedHttp(H11Protocol):
             return
         self._stop()
         self._awaited, self._received = awaited, 0
+        if awaited != "headers":
+            self.config.open.heard(self.transport)
         if awaited is not None:
             wait_s = HEADERS_WITHIN_S if awaited == "headers" else BODY_EVERY_S
             self._timer = self.loop.call_later(wait_s, self._too_late)
@@ -104,5 +102,5 @@ class LimitedSocket(WebSocketsSansIOProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forgets the connection."""
-        self.config.visits.leave(self.app_state[VISIT])
+        self.config.open.leave(self.transport)
         super().connection_lost(exc)
