@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import random
-import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -28,24 +28,38 @@ BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [1.0, 0
 
 @contextmanager
 def server(projects: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    command = [sys.executable, "-m", "annotator", "serve", "--projects", str(projects), "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    assert process.stdout is not None
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = ["--projects", str(projects), "--port", str(port), "--no-token"]
+    command = [sys.executable, "-m", "annotator", "serve", *words]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    url = f"http://127.0.0.1:{port}"
     try:
-        link = re.search(r"http://\S+", process.stdout.readline().decode())
-        assert link is not None, "the server did not start"
-        yield link.group(), process
+        _wait_until_it_answers(url, process)
+        yield url, process
     finally:
         process.kill()
         process.wait()
-        process.stdout.close()
+
+
+def _wait_until_it_answers(url: str, process: subprocess.Popen[bytes]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        assert process.poll() is None, "the server did not start"
+        try:
+            httpx.get(f"{url}/api/session", timeout=30)
+            return
+        except httpx.TransportError:
+            assert time.monotonic() < end, "the server does not answer"
+            time.sleep(0.1)
 
 
 class Editor:
     """Edits one frame as fast as possible, and records the acknowledged state."""
 
-    def __init__(self, link: str, frame: int, seed: int) -> None:
-        self.link, self.url, self.frame = link, link.partition("/?")[0], frame
+    def __init__(self, url: str, frame: int, seed: int) -> None:
+        self.url, self.frame = url, frame
         self.chance = random.Random(seed)
         self.revision = 0
         self.labels: dict[str, tuple[str, int | None]] = {}
@@ -54,7 +68,6 @@ class Editor:
     def run(self) -> None:
         try:
             with httpx.Client(base_url=self.url, headers={"Origin": self.url}, timeout=PATIENCE_S) as client:
-                client.get(self.link)
                 client.post("/api/session", json={"operator": "ann"})
                 self._take(client.get(f"/api/projects/room/frames/{self.frame}").json())
                 while True:
@@ -89,8 +102,8 @@ class Editor:
 def test_every_acknowledged_edit_survives_a_kill(web_settings: ServerSettings) -> None:
     moments = random.Random(3)
     for round_ in range(ROUNDS):
-        with server(web_settings.projects_root) as (link, process):
-            editor = Editor(link, 1 + round_, round_)
+        with server(web_settings.projects_root) as (url, process):
+            editor = Editor(url, 1 + round_, round_)
             thread = threading.Thread(target=editor.run)
             thread.start()
             wait_until(lambda editor=editor: editor.acknowledged > EDITS_BEFORE_KILL)  # type: ignore[misc]
