@@ -13,9 +13,9 @@ import asyncio
 import multiprocessing
 import os
 import resource
-import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,6 @@ from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import httpx
-import psutil
 import tyro
 
 from annotator.types.errors import ConfigError
@@ -94,19 +93,12 @@ def measure(connections: int, seconds: float, folder: Path) -> dict[str, Any]:
             time.sleep(0.05)
         if not attacker.is_alive():
             raise ConfigError("the connections could not be opened; raise the limit of open files (ulimit -n)")
-        process, end = psutil.Process(server.pid), time.monotonic() + seconds
-        began_cpu, began = sum(process.cpu_times()[:2]), time.monotonic()
-        waits = {name: list[float]() for name in ("open connection", "new connections", "saves")}
-        works = (_reads(server), _connects(server), _saves(server))
-        threads = [
-            threading.Thread(target=_repeat, args=(work, end, times))
-            for work, times in zip(works, waits.values(), strict=True)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        cpu = (sum(process.cpu_times()[:2]) - began_cpu) / (time.monotonic() - began)
+        works = {"open connection": _read, "new connections": _connect, "saves": _save}
+        began, began_cpu = time.monotonic(), _processor_s(server)
+        with ThreadPoolExecutor(len(works)) as pool:
+            runs = {name: pool.submit(_repeat, server, work, began + seconds) for name, work in works.items()}
+        waits = {name: run.result() for name, run in runs.items()}
+        cores = (_processor_s(server) - began_cpu) / (time.monotonic() - began)
         attacker.join()
         logs = [log, *(folder / "projects/.jobs").glob("server.log*")]
         return {
@@ -117,43 +109,43 @@ def measure(connections: int, seconds: float, folder: Path) -> dict[str, Any]:
                 for name, times in waits.items()
             },
             "p95_s": max(percentile(times, 95) for times in waits.values()),
-            "cpu": cpu,
-            "memory_mb": process.memory_info().rss / 1e6,
+            "cores": cores,
             "log_bytes": sum(path.stat().st_size for path in logs),
         }
 
 
-def _repeat(work: Callable[[], object], end: float, times: list[float]) -> None:
-    while time.monotonic() < end:
-        began = time.monotonic()
-        work()
-        times.append(time.monotonic() - began)
-        time.sleep(PAUSE_S)
+def _processor_s(server: Server) -> float:
+    """Processor time of the server until now (Linux)."""
+    user, system = Path(f"/proc/{server.pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
-def _reads(server: Server) -> Callable[[], object]:
-    client = server.client()
-    return lambda: answered(client.get("/api/projects/room"))
+def _repeat(server: Server, work: Callable[[httpx.Client, int], None], end: float) -> list[float]:
+    times = list[float]()
+    with server.client() as client:
+        while not times or time.monotonic() < end:
+            began = time.monotonic()
+            work(client, len(times))
+            times.append(time.monotonic() - began)
+            time.sleep(PAUSE_S)
+    return times
 
 
-def _connects(server: Server) -> Callable[[], object]:
-    cookies = dict(server.client().cookies)
+def _read(client: httpx.Client, _: int) -> None:
+    answered(client.get("/api/projects/room"))
+
+
+def _connect(client: httpx.Client, _: int) -> None:
     # without `verify`, httpx reads all certificates of this computer each time
-    return lambda: answered(httpx.get(f"{server.url}/api/session", cookies=cookies, timeout=60.0, verify=False))
+    url, cookies = client.base_url.join("/api/session"), client.cookies
+    answered(httpx.get(url, cookies=cookies, timeout=60.0, verify=False))
 
 
-def _saves(server: Server) -> Callable[[], object]:
-    client, path = server.client(), f"/api/projects/room/frames/{FRAME}"
-    # of a new frame; asking for it would load the detectors, which takes long and is not measured here
-    revision = 0
-
-    def save() -> None:
-        nonlocal revision
-        create = {"kind": "create", "label": LABEL, "box": box_at(0.0), "track_id": None}
-        body = {"revision": revision, "changes": [create], "effort": {"actions": 1, "seconds": 0.1}}
-        revision = answered(client.post(f"{path}/changes", json=body))["frame"]["revision"]
-
-    return save
+def _save(client: httpx.Client, revision: int) -> None:
+    # the frame is not asked for, which would load the detectors; they take long and are not measured here
+    create = {"kind": "create", "label": LABEL, "box": box_at(0.0), "track_id": None}
+    body = {"revision": revision, "changes": [create], "effort": {"actions": 1, "seconds": 0.1}}
+    answered(client.post(f"/api/projects/room/frames/{FRAME}/changes", json=body))
 
 
 def main() -> None:
@@ -166,8 +158,8 @@ def main() -> None:
     waits = Table("client", "requests", "median s", "95 % s")
     for name, wait in result["waits"].items():
         waits.add(name, *wait.values())
-    costs = Table("connections", "opened", "cores", "memory MB", "log bytes")
-    costs.add(*(result[name] for name in ("connections", "opened", "cpu", "memory_mb", "log_bytes")))
+    costs = Table("connections", "opened", "cores", "log bytes")
+    costs.add(*(result[name] for name in ("connections", "opened", "cores", "log_bytes")))
     finish(result, arguments.json, waits, costs)
 
 
