@@ -29,6 +29,7 @@ from annotator.workflows.training.rounds import (
     FIRST_PART_S,
     Choice,
     choose_start,
+    image_config,
     part_seconds,
     starting_config,
 )
@@ -45,7 +46,7 @@ from annotator.workflows.training.run import (
 from annotator.workflows.training.samples import Material, SampleConfig, gather, image_samples, view_samples
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.
-IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
+IMAGE_DEFAULTS = TrainingConfig(image_size_px=192, pictures_seen=2800)
 VIEW_DEFAULTS = TrainingConfig(image_size_px=DEFAULT_VIEW_PX, pictures_seen=48000)
 
 # Share of generated views among the training views of a class-agnostic detector (docs/detector_training.md).
@@ -169,7 +170,8 @@ def _train_image(
     held_out, rcv = _held_out(project, plan), plan.rcv or rcv_config(project)
     pasted = pasted_image_samples(project, material, rcv, plan.samples, held_out, left_out.skip)
     written = run.write(unless_stopped(chain(real, pasted), partial(_check_stop, stop)))
-    ran = run.train(written, plan.image, report, stop)
+    config = image_config(project, plan.image, written.sha256, plan.decides)
+    ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
     return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out.lines))

@@ -8,9 +8,9 @@ import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
 
 /** The server's defaults, which empty fields show. */
-const PICTURES = { image: 1600, view: 48000 };
+const PICTURES = { image: 2800, view: 48000 };
 const LEARN_EVERY = 20;
-const SIZES_PX = { image: 256, view: 64 };
+const SIZES_PX = { image: 192, view: 64 };
 /** @type {[Api.DetectorKind, string, string][]} */
 const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
