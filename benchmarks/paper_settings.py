@@ -11,7 +11,6 @@ from annotator.detection.config import Augmentation, TrainingConfig
 from annotator.rcv.config import Strategy, ViewConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS
 
-
 # Thousands of wide images with small objects; the defaults are for a few dozen.
 IMAGE = IMAGE_DEFAULTS.model_copy(update={"image_size_px": 256})
 

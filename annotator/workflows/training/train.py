@@ -54,6 +54,17 @@ GENERATED_SHARE = 0.2
 # Share of the remaining time of a part that is for training; the rest is for measuring. The shortest training, seconds.
 TRAINING_SHARE, MIN_TRAINING_S = 0.85, 10.0
 
+
+def image_defaults(minutes: float | None = None) -> TrainingConfig:
+    """The default settings of the image detector.
+
+    Args:
+        minutes: of the view detector's training; beyond three minutes, the image detector learns longer, too.
+    """
+    length = max((minutes or 0.0) * 60 / FIRST_PART_S, 1.0)
+    return IMAGE_DEFAULTS.model_copy(update={"pictures_seen": round(length * IMAGE_DEFAULTS.pictures_seen)})
+
+
 ProgressCallback = Callable[[DetectorKind, TrainingProgress], None]
 
 
