@@ -9,8 +9,8 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from annotator.recordings.options import parse_options
+from annotator.recordings.ros.topics import TopicReport
 from annotator.web.context import Ctx, Operator
-from annotator.workflows.inspect import TopicReport
 from annotator.workflows.workbench.bag_preview import preview_bag
 
 router = APIRouter(tags=["recordings"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from ros_takes import (
 )
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.cli.main import main
 from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros.topics import list_topics
@@ -59,6 +61,20 @@ def test_topics_are_listed_with_their_use(tmp_path: Path):
     }  # fmt: skip
     image = listed["/cam/image_raw"]
     assert (image.type, image.messages, image.rate_hz) == ("sensor_msgs/Image", 3, 10.0)
+
+
+def test_inspect_lists_the_topics_that_matter_and_counts_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_take(bag)
+        bag.image("/a_left/image_raw", START_NS, IMAGE[:, :, :1], "mono8")
+        for number in range(40):
+            bag.write(f"/option_{number}", START_NS, bag.type("std_msgs/Float32")(data=1.0))
+    assert main(["inspect", str(bag.path)]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("topic")]
+    assert [line.rpartition(": ")[2] for line in lines[:-1]] == ["camera", "image", "points", "transforms", "--image"]
+    assert lines[-1].endswith("40 others are not used (--json lists them): 40 of std_msgs/Float32")
+    assert main(["inspect", str(bag.path), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["topics"]) == 45
 
 
 def two_cameras(folder: Path) -> Path:
