@@ -26,7 +26,7 @@ from annotator.recordings.ros import decode, kept_times, pairing, video
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.chunks import KEPT, MOST_KEPT_BYTES, Chunk, Chunks, unpack
 from annotator.recordings.ros.files import open_bag
-from annotator.types.errors import FrameError, MissingExtraError, RecordingError
+from annotator.types.errors import FrameError, MissingExtraError, RecordingError, UnknownFormatError
 from benchmarks.bag_writer import CONTAINERS, BagWriter
 
 SECOND = 10**9
@@ -331,15 +331,24 @@ def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):
     assert "has no metadata.yaml" in open_recording(bag.path).notes[0]
 
 
-def test_the_files_of_a_folder_are_one_bag(tmp_path: Path):
+def test_the_parts_of_a_recording_are_one_bag_and_other_files_are_not(tmp_path: Path):
     with BagWriter(tmp_path, "mcap") as bag:
         write_take(bag, 2)
+    file = next(bag.path.glob("*.mcap"))
     whole = tmp_path / "whole"
     whole.mkdir()
-    for i in (0, 1, 10):
-        shutil.copy(next(bag.path.glob("*.mcap")), whole / f"take_{i}.mcap")
+    for i in range(11):
+        shutil.copy(file, whole / f"take_{i}.mcap")
     opened = open_bag(whole)
-    assert opened is not None and len(opened.topics["/points"]) == 6
+    assert opened is not None and len(opened.topics["/points"]) == 22
+    # two drives, a copy in another format, parts of which the second is missing
+    for number, names in enumerate((("a.mcap", "b.mcap"), ("a_0.mcap", "a_0.db3"), ("a_0.mcap", "a_2.mcap"))):
+        folder = tmp_path / f"several_{number}"
+        folder.mkdir()
+        for name in names:
+            shutil.copy(file, folder / name)
+        with pytest.raises(UnknownFormatError, match="contains recordings; give the path of one of them: a"):
+            open_recording(folder)
 
 
 def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
