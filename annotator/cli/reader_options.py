@@ -30,7 +30,9 @@ class ReadAs:
     points: Annotated[str | None, option("points", "TOPIC")] = None
     depth: Annotated[str | None, option("depth", "TOPIC")] = None
     camera_info: Annotated[str | None, option("camera_info", "TOPIC")] = None
+    depth_info: Annotated[str | None, option("depth_info", "TOPIC")] = None
     frame: Annotated[str | None, option("tf_frame")] = None
+    no_motion: Annotated[bool, option("no_motion")] = False
     tolerance: Annotated[float | None, option("tolerance_s")] = None
     min_confidence: Annotated[int | None, option("min_confidence")] = None
 
@@ -43,7 +45,8 @@ class ReadAs:
         given = asdict(self)
         for name in ("scene", "camera"):
             given[name] = _only(name, given[name])
-        return parse_options(tf_frame=given.pop("frame"), tolerance_s=given.pop("tolerance"), **given)
+        renamed = {"tf_frame": given.pop("frame"), "tolerance_s": given.pop("tolerance")}
+        return parse_options(no_motion=given.pop("no_motion") or None, **renamed, **given)
 
 
 def _only(name: str, given: tuple[str, ...]) -> str | None:

@@ -27,8 +27,12 @@ class ReaderOptions(BaseModel):
     points: str | None = Field(None, min_length=1, description="topic of the point clouds in a bag")
     depth: str | None = Field(None, min_length=1, description="topic of the depth images in a bag")
     camera_info: str | None = Field(None, min_length=1, description="topic of the camera's calibration in a bag")
+    depth_info: str | None = Field(None, min_length=1, description="topic of the depth camera's calibration in a bag")
     tf_frame: str | None = Field(
         None, min_length=1, description="tf frame of the camera, if not the one that its images name"
+    )
+    no_motion: Literal[True] | None = Field(
+        None, description="do not move a bag's clouds to the images' times, even if tf knows how the rig moved"
     )
     tolerance_s: float | None = Field(
         None, gt=0, le=10, description="largest difference in time between an image and its points or depth, seconds"

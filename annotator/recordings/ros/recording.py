@@ -2,7 +2,8 @@
 
 Frames are pairs of messages; their keys are the numbers of the images on their topic (without images, of the clouds).
 A frame's cloud holds the points that its camera sees, in the camera's frame, by the tf messages of the bag. Where tf
-knows how the rig moves (`odom`, `map` or `world`), a cloud is moved from its own time to that of the image.
+knows how the rig moves (`odom`, `map` or `world`), a cloud is moved from its own time to that of the image, unless the
+option `no_motion` is given.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from annotator.recordings.ros.images import color_image, depth_image
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
 from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
-from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, frame_of
+from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, first_of_pair, frame_of
 from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
 from annotator.recordings.ros.video import video_image
 from annotator.recordings.two_cameras import registered
@@ -127,7 +128,7 @@ class RosBag(KeyedFrames):
         else:
             with _naming(self.chosen.partner):
                 raw = read_cloud(self.path, partner)
-            T = _turned(camera) * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
+            T = camera.T_camera_frame * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
             cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
             cloud = cloud_in_image(camera.camera, cloud, rgb)
         if len(cloud) == 0:
@@ -143,7 +144,15 @@ class RosBag(KeyedFrames):
             OSError: the file cannot be read.
         """
         assert self.chosen.info is not None and self.chosen.image is not None
-        return _camera(self.chosen.info, self.chosen.image, log_ns)
+        return self._camera(self.chosen.info, self.chosen.image, log_ns)
+
+    def _camera(self, info: Topic, image: ImageTopic, log_ns: int) -> BagCamera:
+        """Returns a camera as its calibration says that was logged nearest to a time."""
+        is_rectified = bool(RECTIFIED.search(image.base))
+        first = first_of_pair(self.bag, info) if is_rectified else None
+        with _naming(info):
+            content = message(info, info.nearest(log_ns))
+            return read_camera_info(content, is_rectified, first and message(first, first.nearest(log_ns)))
 
     def _from_depth(
         self, content: Any, depth: ImageTopic, T: RigidTransform, rgb: np.ndarray, camera: Camera, log_ns: int
@@ -153,7 +162,7 @@ class RosBag(KeyedFrames):
         unit_m = None if self.realsense is None else self.realsense.unit_m
         with _naming(depth.topic):
             depth_m = depth_image(content, unit_m)
-        source = _camera(self.chosen.depth_info, depth, log_ns)
+        source = self._camera(self.chosen.depth_info, depth, log_ns)
         if source.fisheye is not None:
             raise ValueError(f"{depth.topic.name}: depth of a fisheye camera is not supported")
         with _naming(depth.topic):
@@ -169,9 +178,9 @@ class RosBag(KeyedFrames):
         assert self.chosen.depth is not None and self.chosen.depth_info is not None
         if self.realsense is not None:
             return self.realsense.T_color_depth
-        source = _camera(self.chosen.depth_info, self.chosen.depth, log_ns)
+        source = self._camera(self.chosen.depth_info, self.chosen.depth, log_ns)
         between = self._T_camera_cloud(i, camera_frame, depth_frame, log_ns)
-        return _turned(camera) * between * _turned(source).inv()
+        return camera.T_camera_frame * between * source.T_camera_frame.inv()
 
     def _T_camera_cloud(self, i: int, camera: str, cloud: str, log_ns: int) -> RigidTransform:
         """Returns the transform of a pair: the cloud at its own time, the camera at that of the image.
@@ -206,7 +215,7 @@ class RosBag(KeyedFrames):
                 continue
             turn = self._imu_turn(topic, camera_frame, found[1], time_ns, log_ns)
             if turn is not None:
-                return np.asarray((camera.R_camera_frame * turn).apply(found[0]))
+                return np.asarray((camera.T_camera_frame.rotation * turn).apply(found[0]))
         return None
 
     def _imu_turn(self, imu: Topic, camera_frame: str, frame: str, time_ns: int, log_ns: int) -> Rotation | None:
@@ -252,9 +261,13 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
     if not len(keys):
         raise RecordingError(f"{path}: no frames; {'; '.join(pairs.notes)}")
     tf, camera_frame = TransformReader.of(bag), (options.tf_frame or "").lstrip("/")
-    fixed = None if realsense or chosen.image is None else _fixed_frame(tf, chosen, pairs, camera_frame)
+    is_still = realsense or chosen.image is None or options.no_motion
+    fixed = None if is_still else _fixed_frame(tf, chosen, pairs, camera_frame)
     if fixed is not None:
-        notes += (f"clouds are moved to the images' times by the motion of the rig in {fixed}",)
+        notes += (
+            f"clouds are moved to the images' times by the motion of the rig in {fixed} where tf knows it "
+            "(not with --no-motion)",
+        )
     return RosBag(
         path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, camera_frame, fixed,
         realsense, (*bag.notes, *pairs.notes, *notes),
@@ -270,15 +283,16 @@ def _alone(clouds: Topic) -> Pairs:
 
 
 def _fixed_frame(tf: TransformReader, chosen: Chosen, pairs: Pairs, camera_frame: str) -> str | None:
-    """Returns the frame in which tf knows the motion of both camera and cloud; None without one."""
+    """Returns the frame in which tf knows the motion of both camera and cloud, at least at times; None without one."""
     assert chosen.image is not None
     camera, cloud = camera_frame or chosen.image.frame, frame_of(chosen.partner)
     if cloud is None:
         return None
-    for links in tf.near(int(chosen.image.topic.log_ns[int(pairs.image[0])])):
-        for fixed in FIXED_FRAMES:
-            if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
-                return fixed
+    for number in pairs.image[[0, len(pairs.image) // 2, -1]]:
+        for links in tf.near(int(chosen.image.topic.log_ns[int(number)])):
+            for fixed in FIXED_FRAMES:
+                if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
+                    return fixed
     return None
 
 
@@ -300,16 +314,6 @@ def _picture(topic: Topic, number: int, content: Any, camera: BagCamera) -> UInt
     with _naming(topic):
         rgb = video_image(topic, number, content) if topic.type == VIDEO_TYPE else color_image(content)
         return camera.picture(rgb)
-
-
-def _camera(info: Topic, image: ImageTopic, log_ns: int) -> BagCamera:
-    """Returns a camera as its calibration says that was logged nearest to a time."""
-    with _naming(info):
-        return read_camera_info(message(info, info.nearest(log_ns)), bool(RECTIFIED.search(image.base)))
-
-
-def _turned(camera: BagCamera) -> RigidTransform:
-    return RigidTransform.from_rotation(camera.R_camera_frame)
 
 
 def _are_equal(a: Camera, b: Camera) -> bool:

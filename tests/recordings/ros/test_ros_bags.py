@@ -24,8 +24,11 @@ from ros_takes import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.cli.main import main
+from annotator.cli.reader_options import ReadAs
 from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
+from annotator.recordings.ros import transforms
+from annotator.recordings.ros.decode import message
 from annotator.recordings.ros.topics import list_topics
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
 from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
@@ -106,6 +109,7 @@ WRONG_OPTIONS = [
     ({"image": "/points"}, "--image /points: is a sensor_msgs/PointCloud2"),
     ({"points": "/points", "depth": "/left/image_raw", "image": "/left/image_raw"}, "exclude each other"),
     ({"image": "/left/image_raw", "points": "/points", "camera_info": "/points"}, "--camera-info /points: is a"),
+    ({"image": "/left/image_raw", "points": "/points", "depth_info": "/left/camera_info"}, "is for depth images"),
     ({"columns": 4}, "not --columns"),
 ]
 
@@ -254,7 +258,10 @@ def test_a_cloud_is_moved_to_the_time_of_the_image(tmp_path: Path, container: st
         write_scan(bag, scan_ns)
         write_camera(bag, "cam", image_ns)
     recording = open_recording(bag.path)
-    assert recording.notes == ("clouds are moved to the images' times by the motion of the rig in odom",)
+    assert recording.notes == (
+        "clouds are moved to the images' times by the motion of the rig in odom where tf knows it "
+        "(not with --no-motion)",
+    )
     assert open_recording(bag.path, ReaderOptions(tf_frame="/camera")).notes == recording.notes
     T = (pose(image_ns) * T_rig_camera).inv() * pose(scan_ns) * T_rig_lidar
     expected = T.apply(POINTS_M.astype(np.float64))
@@ -265,6 +272,47 @@ def test_a_cloud_is_moved_to_the_time_of_the_image(tmp_path: Path, container: st
     assert distances.max() < 1e-3
     still = (T_rig_camera.inv() * T_rig_lidar).apply(POINTS_M.astype(np.float64))
     assert np.linalg.norm(found[:, None] - still[None], axis=2).min(axis=1).max() > 0.05
+    unmoved = open_recording(bag.path, ReadAs(no_motion=True).options())
+    assert unmoved.notes == ()
+    found = unmoved.frame(0).cloud.xyz_m
+    assert np.linalg.norm(found[:, None] - still[None], axis=2).min(axis=1).max() < 1e-5
+
+
+def test_links_that_hold_always_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag)
+    decoded: list[int] = []
+    monkeypatch.setattr(transforms, "message", lambda topic, i: decoded.append(i) or message(topic, i))
+    recording = open_recording(bag.path)
+    for i in range(3):
+        assert len(recording.frame(i).cloud)
+    assert decoded == [0]
+
+
+def test_the_second_camera_of_a_stereo_pair_is_moved_by_the_baseline(tmp_path: Path):
+    """Only where it names the tf frame of the first one, whose rectification then holds for both."""
+    R = Rotation.from_rotvec([0.02, -0.01, 0.03])
+    P, P_right = np.hstack([K, np.zeros((3, 1))]), np.hstack([K, [[-0.12 * 30], [0], [0]]])
+    for frame in ("camera", "right"):
+        folder = tmp_path / frame
+        folder.mkdir()
+        with BagWriter(folder, "mcap") as bag:
+            write_mount(bag)
+            bag.transform("/tf_static", START_NS, "camera", "right", RigidTransform.from_translation([0.12, 0, 0]))
+            write_scan(bag, START_NS)
+            bag.info("/left/camera_info", START_NS, SIZE, K, R=R.as_matrix(), P=P)
+            bag.info("/right/camera_info", START_NS, SIZE, K, P=P_right, frame=frame)
+            for name, owner in (("left", "camera"), ("right", frame)):
+                bag.image(f"/{name}/image_rect", START_NS, IMAGE, "rgb8", owner)
+        left, right = (
+            open_recording(bag.path, ReaderOptions(image=f"/{name}/image_rect")).frame(0).cloud
+            for name in ("left", "right")
+        )
+        turned = R.apply(T_CAMERA_LIDAR.apply(POINTS_M.astype(np.float64)))
+        expected = (turned if frame == "camera" else R.inv().apply(turned)) - [0.12, 0, 0]
+        assert min(len(left), len(right)) > 20
+        for cloud, points in ((left, turned), (right, expected)):
+            assert np.linalg.norm(cloud.xyz_m[:, None] - points[None], axis=2).min(axis=1).max() < 1e-5
 
 
 def test_a_link_that_is_known_only_at_another_time_is_an_error(tmp_path: Path):
@@ -307,7 +355,10 @@ def test_depth_of_another_camera_is_registered(tmp_path: Path):
         write_camera(bag, "camera/color", START_NS, "color_optical")
         bag.info("/camera/depth/camera_info", START_NS, (16, 12), small, frame="depth_optical")
         bag.image("/camera/depth/image_rect_raw", START_NS, depth, "16UC1", "depth_optical")
-    frame = open_recording(bag.path).frame(0)
+        bag.info("/camera/depth/other_info", START_NS, (16, 12), 2 * small, frame="depth_optical")
+    with pytest.raises(RecordingError, match=r"--depth-info: /camera/depth/camera_info .*, /camera/depth/other_info"):
+        open_recording(bag.path)
+    frame = open_recording(bag.path, ReadAs(depth_info="/camera/depth/camera_info").options()).frame(0)
     v, u = np.mgrid[:12, :16]
     expected = np.stack([(u - 7.5) / 15 * 2 + 0.05, (v - 5.5) / 15 * 2, np.full_like(u, 2.0, float)], -1).reshape(-1, 3)
     distances = np.linalg.norm(frame.cloud.xyz_m[:, None] - expected[None], axis=2)

@@ -53,6 +53,7 @@ def test_topics_are_chosen_with_a_preview(start: Page, live: Live, bag_path: str
     assert picture.evaluate("image => image.naturalWidth") == 32
     expect(dialog.get_by_test_id("topic-points")).to_contain_text("/points (chosen automatically)")
     expect(dialog.get_by_test_id("topic-camera_info")).to_contain_text("/right/camera_info (chosen automatically)")
+    expect(dialog.get_by_test_id("topic-depth_info")).to_be_hidden()
     dialog.get_by_test_id("dialog-add").click()
     expect(start.get_by_test_id("added-recording")).to_have_text("two_cameras: 1 frame")
     (stored,) = live.context.project("drive").recordings.all()
