@@ -125,9 +125,9 @@ class TumRgbd(KeyedFrames):
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
-        first, rest = Path(name).parts[0], Path(*Path(name).parts[1:])
-        is_linked = first not in (os.pardir, Path(name).anchor) and (self.path / first).is_dir()
-        if not (is_within(self.path, name) or (is_linked and is_within(self.path / first, rest))):
+        first, *rest = Path(name).parts
+        may_be_linked = rest and first not in (os.pardir, Path(name).anchor)
+        if not (is_within(self.path, name) or (may_be_linked and is_within(self.path / first, Path(*rest)))):
             problem = f"the listed file {name[:80]} lies outside the recording's folder"
             raise FrameError(self.path, problem, "move it there, and correct the list")
         return self.path / name

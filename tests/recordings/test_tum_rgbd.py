@@ -160,6 +160,7 @@ DAMAGES = [
     pytest.param(replaced("rgb.txt", " rgb/", " ../../rgb/"), "lies outside the recording's folder", id="outside"),
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/../../rgb/"), "lies outside the recording's folder", id="above"),
     pytest.param(replaced("rgb.txt", " rgb/", " /rgb/"), "lies outside the recording's folder", id="absolute"),
+    pytest.param(replaced("rgb.txt", " rgb/", f" {'x' * 300}/"), "lies outside the recording's folder", id="too-long"),
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/x"), "cannot be read", id="no-file"),
     pytest.param(replaced("groundtruth.txt", "0.6132", "2"), r"groundtruth\.txt:2: must be a time, a", id="pose"),
     pytest.param(
