@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,6 +20,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import unproject_depth
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
+from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.common_scale import CommonScale
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.kitti.frame import UP
 from annotator.recordings.options import ReaderOptions
@@ -60,6 +62,7 @@ class RosBag(KeyedFrames):
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
         realsense: what RealSense's own topics say; None for other bags.
         told: the recording's notes.
+        scale: of the clouds' reflectance.
     """
 
     bag: Bag
@@ -70,6 +73,7 @@ class RosBag(KeyedFrames):
     fixed_frame: str | None
     realsense: RealSense | None
     told: tuple[str, ...]
+    scale: CommonScale = field(default_factory=CommonScale)
     format: ClassVar[str] = "ros_bag"
     is_sequence: ClassVar[bool] = True
 
@@ -105,9 +109,7 @@ class RosBag(KeyedFrames):
             raise FrameError(self.path, f"frame {key}: {error}", REMEDY) from error
 
     def _cloud_frame(self, key: str, i: int) -> Frame:
-        content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
-        with _naming(self.chosen.partner):
-            raw = read_cloud(self.path, content)
+        raw = self._cloud(_content(self.chosen.partner, int(self.pairs.cloud[i])))
         cloud = PointCloud(T_CAMERA_LIDAR.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
         rgb = virtual_image(VIRTUAL_CAMERA, cloud)
         time_ns = int(self.pairs.time_ns[i])
@@ -126,8 +128,7 @@ class RosBag(KeyedFrames):
             T = self._T_color_depth(i, camera, camera_frame, frame_id(partner), log_ns)
             cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera.camera, log_ns)
         else:
-            with _naming(self.chosen.partner):
-                raw = read_cloud(self.path, partner)
+            raw = self._cloud(partner)
             T = camera.T_camera_frame * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
             cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
             cloud = cloud_in_image(camera.camera, cloud, rgb)
@@ -135,6 +136,15 @@ class RosBag(KeyedFrames):
             raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
         up = self._up(camera, camera_frame, time_ns, log_ns)
         return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns)
+
+    def _cloud(self, content: Any) -> RawCloud:
+        """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
+        topic, first = self.chosen.partner, self.pairs.cloud
+        with _naming(topic):
+            raw = read_cloud(self.path, content)
+        return self.scale.apply(
+            topic, raw, lambda: map(int, first), lambda number: read_cloud(self.path, message(topic, number))
+        )
 
     def camera(self, log_ns: int) -> BagCamera:
         """Returns the camera of the images, as calibrated at a log time.

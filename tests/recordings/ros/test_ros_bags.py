@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from ros_takes import (
     IMAGE,
+    LIDAR_COLUMNS,
     MS,
     POINTS_M,
     SIZE,
@@ -376,6 +377,16 @@ def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
     frame = recording.frame(1)
     expected = POINTS_M.astype(np.float64) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]).T
     np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
+
+
+def test_a_dark_cloud_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        for i, most in enumerate((1, 255)):
+            columns = LIDAR_COLUMNS | {"intensity": np.linspace(0, most, 200, dtype=np.float32)}
+            bag.cloud("/points", START_NS + i * 100 * MS, structured(columns))
+    for i, most in enumerate((1 / 255, 1.0)):
+        reflectance = open_recording(bag.path).frame(i).cloud.reflectance
+        assert reflectance is not None and reflectance.max() == pytest.approx(most, rel=1e-5)
 
 
 def test_two_publishers_of_a_topic_are_told(tmp_path: Path):
