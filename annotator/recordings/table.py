@@ -29,7 +29,7 @@ READERS: dict[str, str] = {
 OPTIONS: dict[str, tuple[str, ...]] = {
     "ros_bag": ("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s"),
     "kitti_object": ("columns",),
-    "kitti_tracking": ("columns",),
+    "kitti_tracking": ("columns", "scene"),
     "kitti_raw": ("columns",),
     "cloud_folder": ("columns",),
     "stray_scanner": ("min_confidence",),
