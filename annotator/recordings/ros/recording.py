@@ -9,6 +9,7 @@ option `no_motion` is given.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -118,11 +119,10 @@ class RosBag(KeyedFrames):
     def _image_frame(self, key: str, i: int, image: ImageTopic) -> Frame:
         number = int(self.pairs.image[i])
         log_ns, time_ns = int(image.topic.log_ns[number]), int(self.pairs.time_ns[i])
-        content = _content(image.topic, number)
+        content, partner = self._contents(image.topic, number, int(self.pairs.cloud[i]))
         camera = self.camera(log_ns)
         rgb = _picture(image.topic, number, content, camera)
         camera_frame = self.camera_frame or frame_id(content)
-        partner = _content(self.chosen.partner, int(self.pairs.cloud[i]))
         depth_m = None
         if self.chosen.depth is not None:
             T = self._T_color_depth(i, camera, camera_frame, frame_id(partner), log_ns)
@@ -136,6 +136,15 @@ class RosBag(KeyedFrames):
             raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
         up = self._up(camera, camera_frame, time_ns, log_ns)
         return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns)
+
+    def _contents(self, image: Topic, number: int, partner_number: int) -> tuple[Any, Any]:
+        """Returns the messages of an image and of its partner."""
+        partner = self.chosen.partner
+        if not partner.is_slow:
+            return _content(image, number), _content(partner, partner_number)
+        with ThreadPoolExecutor(1) as pool:
+            reading = pool.submit(_content, partner, partner_number)
+            return _content(image, number), reading.result()
 
     def _cloud(self, content: Any) -> RawCloud:
         """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
