@@ -123,7 +123,9 @@ def test_map_coordinates_are_seen_from_the_middle(tmp_path: Path):
 
 def test_a_recording_without_a_lidar_takes_no_virtual_cameras(tmp_path: Path):
     rgbd_folder(tmp_path)
-    with pytest.raises(ConfigError, match="is read as rgbd_folder, which takes no --look-around; only scans of KITTI"):
+    with pytest.raises(
+        ConfigError, match="is read as rgbd_folder, without scans of a LiDAR, and takes no --look-around"
+    ):
         open_recording(tmp_path, ReaderOptions(look_around=4))
 
 

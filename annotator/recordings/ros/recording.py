@@ -20,6 +20,7 @@ from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import unproject_depth
+from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.common_scale import CommonScale
@@ -27,6 +28,7 @@ from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.kitti.frame import UP
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rig import Scan, level_turn
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
@@ -48,6 +50,8 @@ TOLERANCE_S = 0.05
 FIXED_FRAMES = ("odom", "map", "world")
 REMEDY = "record it again, or use the other frames"
 SAME_K_PX = 1e-3
+# Up in a level LiDAR's frame.
+Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +103,17 @@ class RosBag(KeyedFrames):
             FrameError: a message is damaged or contradicts another one, a transform is missing, or no point is seen.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        try:
+        with self._errors(i) as key:
             if self.chosen.image is None:
                 return self._cloud_frame(key, i)
             return self._image_frame(key, i, self.chosen.image)
+
+    @contextmanager
+    def _errors(self, i: int) -> Iterator[str]:
+        """Gives the key of frame `i`; errors within the block become those of that frame."""
+        key = self.key(i)
+        try:
+            yield key
         except OSError as error:
             raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
         except (*FIELD_ERRORS, LinkMissingError, GeometryError) as error:
@@ -252,6 +262,38 @@ class RosBag(KeyedFrames):
         return None
 
 
+@dataclass(frozen=True, eq=False)
+class ScanBag(RosBag):
+    """A bag whose partner of the images are clouds."""
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
+
+        Without an IMU, z is taken as up.
+
+        Raises:
+            FrameError: as `frame`.
+            IndexError: there is no such frame.
+        """
+        with self._errors(i):
+            content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
+            raw = self._cloud(content)
+            R_level_scan, knows_up = Rotation.identity(), True
+            if self.chosen.image is not None:
+                number, time_ns = int(self.pairs.image[i]), int(self.pairs.time_ns[i])
+                log_ns = int(self.chosen.image.topic.log_ns[number])
+                camera, frame = self.camera(log_ns), self.camera_frame or self.chosen.image.frame
+                T_camera_scan = camera.T_camera_frame * self._T_camera_cloud(i, frame, frame_id(content), log_ns)
+                R_scan_camera, up = T_camera_scan.rotation.inv(), self._up(camera, frame, time_ns, log_ns)
+                knows_up = up is not None
+                up_scan = Z if up is None else R_scan_camera.apply(up)
+                R_level_scan = level_turn(up_scan, R_scan_camera.apply(FORWARD))
+            return Scan(
+                raw.xyz_m, raw.rgb, raw.reflectance, R_level_scan, np.zeros(3), RigidTransform.identity(), knows_up,
+                int(self.pairs.cloud_time_ns[i]),
+            )  # fmt: skip
+
+
 def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
     """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one.
 
@@ -287,7 +329,8 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
             f"clouds are moved to the images' times by the motion of the rig in {fixed} where tf knows it "
             "(not with --no-motion)",
         )
-    return RosBag(
+    kind = RosBag if chosen.points is None else ScanBag
+    return kind(
         path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, camera_frame, fixed,
         realsense, (*bag.notes, *pairs.notes, *notes),
     )  # fmt: skip

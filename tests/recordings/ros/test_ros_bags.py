@@ -311,6 +311,33 @@ def test_the_second_camera_of_a_stereo_pair_is_moved_by_the_baseline(tmp_path: P
             assert np.linalg.norm(cloud.xyz_m[:, None] - points[None], axis=2).min(axis=1).max() < 1e-5
 
 
+def test_a_bag_with_clouds_is_seen_all_around(tmp_path: Path):
+    """The LiDAR is tilted, which the IMU on it tells, and the camera looks to its right."""
+    tilt = Rotation.from_rotvec([0.1, 0.2, 0.0])
+    T_lidar_camera = RigidTransform.from_rotation(Rotation.from_matrix([[-1, 0, 0], [0, 0, -1], [0, -1, 0]]))
+    with BagWriter(tmp_path, "mcap") as bag:
+        bag.transform("/tf_static", START_NS, "lidar", "camera", T_lidar_camera)
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+    without_imu = open_recording(bag.path, ReaderOptions(look_around=4)).frame(0)
+    assert without_imu.up is None and len(without_imu.cloud) == 200
+    # ahead is to the right of the LiDAR
+    np.testing.assert_allclose(without_imu.cloud.xyz_m, POINTS_M[:, [0, 2, 1]] * [-1, -1, -1], atol=1e-6)
+    with BagWriter(tmp_path, "mcap") as bag:
+        bag.transform("/tf_static", START_NS, "lidar", "camera", T_lidar_camera)
+        bag.imu("/imu", START_NS, tuple((9.81 * tilt.inv().apply([0.0, 0.0, 1.0])).tolist()), "lidar")
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+    frame = open_recording(bag.path, ReaderOptions(look_around=4, camera="around-090")).frame(0)
+    np.testing.assert_allclose(frame.up, [0, -1, 0], atol=1e-9)
+    np.testing.assert_allclose(-frame.cloud.xyz_m[:, 1], tilt.apply(POINTS_M.astype(np.float64))[:, 2], atol=1e-5)
+    (tmp_path / "alone").mkdir()
+    with BagWriter(tmp_path / "alone", "ros1") as bag:
+        write_scan(bag, START_NS)
+    ahead = open_recording(bag.path, ReaderOptions(look_around=4)).frame(0)
+    np.testing.assert_allclose(ahead.cloud.xyz_m, open_recording(bag.path).frame(0).cloud.xyz_m, atol=1e-6)
+
+
 def test_a_link_that_is_known_only_at_another_time_is_an_error(tmp_path: Path):
     with BagWriter(tmp_path, "mcap") as bag:
         write_mount(bag, "/tf")
@@ -354,7 +381,10 @@ def test_depth_of_another_camera_is_registered(tmp_path: Path):
         bag.info("/camera/depth/other_info", START_NS, (16, 12), 2 * small, frame="depth_optical")
     with pytest.raises(RecordingError, match=r"--depth-info: /camera/depth/camera_info .*, /camera/depth/other_info"):
         open_recording(bag.path)
-    frame = open_recording(bag.path, ReadAs(depth_info="/camera/depth/camera_info").options()).frame(0)
+    chosen = ReadAs(depth_info="/camera/depth/camera_info").options()
+    with pytest.raises(ConfigError, match="without scans of a LiDAR, and takes no --look-around"):
+        open_recording(bag.path, chosen.model_copy(update={"look_around": 4}))
+    frame = open_recording(bag.path, chosen).frame(0)
     v, u = np.mgrid[:12, :16]
     expected = np.stack([(u - 7.5) / 15 * 2 + 0.05, (v - 5.5) / 15 * 2, np.full_like(u, 2.0, float)], -1).reshape(-1, 3)
     distances = np.linalg.norm(frame.cloud.xyz_m[:, None] - expected[None], axis=2)
