@@ -15,7 +15,7 @@ const CHOICES = [
   { id: "camera_info", label: "Calibration", options: ["--camera-info"], uses: ["camera"] },
   {
     id: "depth_info",
-    label: "Calibration of the depth",
+    label: "Depth calibration",
     options: ["--depth-info", "--camera-info"],
     uses: ["camera of the depth"],
   },
@@ -117,7 +117,8 @@ function describe({ frames, notes, problem, picture }) {
   if (problem) {
     // the message names the options of the command line
     const text = CHOICES.reduce(
-      (message, { label, options }) => options.reduce((one, flag) => one.replaceAll(flag, label), message),
+      (message, { label, options }) =>
+        options.reduce((one, flag) => one.replace(new RegExp(`${flag}(?!-)`, "g"), label), message),
       problem,
     );
     return [h("p", { class: "error-box", role: "alert", "data-testid": "topics-problem" }, text)];
