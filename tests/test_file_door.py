@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import errno
 import os
+import re
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
@@ -31,6 +32,7 @@ OPENERS = {
     "torch.load",
 }  # fmt: skip
 METHODS = {"read_bytes", "read_text"}
+SUSPECT = re.compile("|".join(rf"\b{re.escape(name.rpartition('.')[2])}\(" for name in (*OPENERS, *METHODS)))
 # Modules that open what they have checked, or made themselves, and why.
 EXCEPT = {
     "files.py": "it is the door",
@@ -83,8 +85,10 @@ def test_files_are_read_through_one_door():
     found = []
     for path in sorted(PACKAGE.rglob("*.py")):
         place = path.relative_to(PACKAGE).as_posix()
-        if place not in EXCEPT:
-            found += [f"{place}:{line}: {name}" for line, name in openers(ast.parse(path.read_text()))]
+        text = path.read_text()
+        # parsing all would take seconds
+        if place not in EXCEPT and SUSPECT.search(text):
+            found += [f"{place}:{line}: {name}" for line, name in openers(ast.parse(text))]
     assert found == [], "use annotator.files, or call check_file before a library opens a path"
 
 
