@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, BinaryIO, cast
+from typing import IO, BinaryIO
 
 from annotator.types.errors import FormatError
 
@@ -120,7 +120,7 @@ def open_file(path: Path, most_bytes: int | None = None, *, buffering: int = -1)
             raise OSError(errno.EINVAL, "not a regular file", str(path))
         if most_bytes is not None and found.st_size > most_bytes:
             raise _too_large(path, most_bytes)
-        return cast(BinaryIO, os.fdopen(descriptor, "rb", buffering))
+        return os.fdopen(descriptor, "rb", buffering)
     except BaseException:
         os.close(descriptor)
         raise

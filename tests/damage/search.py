@@ -36,8 +36,8 @@ MOST_S = 10.0
 MOST_MORE = 1 << 30
 # Ends what would fill the machine's memory.
 MOST_ADDRESSES = 16 << 30
-# A child that is silent for longer hangs: reading, and writing the damaged file.
-PATIENCE_S = 3 * MOST_S
+# A child that is silent for longer hangs for good; what ends after `MOST_S` is reported, too.
+PATIENCE_S = 120.0
 START_S = 300.0
 
 

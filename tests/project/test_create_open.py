@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import sqlite3
 import threading
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from store_samples import box_at, by_hand
+from time_limit import time_limit
 
 from annotator.files import read_file
 from annotator.project import (
@@ -160,6 +162,17 @@ def test_damage_inside_the_file_is_reported_on_reading(project: Project, frame: 
         open_project(project.path) as broken,
     ):
         broken.labels.of_frame(frame)
+
+
+@pytest.mark.parametrize("name", ["project.json", "project.db"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+def test_a_pipe_or_device_in_place_of_a_file_is_an_error(project: Project, name: str, make: Callable[[Path], object]):
+    """Reading it would never end."""
+    project.close()
+    (project.path / name).unlink()
+    make(project.path / name)
+    with time_limit(20), pytest.raises(ProjectError, match=rf"{name}: (cannot be read: .*not a regular|is missing)"):
+        open_project(project.path)
 
 
 def test_a_missing_folder_is_not_a_project(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def _started() -> subprocess.Popen[bytes]:
 
 def _filled(stream: IO[bytes], values: np.ndarray) -> int:
     """Fills an array with the bytes of a stream; returns how many there were."""
-    place = memoryview(values).cast("B") if values.nbytes else memoryview(b"")
+    place = values.data.cast("B") if values.nbytes else memoryview(b"")
     done = 0
     while done < values.nbytes and (count := stream.readinto(place[done:])):  # type: ignore[attr-defined]
         done += count
@@ -123,5 +123,5 @@ def serve(decode: Callable[[Path, bytes], Columns]) -> None:
             head = {"problem": str(error).removeprefix(f"{error.path}: ")}
         out.write(json.dumps(head).encode() + b"\n")
         for values in columns.values():
-            out.write(memoryview(np.ascontiguousarray(values)).cast("B") if values.nbytes else b"")
+            out.write(values.tobytes())
         out.flush()
