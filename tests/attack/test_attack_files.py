@@ -49,7 +49,7 @@ def test_an_endless_file_of_a_recording_is_refused(live: Live, own_copy: Callabl
     recording = own_copy("people")
     project = live.context.project("room")
     registered = register_recording(project, open_recording(recording))
-    first = next(frame for frame in project.frames.all() if frame.recording_id == registered.id)
+    first = project.frames.of([registered.id])[0]
     camera = recording / "camera_intrinsic.json"
     camera.unlink()
     ENDLESS[kind](camera)
@@ -68,7 +68,7 @@ def test_a_small_archive_of_a_gigabyte_is_refused(live: Live, tmp_path: Path) ->
     np.savez_compressed(clouds / "0.npz", points=np.zeros((20_000_000, 3), np.float32))
     project = live.context.project("room")
     registered = register_recording(project, open_recording(clouds))
-    first = next(frame for frame in project.frames.all() if frame.recording_id == registered.id)
+    first = project.frames.of([registered.id])[0]
     before = peak_mib()
     answer = live.client.get(f"/api/projects/room/frames/{first.id}", timeout=60)
     assert answer.status_code >= 400
