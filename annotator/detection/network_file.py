@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.detection.ultralytics_api import api
-from annotator.files import write_atomic
+from annotator.files import open_file, write_atomic
 from annotator.types.errors import DetectionError
 
 FORMAT = "annotator network 1"
@@ -44,7 +44,7 @@ def is_network_file(path: Path) -> bool:
     Raises:
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         begin = file.read(9)
     # the length of the header, and the header, which is JSON
     return begin[8:] == b"{" and int.from_bytes(begin[:8], "little") <= path.stat().st_size

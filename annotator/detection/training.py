@@ -20,6 +20,7 @@ from annotator.detection.pretrained import StartingPoint, check_model_name, chec
 from annotator.detection.progress import Report, TrainingProgress, TrainingStoppedError, Watch
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
 from annotator.detection.ultralytics_api import api, pick_device
+from annotator.files import DOCUMENT_BYTES, open_text_file, read_text_file
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
@@ -225,7 +226,7 @@ def _trim_curves(path: Path, epochs_done: int) -> None:
     """Drops the rows of epochs that will be repeated."""
     if not path.is_file():
         return
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines = read_text_file(path).splitlines(keepends=True)
     path.write_text("".join(lines[: epochs_done + 1]), encoding="utf-8")
 
 
@@ -269,5 +270,5 @@ def _finish(
 
 
 def _rows(path: Path) -> int:
-    with path.open(newline="", encoding="utf-8") as file:
+    with open_text_file(path, DOCUMENT_BYTES, newline="") as file:
         return sum(1 for _ in csv.DictReader(file))

@@ -21,6 +21,7 @@ from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
 from annotator.detection.selection import Candidates, candidates
 from annotator.detection.suppression import suppress
+from annotator.files import NETWORK_BYTES, read_file
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
 
@@ -52,7 +53,7 @@ class YoloDetector:
         self.weights = weights
         self._config = config
         try:
-            content = weights.read_bytes()
+            content = read_file(weights, NETWORK_BYTES)
         except FileNotFoundError as error:
             raise DetectionError(f"{weights}: no such weights file; train a detector first") from error
         except OSError as error:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from annotator.files import write_atomic
+from annotator.files import read_file, write_atomic
 from annotator.types.errors import ConfigError, ProjectError
 
 CONFIG_FILE = "project.json"
@@ -113,7 +113,7 @@ def read_config(folder: Path) -> ProjectConfig:
     """
     path = folder / CONFIG_FILE
     try:
-        content = path.read_bytes()
+        content = read_file(path)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         message = f"{folder} is not a project: it has no {CONFIG_FILE}; create one with `annotator new`"
         raise ProjectError(message) from error

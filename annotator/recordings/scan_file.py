@@ -16,6 +16,7 @@ from typing import Never
 import numpy as np
 from jaxtyping import Float32
 
+from annotator.frame_limits import read_frame_file
 from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, RawCloud, fractions
 from annotator.recordings.clouds.common_scale import CommonScale, files_like
 from annotator.recordings.plausible import LARGEST
@@ -153,7 +154,7 @@ def scan_bytes(path: Path) -> bytes:
         FrameError: the file is missing, empty, or no list of 32-bit floats.
     """
     try:
-        data = path.read_bytes()
+        data = read_frame_file(path)
     except OSError as error:
         raise FrameError(path, f"the scan cannot be read ({error.strerror})", "copy it from the data set") from error
     if not data:
@@ -191,7 +192,7 @@ def _is_reflectance(values: Float32[np.ndarray, "n"]) -> bool:
 def _content(path: Path) -> bytes:
     """Returns a file's content; empty if it cannot be read, which is reported when its own frame is read."""
     try:
-        return path.read_bytes()
+        return read_frame_file(path)
     except OSError:
         return b""
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import sqlite3
 import threading
 from collections.abc import Callable
-from functools import partialmethod
+from functools import partial, partialmethod
 from pathlib import Path
 
 import pytest
 from store_samples import box_at, by_hand
+from time_limit import time_limit
 
+from annotator.files import read_file
 from annotator.project import (
     BoxRotation,
     NewLabel,
@@ -161,6 +164,17 @@ def test_damage_inside_the_file_is_reported_on_reading(project: Project, frame: 
         broken.labels.of_frame(frame)
 
 
+@pytest.mark.parametrize("name", ["project.json", "project.db"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+def test_a_pipe_or_device_in_place_of_a_file_is_an_error(project: Project, name: str, make: Callable[[Path], object]):
+    """Reading it would never end."""
+    project.close()
+    (project.path / name).unlink()
+    make(project.path / name)
+    with time_limit(20), pytest.raises(ProjectError, match=rf"{name}: (cannot be read: .*not a regular|is missing)"):
+        open_project(project.path)
+
+
 def test_a_missing_folder_is_not_a_project(tmp_path: Path) -> None:
     with pytest.raises(ProjectError, match="annotator new"):
         open_project(tmp_path / "none")
@@ -227,8 +241,8 @@ def test_an_unreadable_project_is_listed_with_its_problem(tmp_path: Path, monkey
             raise PermissionError(errno.EACCES, "Permission denied")
         return ask(path, **options)
 
-    for name in ("stat", "read_bytes"):
-        monkeypatch.setattr(Path, name, partialmethod(refused, getattr(Path, name)))
+    monkeypatch.setattr(Path, "stat", partialmethod(refused, Path.stat))
+    monkeypatch.setattr("annotator.project.config.read_file", partial(refused, ask=read_file))
     fine, locked = list_projects(tmp_path)
     assert fine.problem is None
     assert "cannot be read: [Errno 13] Permission denied" in (locked.problem or "")

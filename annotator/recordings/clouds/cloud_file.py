@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from annotator.frame_limits import read_frame_file
 from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud
 from annotator.recordings.clouds.common_scale import files_like
 from annotator.recordings.clouds.las_file import parse_las
@@ -44,7 +45,7 @@ def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
 
 def _parsed(path: Path) -> RawCloud:
     try:
-        data = path.read_bytes()
+        data = read_frame_file(path)
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
     if not data:

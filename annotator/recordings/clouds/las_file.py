@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns, require_points
 from annotator.recordings.clouds.laz_check import LazLayout, laz_problem
+from annotator.recordings.clouds.laz_process import decode_laz
 from annotator.types.errors import FrameError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -24,9 +25,8 @@ SIGNATURE = b"LASF"
 # From byte 94: header size, offset of the points, number of records before them, point format, bytes per point, points.
 HEAD_AT, HEAD = 94, struct.Struct("<HIIBHI")
 SHORTEST_HEADER = 227
+POINT_FORMAT_AT, COMPRESSED_BITS = 104, 0xC0
 RECORD_HEAD_BYTES = 54
-# Limit for compressed files: equal points compress to almost nothing.
-MOST_POINTS = 1 << 25
 POINTS_AT_ONCE = 1 << 16
 
 
@@ -38,11 +38,23 @@ def parse_las(path: Path, data: bytes) -> RawCloud:
         FrameError: a damaged header, fewer points than declared, damaged compression, or no valid point.
     """
     try:
-        import laspy
+        import laspy  # noqa: F401
         import lazrs  # noqa: F401 - laspy imports it by itself, without an error if it is missing
     except ImportError as error:
         raise MissingExtraError("laspy[lazrs]", "las") from error
     _check_header(path, data)
+    is_compressed = bool(data[POINT_FORMAT_AT] & COMPRESSED_BITS)
+    return from_columns(path, decode_laz(path, data) if is_compressed else decode(path, data))
+
+
+def decode(path: Path, data: bytes) -> dict[str, np.ndarray]:
+    """Returns the columns of a file whose header was checked, in this process.
+
+    Raises:
+        FrameError: as `parse_las`.
+    """
+    import laspy
+
     # layers that are not needed stay compressed
     layers = laspy.DecompressionSelection
     selection = layers.XY_RETURNS_CHANNEL | layers.Z | layers.INTENSITY | layers.RGB | layers.FLAGS
@@ -51,7 +63,7 @@ def parse_las(path: Path, data: bytes) -> RawCloud:
             io.BytesIO(data), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False, decompression_selection=selection
         ) as reader:
             _check_points(path, data, reader.header)
-            columns = _columns(path, reader)
+            return _columns(path, reader)
     except FrameError:
         raise
     # for damaged files laspy raises any exception, and lazrs a PanicException, which is not an Exception
@@ -59,7 +71,6 @@ def parse_las(path: Path, data: bytes) -> RawCloud:
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         raise FrameError(path, f"cannot be read as LAS or LAZ ({str(error)[:100]})", CLOUD_REMEDY) from error
-    return from_columns(path, columns)
 
 
 def _check_header(path: Path, data: bytes) -> None:
@@ -87,8 +98,7 @@ def _check_points(path: Path, data: bytes, header: laspy.LasHeader) -> None:
                 CLOUD_REMEDY,
             )
         return
-    if count > MOST_POINTS:
-        raise FrameError(path, f"declares {count} points; at most {MOST_POINTS} are supported", "save fewer points")
+    require_points(path, count)
     record = b"".join(record.record_data for record in header.vlrs.get("LasZipVlr")[:1])
     problem = laz_problem(data, LazLayout(record, int(header.point_format.id), size, count, start))
     if problem:

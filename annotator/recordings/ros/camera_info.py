@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.image_bytes import MOST_PIXELS
+from annotator.frame_limits import require_pixels
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.types import Camera
 from annotator.types.camera import DISTORTION_LENGTHS
@@ -97,8 +97,7 @@ def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> Bag
     matrix, width, height = _region(content, full)
     if not is_pinhole(matrix):
         raise ValueError("is not a pinhole camera: K must be fx 0 cx 0 fy cy 0 0 1")
-    if not 0 < width * height <= MOST_PIXELS or min(width, height) < 0:
-        raise ValueError(f"declares {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")
+    require_pixels(width, height)
     T = RigidTransform.identity()
     # P of the second camera is relative to the rectified first one
     R = R if first is None else _field(first, "R")

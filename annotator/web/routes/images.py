@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 from fastapi.responses import Response
 
+from annotator.files import read_file
 from annotator.types.errors import ProjectError
 from annotator.web.context import Ctx
 from annotator.web.schemas import RowId
@@ -34,7 +35,7 @@ def view(ctx: Ctx, name: str, view_id: ViewId) -> Response:
     if content is None:
         path = project.views.path(view_id)
         try:
-            content = path.read_bytes()
+            content = read_file(path)
         except OSError as error:
             raise ProjectError(f"{path}: cannot be read: {error}") from error
     return Response(content, media_type="image/png", headers={"Cache-Control": CACHE_FOREVER, "ETag": f'"{view_id}"'})

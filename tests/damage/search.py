@@ -1,0 +1,229 @@
+"""Reads damaged files, thousands for each reader and parser, and reports what is handled badly (`scripts/fuzz files`).
+
+Each file must give a frame or labels, or one of annotator's own errors: nothing else raised, no crash of the process,
+nothing that takes longer than `MOST_S`, and no more than `MOST_MORE` bytes beyond what the frame itself needs
+(`annotator.frame_limits`). A process reads the files of a target, one after another; another one watches it and starts
+it again after a crash.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import resource
+import selectors
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent.parent)]
+
+from damage import damaged  # noqa: E402
+
+MOST_S = 10.0
+MOST_MORE = 1 << 30
+# Ends what would fill the machine's memory.
+MOST_ADDRESSES = 16 << 30
+# A child that is silent for longer hangs for good; what ends after `MOST_S` is reported, too.
+PATIENCE_S = 120.0
+START_S = 300.0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=2000, help="damaged files of each target")
+    parser.add_argument("--only", default="", help="targets whose name contains this")
+    parser.add_argument("--keep", type=Path, help="folder for the files that were not handled well")
+    parser.add_argument("--child", help=argparse.SUPPRESS)
+    parser.add_argument("--start", type=int, default=0, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.child:
+        read_all(given.child.split(","), given.seed, given.start, given.count, given.keep)
+        return 0
+    from targets import TARGETS
+
+    began = time.monotonic()
+    names = [target.name for target in TARGETS if given.only in target.name]
+    reports = {name: Report() for name in names}
+    shown = 0
+    for name in watch(names, given, reports):
+        # all before the one that is read now are complete
+        for done in names[shown : names.index(name) if name else len(names)]:
+            print(f"{done:28} {reports[done]}", flush=True)
+            shown += 1
+    found = sum(len(report.problems) for report in reports.values())
+    total = sum(report.kinds.total() for report in reports.values())
+    print(f"{len(names)} targets, {total} files, seed {given.seed}: {found} problems; {time.monotonic() - began:.0f} s")
+    return 1 if found else 0
+
+
+@dataclass
+class Report:
+    """What came of a target's files."""
+
+    kinds: Counter[str] = field(default_factory=Counter)
+    problems: list[str] = field(default_factory=list)
+    slowest_s: float = 0.0
+    most_bytes: int = 0
+
+    def __str__(self) -> str:
+        text = (
+            f"{self.kinds.total():6} files: {self.kinds['read']:5} read, {self.kinds['refused']:5} refused, "
+            f"{len(self.problems)} problems; at most {self.slowest_s:.2f} s, {self.most_bytes / 2**20:.0f} MiB more"
+        )
+        return "\n    ".join([text, *self.problems])
+
+
+def watch(names: list[str], given: argparse.Namespace, reports: dict[str, Report]) -> Iterator[str]:
+    """Has a child read the files of the targets; starts it again after a crash or hang.
+
+    Yields the name of the target that is read now, "" at the end.
+    """
+    left, start = names, 0
+    while left:
+        command = [sys.executable, __file__, "--child", ",".join(left), "--start", str(start)]
+        command += ["--seed", str(given.seed), "--count", str(given.count)]
+        command += ["--keep", str(given.keep)] if given.keep else []
+        with tempfile.TemporaryFile() as errors:
+            child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
+            name, number = left[0], start - 1
+            assert child.stdout is not None
+            for line in lines(child, child.stdout):
+                name, number, report = line["name"], line["number"], reports[line["name"]]
+                if "kind" not in line:
+                    yield name
+                    continue
+                report.kinds[line["kind"]] += 1
+                report.slowest_s = max(report.slowest_s, line["took_s"])
+                report.most_bytes = max(report.most_bytes, line["more_bytes"])
+                if line["problem"]:
+                    report.problems.append(f"{number}: {line['problem']}")
+            hangs = child.poll() is None
+            child.kill()
+            code = child.wait()
+            if not hangs and code == 0:
+                break
+            errors.seek(0)
+            last = errors.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+            what = f"hangs for more than {PATIENCE_S:g} s" if hangs else f"ends the process ({code}) {last}"
+            reports[name].problems.append(f"{number}: {what}")
+            reports[name].kinds["ended"] += 1
+            left, start = names[names.index(name) :], number + 1
+            if number < 0 or start >= given.count:
+                # it cannot even be built, or this was its last file
+                left, start = left[1:], 0
+    yield ""
+
+
+def lines(child: subprocess.Popen[bytes], stream: IO[bytes]) -> Iterator[dict[str, Any]]:
+    """Yields what a child reports; stops when it ends, or is silent for too long."""
+    selector = selectors.DefaultSelector()
+    selector.register(stream, selectors.EVENT_READ)
+    os.set_blocking(stream.fileno(), False)
+    rest, patience_s = b"", START_S
+    while selector.select(patience_s):
+        part = stream.read()
+        if not part:
+            child.wait()
+            return
+        *whole, rest = (rest + part).split(b"\n")
+        patience_s = PATIENCE_S
+        yield from map(json.loads, whole)
+
+
+def read_all(names: list[str], seed: int, start: int, count: int, keep: Path | None) -> None:
+    """Reads the damaged files of targets, and writes a line before and after each.
+
+    Args:
+        start: number of the first file of the first target.
+    """
+    from targets import TARGETS
+
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))
+    out = os.fdopen(os.dup(1), "w")
+    # what libraries print belongs to the errors
+    os.dup2(2, 1)
+    targets = {target.name: target for target in TARGETS}
+    for name in names:
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place) / "take_freiburg"
+            folder.mkdir()
+            targets[name].build(folder)
+            files = sorted(file for file in folder.rglob("*") if file.is_file())
+            targets[name].read(folder)
+            for number in range(start, count):
+                print(json.dumps({"name": name, "number": number}), file=out, flush=True)
+                with one_damaged(folder, files, f"{seed} {name} {number}") as file:
+                    result = examine(targets[name], folder)
+                    if result["problem"]:
+                        result["problem"] += f" [{file.relative_to(folder)}]"
+                        if keep:
+                            shutil.copytree(folder, keep / f"{name}_{seed}_{number}", dirs_exist_ok=True)
+                print(json.dumps({"name": name, "number": number, **result}), file=out, flush=True)
+        start = 0
+
+
+@contextmanager
+def one_damaged(folder: Path, files: list[Path], seed: str) -> Iterator[Path]:
+    """Damages one of a folder's files, the same for the same seed, and mends it at the end."""
+    draw = random.Random(seed)
+    file = draw.choice(files)
+    whole = file.read_bytes()
+    file.write_bytes(damaged(whole, file.suffix, draw))
+    try:
+        yield file
+    finally:
+        file.write_bytes(whole)
+
+
+def examine(target: Any, folder: Path) -> dict[str, Any]:
+    """Reads a damaged recording or dataset; says what came of it."""
+    from annotator.frame_limits import PIXEL_BYTES, POINT_BYTES
+    from annotator.types import Frame
+    from annotator.types.errors import AnnotatorError
+
+    problem, kind, own = "", "read", 0
+    # the peak is counted from here
+    Path("/proc/self/clear_refs").write_text("5")
+    before, began = memory("VmRSS"), time.monotonic()
+    try:
+        frame = target.read(folder)
+        if isinstance(frame, Frame):
+            own = len(frame.cloud) * POINT_BYTES + frame.rgb[:, :, 0].size * PIXEL_BYTES
+    except AnnotatorError as error:
+        kind = "refused"
+        if str(folder) not in str(error) and folder.name not in str(error):
+            problem = f"its error names no file: {error}"
+    except BaseException as error:
+        kind = "raised"
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        problem = f"raises {type(error).__name__} at {Path(at.filename).name}:{at.lineno}: {str(error)[:200]}"
+    took_s, more = time.monotonic() - began, max(memory("VmHWM") - before, 0)
+    if took_s > MOST_S:
+        problem = problem or f"takes {took_s:.1f} s"
+    if more - own > MOST_MORE:
+        problem = problem or f"takes {more / 2**20:.0f} MiB, the frame itself {own / 2**20:.0f} MiB"
+    return {"kind": kind, "problem": problem, "took_s": took_s, "more_bytes": more}
+
+
+def memory(name: str) -> int:
+    """Returns a line of the process's status, in bytes."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(name))
+    return int(line.split()[1]) * 1024
+
+
+if __name__ == "__main__":
+    sys.exit(main())

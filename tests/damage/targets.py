@@ -1,0 +1,296 @@
+"""What is damaged: a small recording or dataset for each reader, each kind of file, and each parser of labels."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+TESTS = Path(__file__).resolve().parent.parent
+ROOMS = (
+    "damage", "formats", "formats/kitti", "recordings", "recordings/ros", "recordings/kinect", "recordings/clouds"
+)  # fmt: skip
+for place in (*(str(TESTS / room) for room in ROOMS), str(TESTS.parent)):
+    if place not in sys.path:
+        sys.path.append(place)
+
+import small_recordings as small  # noqa: E402
+from dataset_samples import make_item, make_label  # noqa: E402
+from kinect_recording import write_recording  # noqa: E402
+from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noqa: E402
+from test_bag_files import foxglove_take, write_mcap  # noqa: E402
+from test_cloud_files import RGB, XYZ, ply  # noqa: E402
+from test_kitti_tracklets import PEDESTRIAN, VAN, document  # noqa: E402
+from test_las_file import written  # noqa: E402
+from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
+from test_ros_messages import rvl  # noqa: E402
+
+from annotator.formats.argoverse import read_argoverse  # noqa: E402
+from annotator.formats.coco_dataset import CocoWriter  # noqa: E402
+from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
+from annotator.formats.frame_class_names import six_digit_ids  # noqa: E402
+from annotator.formats.kitti.object_folder import write_kitti  # noqa: E402
+from annotator.formats.kitti.tracking_folder import sequence_ids, write_kitti_tracking  # noqa: E402
+from annotator.formats.kitti.tracklets import read_tracklets  # noqa: E402
+from annotator.formats.labelcloud import read_labelcloud, write_labelcloud  # noqa: E402
+from annotator.formats.losses import Losses  # noqa: E402
+from annotator.formats.nuscenes import write_nuscenes  # noqa: E402
+from annotator.formats.openlabel import write_openlabel  # noqa: E402
+from annotator.formats.rcv import RcvInfo, export_rcv  # noqa: E402
+from annotator.formats.sunrgbd.folder import write_sunrgbd  # noqa: E402
+from annotator.formats.yolo_dataset import YoloWriter  # noqa: E402
+from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
+from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
+from annotator.types import Box2D, Frame  # noqa: E402
+from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures  # noqa: E402
+from annotator.workflows.importing.table import BoxFormat, read_labels  # noqa: E402
+from annotator.workflows.recorded.reading import has_truth, load_truth  # noqa: E402
+from benchmarks.bag_writer import BagWriter  # noqa: E402
+
+SHARED = Path(os.environ.get("ANNOTATOR_SHARED", TESTS.parent.parent / "shared"))
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something to damage.
+
+    Attributes:
+        name: unique.
+        build: writes sound files below an existing folder.
+        read: reads them as a user's command does; returns the frame, for recordings.
+    """
+
+    name: str
+    build: Callable[[Path], object]
+    read: Callable[[Path], Frame | None]
+
+
+def read_frame(path: Path, options: ReaderOptions | None = None) -> Frame:
+    """Reads the first frame, its labels and what the recording says of itself."""
+    recording = open_recording(path, options or ReaderOptions())
+    _ = recording.notes
+    frame = recording.frame(0)
+    assert np.isfinite(frame.cloud.xyz_m).all()
+    assert len(frame.cloud) > 0
+    assert frame.up is None or abs(np.linalg.norm(frame.up) - 1) < 1e-6
+    assert frame.T_camera_label is None or np.isfinite(frame.T_camera_label.as_matrix()).all()
+    if has_truth(recording):
+        load_truth(recording, 0, frame)
+    return frame
+
+
+def read_around(path: Path) -> Frame:
+    """Reads a virtual camera of a LiDAR."""
+    return read_frame(path, ReaderOptions(look_around=4))
+
+
+def cloud(name: str, content: Callable[[], bytes]) -> Target:
+    """A folder with one cloud."""
+    file = f"0.{name.partition('_')[0]}"
+    return Target(
+        name, lambda folder: (folder / file).write_bytes(content()), lambda folder: read_points(folder / file)
+    )
+
+
+def read_points(path: Path) -> None:
+    """Reads a cloud without drawing it, which takes longer."""
+    raw = read_cloud(path)
+    assert np.isfinite(raw.xyz_m).all()
+    assert len(raw.xyz_m) > 0
+
+
+def npy(array: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()
+
+
+def npz(**arrays: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)
+    return out.getvalue()
+
+
+def pcd(mode: Literal["ascii", "binary", "binary_compressed"]) -> bytes:
+    """A PCD file with colours; compressed as literal runs."""
+    head = "VERSION .7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+    head += f"WIDTH {len(XYZ)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(XYZ)}\nDATA {mode}\n"
+    rows = np.c_[XYZ, np.ones(len(XYZ), np.float32)].astype("<f4")
+    if mode == "ascii":
+        return head.encode() + "\n".join(" ".join(map(str, row)) for row in rows.tolist()).encode()
+    if mode == "binary":
+        return head.encode() + rows.tobytes()
+    plain = rows.T.tobytes()
+    packed = b"".join(bytes([len(part) - 1]) + part for part in (plain[i : i + 32] for i in range(0, len(plain), 32)))
+    return head.encode() + np.array([len(packed), len(plain)], "<u4").tobytes() + packed
+
+
+def text_ply() -> bytes:
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(XYZ)}\n"
+    head += "".join(f"property float {name}\n" for name in "xyz")
+    head += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue")) + "end_header\n"
+    rows = zip(XYZ.tolist(), RGB.tolist(), strict=True)
+    return (head + "".join(" ".join(map(str, [*xyz, *rgb])) + "\n" for xyz, rgb in rows)).encode()
+
+
+def bag(container: str, compression: str = "") -> Callable[[Path], object]:
+    def build(folder: Path) -> None:
+        with BagWriter(folder, container, compression) as writer:
+            write_take(writer, 2)
+        if writer.path.is_dir():
+            shutil.copytree(writer.path, folder, dirs_exist_ok=True)
+            shutil.rmtree(writer.path)
+
+    return build
+
+
+def foxglove(encoding: str) -> Callable[[Path], object]:
+    def build(folder: Path) -> None:
+        png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
+        write_mcap(folder / "a.mcap", encoding, [(START_NS, foxglove_take(encoding, {"data": png, "format": "png"}))])
+
+    return build
+
+
+def depth_bag(form: str) -> Callable[[Path], object]:
+    """A bag with a camera and compressed depth images."""
+
+    def build(folder: Path) -> None:
+        depth = np.full(SIZE[::-1], 1500, np.uint16)
+        head = np.zeros(3, "<f4").tobytes()
+        data = head + (rvl(depth) if "rvl" in form else cv2.imencode(".png", depth)[1].tobytes())
+        with BagWriter(folder, "ros1") as writer:
+            for i in range(2):
+                time_ns = START_NS + i * 100 * MS
+                write_camera(writer, "cam", time_ns)
+                writer.compressed("/cam/depth/compressedDepth", time_ns, form, data)
+
+    return build
+
+
+def bags(folder: Path) -> Path:
+    """The bag in a folder: a file, or the folder itself."""
+    return next((file for file in folder.iterdir() if file.suffix in (".bag", ".mcap")), folder)
+
+
+def kinect(fourcc: str) -> Target:
+    still = [(time_us, (0.0, 0.0, -9.81)) for time_us in range(0, 100_000, 10_000)]
+    return Target(
+        f"azure_kinect_{fourcc.lower()}",
+        lambda folder: write_recording(folder / "a.mkv", fourcc, 2, felt=still),
+        lambda folder: read_frame(folder / "a.mkv"),
+    )
+
+
+def labelled(count: int = 2) -> list[Any]:
+    return [make_item([make_label(track_id=1), make_label(uid="b")], key=f"{n:06d}", index=n) for n in range(count)]
+
+
+def written_by(write: Callable[..., object], *, places: int = 0) -> Callable[[Path], object]:
+    """Builds an export; with `places`, its names are of sequences (3) or six digits (2)."""
+
+    def build(folder: Path) -> None:
+        items = labelled()
+        given: list[Any] = []
+        if places == 2:
+            given = [six_digit_ids([(item.recording, item.frame.key) for item in items])]
+        if places == 3:
+            ids = sequence_ids([(item.recording, item.frame.key, n) for n, item in enumerate(items)])
+            given = [ids, {item.recording: 5 for item in items}]
+        folder.rmdir()
+        write(folder, items, *given)
+
+    return build
+
+
+def pictures(writer: Callable[[Path], Any]) -> Callable[[Path], object]:
+    def build(folder: Path) -> None:
+        png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
+        filled = writer(folder)
+        for name in ("a.png", "b.png"):
+            filled.add(LabelledPicture(name, png, *SIZE, (Box2D("hand", 1.0, 2.0, 9.0, 12.0),)))
+        filled.finish()
+
+    return build
+
+
+def read_flat(format: FlatFormat, path: Path) -> None:
+    for picture in read_pictures(format, path).pictures:
+        picture.file(path)
+        picture.boxes_on(*SIZE)
+
+
+def label_file(name: str) -> Target:
+    """A file of `test_malformed_labels`."""
+    file, content, read = LABEL_FILES[name]
+    return Target(f"labels_{name}", lambda folder: (folder / file).write_bytes(content), lambda f: read(f / file))  # type: ignore[func-returns-value, return-value]
+
+
+CLASSES = ("hand",)
+BUILT = {build.__name__: build for build in small.BUILDERS}
+TARGETS: list[Target] = [
+    *(Target(name, build, read_frame) for name, build in BUILT.items() if name not in ("record3d", "sunrgbd_scene")),
+    Target("sunrgbd_scene", lambda folder: small.sunrgbd_scene(folder / "scene"), lambda f: read_frame(f / "scene")),
+    Target("record3d", lambda folder: small.made.write_record3d(folder / "a.r3d", small.made.frames(2)),
+           lambda folder: read_frame(folder / "a.r3d")),
+    Target("record3d_unpacked", BUILT["record3d"], read_frame),
+    Target("nuscenes_around", BUILT["nuscenes"], read_around),
+    Target("argoverse2_around", BUILT["argoverse2"], read_around),
+    Target("kitti_around", BUILT["kitti_tracking"], read_around),
+    cloud("ply", lambda: ply("binary_little_endian")),
+    cloud("ply_ascii", text_ply),
+    *(cloud(f"pcd_{mode}", partial(pcd, mode)) for mode in ("ascii", "binary", "binary_compressed")),
+    cloud("npy", lambda: npy(np.c_[XYZ, RGB])),
+    cloud("npz", lambda: npz(points=XYZ, colors=RGB)),
+    cloud("bin", lambda: np.c_[XYZ, np.ones(len(XYZ), np.float32)].astype("<f4").tobytes()),
+    cloud("las", lambda: written("1.2", 3, 0, False)),
+    cloud("laz", lambda: written("1.2", 3, 0, True)),
+    cloud("laz_layered", lambda: written("1.4", 7, 2, True)),
+    *(Target(f"ros1_{how or 'plain'}", bag("ros1", how), lambda f: read_frame(bags(f))) for how in ("", "bz2", "lz4")),
+    *(Target(f"sqlite3_{how or 'plain'}", bag("sqlite3", how), read_frame) for how in ("", "message")),
+    *(Target(f"mcap_{how or 'plain'}", bag("mcap", how), read_frame) for how in ("", "storage", "message")),
+    *(Target(f"foxglove_{how}", foxglove(how), lambda f: read_frame(bags(f))) for how in ("protobuf", "json")),
+    *(Target(f"compressed_depth_{how}", depth_bag(f"16UC1; compressedDepth {how}"), lambda f: read_frame(bags(f)))
+      for how in ("png", "rvl")),
+    *(kinect(fourcc) for fourcc in ("NV12", "MJPG")),
+    Target("export_rcv", written_by(lambda out, items: export_rcv(out, items, RcvInfo(CLASSES, (), "1"))),
+           lambda folder: read_labels(BoxFormat.RCV, folder) and None),
+    Target("export_kitti", written_by(lambda *given: write_kitti(*given, CLASSES, Losses()), places=2),
+           lambda folder: read_labels(BoxFormat.KITTI, folder) and None),
+    Target("export_kitti_tracking",
+           written_by(lambda *given: write_kitti_tracking(*given, CLASSES, Losses()), places=3),
+           lambda folder: read_labels(BoxFormat.KITTI_TRACKING, folder) and None),
+    Target("export_sunrgbd", written_by(lambda *given: write_sunrgbd(*given, CLASSES, Losses()), places=2),
+           lambda folder: read_labels(BoxFormat.SUNRGBD, folder) and None),
+    Target("export_openlabel", written_by(lambda out, items: write_openlabel(out, items, "1")),
+           lambda folder: read_labels(BoxFormat.OPENLABEL, folder) and None),
+    Target("export_labelcloud", written_by(lambda out, items: write_labelcloud(out, items, CLASSES, Losses(), "1")),
+           lambda folder: read_labels(BoxFormat.LABELCLOUD, folder) and None),
+    Target("labelcloud_vertices",
+           written_by(lambda out, items: write_labelcloud(out, items, CLASSES, Losses(), "1", vertices=True)),
+           lambda folder: read_labelcloud(folder) and None),
+    Target("export_nuscenes", written_by(lambda out, items: write_nuscenes(out, items, CLASSES, Losses())),
+           lambda folder: read_labels(BoxFormat.NUSCENES, folder) and None),
+    Target("coco", pictures(lambda folder: CocoWriter(folder, CLASSES)), partial(read_flat, FlatFormat.COCO)),
+    Target("yolo", pictures(lambda folder: YoloWriter(folder, CLASSES)), partial(read_flat, FlatFormat.YOLO)),
+    *(label_file(name) for name in LABEL_FILES if not name.startswith("rcv/")),
+    Target("tracklets",
+           lambda folder: (folder / "tracklet_labels.xml").write_text(document(VAN, PEDESTRIAN)),
+           lambda folder: read_tracklets(folder / "tracklet_labels.xml") and None),
+    Target("argoverse_labels", BUILT["argoverse2"],
+           lambda folder: read_argoverse(folder / "annotations.feather") and None),
+]  # fmt: skip
+if (SHARED / "data" / "realsense").is_dir():
+    REAL = next((SHARED / "data" / "realsense").glob("*.bag"))
+    TARGETS.append(
+        Target("realsense", lambda f: (f / "a.bag").write_bytes(REAL.read_bytes()), lambda f: read_frame(f / "a.bag"))
+    )
