@@ -14,7 +14,14 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
-from annotator.types.errors import AnnotatorError, FinalisedFrameError, HistoryError, NotFoundError, StaleRevisionError
+from annotator.types.errors import (
+    AnnotatorError,
+    FinalisedFrameError,
+    HistoryError,
+    NotFoundError,
+    ReplacedError,
+    StaleRevisionError,
+)
 
 LOG = logging.getLogger("annotator.web")
 
@@ -50,6 +57,7 @@ class ErrorAnswer(BaseModel):
 STATUS: list[tuple[type[AnnotatorError], int]] = [
     (NotFoundError, 404),
     (StaleRevisionError, 409),
+    (ReplacedError, 409),
     (HistoryError, 409),
     (FinalisedFrameError, 409),
     (NotSignedInError, 401),
