@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from annotator import __version__
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
+from annotator.web.fairness import Fair
 from annotator.web.learning import Learner, StepAside
 from annotator.web.security import Guard, check_settings
 from annotator.web.settings import ServerSettings
@@ -72,6 +73,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
         app.include_router(import_module(f"annotator.web.routes.{name}").router)
     add_static(app)
     app.add_middleware(StepAside, jobs=context.jobs)
+    app.add_middleware(Fair)
     # added last, so that it is the first to see a request
     app.add_middleware(Guard, settings=settings)
     return app
