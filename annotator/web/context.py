@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
+import shutil
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -53,7 +56,8 @@ class Context:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
-        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._send_job, self.public_message)
+        self._temporary: Path | None = None
+        self.jobs = JobRunner(self._jobs_folder(), self._send_job, self.public_message)
         self.follow_runs = FollowRuns(self.hub, self.public_message)
         self.caches = Caches()
         self._lock = threading.Lock()
@@ -125,6 +129,16 @@ class Context:
             for project in self._projects.values():
                 project.close()
             self._projects.clear()
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+
+    def _jobs_folder(self) -> Path:
+        """The folder of jobs; a temporary one if the projects folder cannot be written, so that exports are possible."""
+        root = self.settings.projects_root
+        if root.is_dir() and not os.access(root, os.W_OK):
+            self._temporary = Path(tempfile.mkdtemp(prefix="annotator-jobs-"))
+            return self._temporary
+        return root / JOBS_FOLDER
 
     @contextmanager
     def _opening(self, name: str) -> Iterator[None]:
@@ -149,6 +163,8 @@ class Context:
         LOG.warning("%s: was removed or replaced while it was open; it is opened anew", project.path)
         self.caches.frames.forget(project)
         self.hub.forget(name)
+        # revisions that a page has seen may be newer than the stored ones
+        self.hub.send({"type": "replaced", "project": name})
         project.close()
 
     def _send_job(self, job: Job) -> None:
