@@ -13,6 +13,7 @@ from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.fairness import Fair
 from annotator.web.learning import Learner, StepAside
+from annotator.web.leftovers import clear_leftovers
 from annotator.web.security import Guard, check_settings
 from annotator.web.settings import ServerSettings
 from annotator.web.static import add_static
@@ -51,6 +52,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        clear_leftovers(settings.projects_root)
         watch = Watch(context, Learner(context.jobs))
         watch.start()
         context.jobs.start()

@@ -133,7 +133,7 @@ class Context:
             shutil.rmtree(self._temporary, ignore_errors=True)
 
     def _jobs_folder(self) -> Path:
-        """The folder of jobs; a temporary one if the projects folder cannot be written, so that exports are possible."""
+        """The folder of jobs; a temporary one if the projects folder cannot be written, so that exports work."""
         root = self.settings.projects_root
         if root.is_dir() and not os.access(root, os.W_OK):
             self._temporary = Path(tempfile.mkdtemp(prefix="annotator-jobs-"))

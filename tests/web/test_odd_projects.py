@@ -23,6 +23,8 @@ from annotator.web import fairness, projects
 from annotator.web.app import create_app
 from annotator.web.fairness import Fair
 from annotator.web.learning import Learner
+from annotator.web.leftovers import clear_leftovers
+from annotator.web.server_lock import hold_server_lock
 from annotator.web.settings import ServerSettings
 from annotator.web.watch import Watch
 
@@ -230,6 +232,48 @@ def test_a_cookie_is_checked_as_sign_in_is(app: FastAPI, name: str) -> None:
     cookies = {"annotator_operator": name}
     assert ask(app, "GET", "/api/session", cookies=cookies).json()["operator"] is None
     assert ask(app, "GET", "/api/projects", cookies=cookies).status_code == 401
+
+
+def test_a_start_removes_what_killed_processes_left(
+    web_settings: ServerSettings, caplog: pytest.LogCaptureFixture
+) -> None:
+    root, mark = web_settings.projects_root, "0123456789abcdef" * 2
+    left = [root / f".new.{mark}.unfinished", root / "room" / f".project.json.{mark}.tmp"]
+    left.append(root / "room" / "views" / f".{mark}.png.{mark}.tmp")
+    young, others = root / f".young.{mark}.unfinished", root / "room" / "views" / f"{mark}.tmp"
+    for path in (*left, young, others):
+        path.mkdir()
+        if path is not young:
+            os.utime(path, (0, 0))
+    left.append(root / f".link.{mark}.tmp")
+    left[-1].symlink_to(root / "room")
+    os.utime(left[-1], (0, 0), follow_symlinks=False)
+    clear_leftovers(root)
+    assert not any(os.path.lexists(path) for path in left)
+    assert young.exists()
+    assert others.exists()
+    assert (root / "room" / "project.json").exists()
+    assert caplog.text.count("a process that was killed had left it") == len(left)
+
+
+def test_a_project_that_cannot_be_written_is_shown_and_refuses_changes(
+    web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in web_settings.projects_root.rglob("*")}
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode, **kind: mode != os.W_OK and access(path, mode, **kind))
+    app = create_app(web_settings)
+    with hold_server_lock(web_settings.projects_root):
+        assert labels(app) == 0
+        refused = draw(app, 0)
+        assert refused.status_code == 400
+        assert "read-only disk" in refused.json()["error"]["message"]
+        jobs = app.state.context.jobs.folder
+        assert jobs.is_dir()
+        assert not jobs.is_relative_to(web_settings.projects_root)
+    app.state.context.close()
+    assert not jobs.exists()
+    assert {path: path.stat().st_mtime_ns for path in web_settings.projects_root.rglob("*")} == before
 
 
 def test_a_removed_project_that_nobody_opened_leaves_no_trace(app: FastAPI) -> None:
