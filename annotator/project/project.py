@@ -191,13 +191,15 @@ def open_project(path: Path, *, busy_timeout_s: float = BUSY_TIMEOUT_S, clock: C
         ProjectError: no project, a damaged one, one of a newer version, or one that stays locked.
     """
     read_config(path)
+    store = open_store(path / DATABASE_FILE, busy_timeout_s=busy_timeout_s, clock=clock)
     try:
         # a project on a read-only disk can be read without them
         for folder in _FOLDERS if os.access(path, os.W_OK) else ():
             (path / folder).mkdir(exist_ok=True)
     except OSError as error:
+        store.close()
         raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
-    return Project(path, open_store(path / DATABASE_FILE, busy_timeout_s=busy_timeout_s, clock=clock))
+    return Project(path, store)
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:

@@ -16,7 +16,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
-from annotator.project.database.file import SHARED_MEMORY, WAL, DatabaseFile, Identity, database_file, identity_of
+from annotator.project.database.file import DatabaseFile, database_file
 from annotator.project.database.patience import patience_s
 from annotator.project.database.replaced import keep_replaced, kept_copies
 from annotator.project.database.shape import MISFITS, require_tables
@@ -58,7 +58,6 @@ class Store:
         busy_timeout_s: how long to wait while another process has locked it, seconds.
         clock: returns the current time, UTC nanoseconds since the epoch.
         write_lock: held by the thread that writes.
-        beside: identities of SQLite's files beside the database, by suffix.
     """
 
     file: DatabaseFile
@@ -66,7 +65,6 @@ class Store:
     busy_timeout_s: float = BUSY_TIMEOUT_S
     clock: Clock = time.time_ns
     write_lock: threading.Lock = field(default_factory=threading.Lock)
-    beside: dict[str, Identity | None] = field(default_factory=dict)
 
     @property
     def path(self) -> Path:
@@ -146,8 +144,8 @@ class Store:
 
     def close(self) -> None:
         """Closes all connections; what a replaced database held is kept first."""
-        # without a connection it is closed already
-        if self.file.is_writable and self.pool.checkedin() and not self.file.is_current():
+        # without a connection it is closed already; and who removes or replaces a whole project means it
+        if self.pool.checkedin() and self.file.is_same_folder() and not self.file.is_current():
             self._keep()
         self.engine.dispose()
 
@@ -156,7 +154,7 @@ class Store:
             # a connection of the pool, since a new one would open the other file
             with closing(self.engine.raw_connection()) as connection:
                 assert isinstance(connection.driver_connection, sqlite3.Connection)
-                keep_replaced(connection.driver_connection, self.file, self.beside)
+                keep_replaced(connection.driver_connection, self.file)
         except (ProjectError, DBAPIError, NoConnectionError) as error:
             LOG.error("%s: was replaced, and what it held could not be kept: %s", self.path, error)
 
@@ -212,7 +210,7 @@ def open_store(
         if migrations is MIGRATIONS:
             with store.read() as connection:
                 require_tables(connection, path)
-        store.beside.update({suffix: identity_of(store.file.beside(suffix)) for suffix in (WAL, SHARED_MEMORY)})
+        store.file.remember_beside()
     return store
 
 
@@ -222,8 +220,8 @@ def _require_file(path: Path) -> None:
     except OSError as error:
         raise ProjectError(f"{path}: cannot be read: {error.strerror}; check the permissions of its folder") from error
     if not is_file:
-        kept = kept_copies(path.parent)
-        remedy = f"rename {kept[-1].name}, which was kept of it, to {path.name}, or " if kept else ""
+        kept = kept_copies(path.parent.absolute())
+        remedy = f"move {kept[-1]}, which was kept of it, to {path}, or " if kept else ""
         raise ProjectError(f"{path}: is missing; {remedy}restore it from a backup")
 
 

@@ -74,14 +74,35 @@ def test_what_a_removed_database_held_is_kept(project: Project, frame: int, back
     with pytest.raises(ReplacedError, match="was removed while it was open"):
         _label(project, frame)
     project.close()
-    kept = next(project.path.glob("project.until-*.db"))
-    assert sorted(path.name for path in project.path.iterdir()) == ["models", "project.json", kept.name, "views"]
-    with pytest.raises(ProjectError, match=f"is missing; rename {kept.name}, which was kept of it, to project.db"):
+    kept = next(project.path.parent.glob(".replaced/hands.until-*.db"))
+    assert sorted(path.name for path in project.path.iterdir()) == ["models", "project.json", "views"]
+    with pytest.raises(
+        ProjectError, match=f"is missing; move .*{kept.name}, which was kept of it, to .*project.db, or"
+    ):
         open_project(project.path)
     kept.rename(project.path / "project.db")
     with open_project(project.path) as anew:
         assert anew.problems() == []
         assert len(anew.labels.of_frame(frame)) == 2
+
+
+@pytest.mark.parametrize("suffix", ["-wal", "-shm"])
+def test_a_removed_file_beside_the_database_loses_nothing(
+    project: Project, frame: int, backup: Path, suffix: str
+) -> None:
+    (project.path / f"project.db{suffix}").unlink()
+    with pytest.raises(ReplacedError, match=f"project.db{suffix}: was removed while it was open"):
+        _label(project, frame)
+    project.close()
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 2
+
+
+def test_a_project_that_is_deleted_leaves_nothing(project: Project, backup: Path) -> None:
+    shutil.rmtree(project.path)
+    project.close()
+    assert [path.name for path in project.path.parent.iterdir()] == ["backup"]
 
 
 def test_a_disk_that_is_full_leaves_no_mixture(

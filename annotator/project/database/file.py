@@ -6,7 +6,7 @@ Nothing here opens the file. Closing any descriptor of it would drop SQLite's lo
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
 
@@ -17,7 +17,7 @@ WAL, SHARED_MEMORY = "-wal", "-shm"
 Identity = tuple[int, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DatabaseFile:
     """A database file at the time when it was opened.
 
@@ -25,15 +25,20 @@ class DatabaseFile:
         path: as given, for messages.
         place: the same, absolute; links are followed at each look, since one may be set to another project.
         identity: its device and inode. An inode is not used again while a connection has it open.
+        folder: those of its folder.
         is_writable: False on a read-only disk, or without the rights.
         is_fixed: True if nothing but a replacement changes it: it is read without SQLite's locks.
+        beside: identities of SQLite's files beside it, by suffix, once they exist. SQLite keeps them while a
+            connection is open; without them, processes would not see each other's changes, and lose them.
     """
 
     path: Path
     place: Path
     identity: Identity | None
+    folder: Identity | None
     is_writable: bool = True
     is_fixed: bool = False
+    beside: dict[str, Identity | None] = field(default_factory=dict)
 
     @property
     def address(self) -> str:
@@ -42,8 +47,8 @@ class DatabaseFile:
         return f"file:{quote(str(self.path.resolve()))}?mode={mode}" + ("&immutable=1" if self.is_fixed else "")
 
     def is_current(self) -> bool:
-        """False if the file has been removed or replaced since it was opened."""
-        return identity_of(self.place, self.is_fixed) == self.identity
+        """False if the file, or one of SQLite's files beside it, has been removed or replaced since it was opened."""
+        return self._what_changed() is None
 
     def require_current(self) -> None:
         """Checks that the file is still the one on disk.
@@ -51,16 +56,41 @@ class DatabaseFile:
         Raises:
             ReplacedError: it is not.
         """
-        if not self.is_current():
-            what = "was replaced by another file" if self.place.exists() else "was removed"
+        if (path := self._what_changed()) is not None:
+            what = "was replaced by another file" if path.exists() else "was removed"
             raise ReplacedError(
-                f"{self.path}: {what} while it was open, and nothing was saved in it since; "
+                f"{self.path.with_name(path.name)}: {what} while it was open, and nothing was saved in it since; "
                 "reload the page, or start the command again, and repeat the latest change"
             )
 
-    def beside(self, suffix: str) -> Path:
+    def is_replaced(self) -> bool:
+        """True if the file itself has been removed or replaced."""
+        return identity_of(self.place, self.is_fixed) != self.identity
+
+    def is_same_folder(self) -> bool:
+        """True if its folder is still the one in which it was opened."""
+        return identity_of(self.place.parent) == self.folder
+
+    def remember_beside(self) -> None:
+        """Remembers SQLite's files beside the database; called when a connection has used it."""
+        self.beside.update({suffix: identity_of(self.file_beside(suffix)) for suffix in (WAL, SHARED_MEMORY)})
+
+    def left_beside(self) -> list[Path]:
+        """SQLite's files beside the database that were there when it was opened."""
+        known = [(self.file_beside(suffix), identity) for suffix, identity in self.beside.items()]
+        return [path for path, identity in known if identity is not None and identity_of(path) == identity]
+
+    def file_beside(self, suffix: str) -> Path:
         """SQLite's file of that suffix beside the database."""
         return self.place.with_name(self.place.name + suffix)
+
+    def _what_changed(self) -> Path | None:
+        if self.is_replaced():
+            return self.place
+        if not self.is_writable:
+            return None
+        known = ((self.file_beside(suffix), identity) for suffix, identity in self.beside.items())
+        return next((path for path, identity in known if identity_of(path) != identity), None)
 
 
 def database_file(path: Path) -> DatabaseFile:
@@ -72,7 +102,8 @@ def database_file(path: Path) -> DatabaseFile:
     place = path.absolute()
     is_writable = os.access(place, os.W_OK) and os.access(place.parent, os.W_OK)
     is_fixed = not is_writable and not _has_wal(place)
-    return DatabaseFile(path, place, identity_of(place, is_fixed), is_writable, is_fixed)
+    identity, folder = identity_of(place, is_fixed), identity_of(place.parent)
+    return DatabaseFile(path, place, identity, folder, is_writable, is_fixed)
 
 
 def identity_of(path: Path, is_fixed: bool = False) -> Identity | None:
