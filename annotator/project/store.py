@@ -21,7 +21,7 @@ from annotator.project.database.patience import patience_s
 from annotator.project.database.replaced import keep_replaced, kept_copies
 from annotator.project.database.shape import MISFITS, require_tables
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
-from annotator.types.errors import ProjectError
+from annotator.types.errors import ProjectError, ReplacedError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
@@ -190,7 +190,8 @@ def open_store(
     """Opens the database at `path` and upgrades an older one to the newest version.
 
     Raises:
-        ProjectError: it is missing, not a project database, damaged, locked, or of a newer version.
+        ReplacedError: it is missing.
+        ProjectError: it is not a project database, damaged, locked, or of a newer version.
     """
     _require_file(path)
     store = _store(database_file(path), busy_timeout_s, clock)
@@ -222,7 +223,7 @@ def _require_file(path: Path) -> None:
     if not is_file:
         kept = kept_copies(path.parent.absolute())
         remedy = f"move {kept[-1]}, which was kept of it, to {path}, or " if kept else ""
-        raise ProjectError(f"{path}: is missing; {remedy}restore it from a backup")
+        raise ReplacedError(f"{path}: is missing; {remedy}restore it from a backup")
 
 
 @contextmanager
