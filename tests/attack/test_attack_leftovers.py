@@ -1,4 +1,4 @@
-"""`kill -9` of a process that replaces a folder again and again: the next one finds a whole folder and nothing beside."""
+"""`kill -9` of a process that replaces a folder again and again: the next one finds it whole, and nothing beside it."""
 
 from __future__ import annotations
 
