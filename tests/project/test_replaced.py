@@ -80,6 +80,7 @@ def test_what_a_removed_database_held_is_kept(project: Project, frame: int, back
         ProjectError, match=f"is missing; move .*{kept.name}, which was kept of it, to .*project.db, or"
     ):
         open_project(project.path)
+    assert kept.stat().st_mode & 0o777 == 0o600
     kept.rename(project.path / "project.db")
     with open_project(project.path) as anew:
         assert anew.problems() == []

@@ -58,6 +58,8 @@ def _copied(source: sqlite3.Connection, project: Path) -> Path | None:
         return path
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
+        # not for others, whatever the rights of the folder are
+        unfinished.touch(0o600)
         with closing(sqlite3.connect(unfinished)) as target:
             source.backup(target)
         unfinished.replace(path)
