@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sqlite3
 import threading
 import time
@@ -9,15 +10,18 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import quote
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
-from annotator.files import make_private
+from annotator.project.database.file import DatabaseFile, database_file
+from annotator.project.database.patience import patience_s
+from annotator.project.database.replaced import keep_replaced, kept_copies
+from annotator.project.database.shape import MISFITS, require_tables
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
-from annotator.types.errors import ProjectError
+from annotator.types.errors import ProjectError, ReplacedError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
@@ -26,14 +30,18 @@ THREADS = 20
 
 Clock = Callable[[], int]
 
-_BEGIN = "annotator_begin"
+LOG = logging.getLogger("annotator.project")
 
+_BEGIN, _WAITS_MS = "annotator_begin", "annotator_waits_ms"
+
+_LOCKED = "is locked by another process; close programs that use this project, or wait, and try again"
 _PROBLEMS = {
-    sqlite3.SQLITE_BUSY: "is locked by another process; close programs that use this project, or wait, and try again",
-    sqlite3.SQLITE_LOCKED: "is locked by another process; close programs that use this project, or wait, and try again",
+    sqlite3.SQLITE_BUSY: _LOCKED,
+    sqlite3.SQLITE_LOCKED: _LOCKED,
     sqlite3.SQLITE_CORRUPT: "is damaged; restore it from a backup (`sqlite3 project.db .recover` may recover a part)",
     sqlite3.SQLITE_NOTADB: "is not a project database, or its beginning is damaged; restore it from a backup",
     sqlite3.SQLITE_READONLY: "cannot be written; check the permissions of the file and of its folder",
+    sqlite3.SQLITE_PERM: "cannot be opened; check the permissions of the file and of its folder",
     sqlite3.SQLITE_CANTOPEN: "cannot be opened; check the permissions of the file and of its folder",
     sqlite3.SQLITE_FULL: "cannot be written, because the disk is full; nothing was changed; free some space",
     sqlite3.SQLITE_IOERR: "cannot be read or written because of a disk error; nothing was changed; check the disk",
@@ -45,25 +53,40 @@ class Store:
     """One open database. Thread-safe, but not fork-safe: each process opens its own.
 
     Attributes:
-        path: the database file.
+        file: the database file, as it was when it was opened.
         engine: SQLAlchemy's pool of connections.
+        busy_timeout_s: how long to wait while another process has locked it, seconds.
         clock: returns the current time, UTC nanoseconds since the epoch.
         write_lock: held by the thread that writes.
     """
 
-    path: Path
+    file: DatabaseFile
     engine: Engine
+    busy_timeout_s: float = BUSY_TIMEOUT_S
     clock: Clock = time.time_ns
     write_lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def path(self) -> Path:
+        """The database file."""
+        return self.file.path
+
+    @property
+    def pool(self) -> QueuePool:
+        """The open connections."""
+        pool = self.engine.pool
+        assert isinstance(pool, QueuePool)
+        return pool
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
         """A transaction that sees one snapshot of the database, unaffected by concurrent writes.
 
         Raises:
+            ReplacedError: the file was removed or replaced.
             ProjectError: the database is locked, damaged or cannot be read.
         """
-        with self._transaction("BEGIN") as connection:
+        with self._transaction("BEGIN", patience_s(self.busy_timeout_s)) as connection:
             yield connection
 
     @contextmanager
@@ -75,20 +98,33 @@ class Store:
         and occupy connections that readers need.
 
         Raises:
+            ReplacedError: the file was removed or replaced, so that the change would be lost.
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
+        if not self.file.is_writable:
+            raise ProjectError(
+                f"{self.path}: is on a read-only disk, or you have no right to write it, so nothing was saved; "
+                "to change this project, copy its folder to a place where you may write"
+            )
+        ends_s = time.monotonic() + patience_s(self.busy_timeout_s)
         # after the timeout, SQLite itself reports the problem
-        has_lock = self.write_lock.acquire(timeout=BUSY_TIMEOUT_S)
+        has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
-            with self._transaction("BEGIN IMMEDIATE") as connection:
+            with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
+                # again: it may have waited long for the lock
+                self.file.require_current()
                 yield connection
+            # the file may have been replaced since; only now it is sure that the change is in it
+            self.file.require_current()
         finally:
             if has_lock:
                 self.write_lock.release()
 
     @contextmanager
-    def _transaction(self, begin: str) -> Iterator[Connection]:
-        with _explained(self.path), self.engine.connect() as connection:
+    def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
+        with _explained(self.file), self.engine.connect() as connection:
+            self.file.require_current()
+            _wait_at_most(connection, wait_s)
             connection = connection.execution_options(**{_BEGIN: begin})
             with connection.begin():
                 yield connection
@@ -107,8 +143,20 @@ class Store:
         ]
 
     def close(self) -> None:
-        """Closes all connections."""
+        """Closes all connections; what a replaced database held is kept first."""
+        # without a connection it is closed already; and who removes or replaces a whole project means it
+        if self.pool.checkedin() and self.file.is_same_folder() and not self.file.is_current():
+            self._keep()
         self.engine.dispose()
+
+    def _keep(self) -> None:
+        try:
+            # a connection of the pool, since a new one would open the other file
+            with closing(self.engine.raw_connection()) as connection:
+                assert isinstance(connection.driver_connection, sqlite3.Connection)
+                keep_replaced(connection.driver_connection, self.file)
+        except (ProjectError, DBAPIError, NoConnectionError) as error:
+            LOG.error("%s: was replaced, and what it held could not be kept: %s", self.path, error)
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
@@ -118,12 +166,13 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
         ProjectError: the file exists already, or cannot be written.
         OSError: the file cannot be created.
     """
-    if path.exists():
-        raise ProjectError(f"{path}: exists already")
-    # SQLite gives the files beside it the same rights
-    make_private(path)
-    store = _store(path, "rwc", BUSY_TIMEOUT_S, clock)
-    with _closed_on_error(store), _explained(path):
+    try:
+        # SQLite gives the files beside it the same rights
+        path.touch(mode=0o600, exist_ok=False)
+    except FileExistsError as error:
+        raise ProjectError(f"{path}: exists already") from error
+    store = _store(database_file(path), BUSY_TIMEOUT_S, clock)
+    with _closed_on_error(store), _explained(store.file):
         with closing(store.engine.raw_connection()) as outside_transactions:
             # stored in the file, so it applies to every later connection
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
@@ -143,11 +192,11 @@ def open_store(
     """Opens the database at `path` and upgrades an older one to the newest version.
 
     Raises:
-        ProjectError: it is missing, not a project database, damaged, locked, or of a newer version.
+        ReplacedError: it is missing.
+        ProjectError: it is not a project database, damaged, locked, or of a newer version.
     """
-    if not path.is_file():
-        raise ProjectError(f"{path}: is missing; restore it from a backup")
-    store = _store(path, "rw", busy_timeout_s, clock)
+    _require_file(path)
+    store = _store(database_file(path), busy_timeout_s, clock)
     with _closed_on_error(store):
         with store.read() as connection:
             application_id = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
@@ -156,29 +205,67 @@ def open_store(
             connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
         if application_id != APPLICATION_ID:
             raise ProjectError(f"{path}: is an SQLite database, but not a project database; restore it from a backup")
+        if version < 1:
+            raise ProjectError(f"{path}: is damaged: its version is {version}; restore it from a backup")
         if version != migrations[-1].version:
             with store.write() as connection:
                 upgrade(connection, path, migrations)
+        if migrations is MIGRATIONS:
+            with store.read() as connection:
+                require_tables(connection, path)
+        store.file.remember_beside()
     return store
 
 
+def _require_file(path: Path) -> None:
+    try:
+        is_file = path.is_file()
+    except OSError as error:
+        raise ProjectError(f"{path}: cannot be read: {error.strerror}; check the permissions of its folder") from error
+    if not is_file:
+        kept = kept_copies(path.parent.absolute())
+        remedy = f"move {kept[-1]}, which was kept of it, to {path}, or " if kept else ""
+        raise ReplacedError(f"{path}: is missing; {remedy}restore it from a backup")
+
+
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Converts SQLite's errors about the file `path` into a ProjectError that says what to do.
+def _explained(file: DatabaseFile) -> Iterator[None]:
+    """Converts SQLite's errors about a database into a ProjectError that says what to do.
 
     Raises:
+        ReplacedError: the file was removed or replaced, which explains the error.
         ProjectError: the database is locked, damaged, not writable or out of space.
     """
     try:
         yield
+    except NoConnectionError as error:
+        raise ProjectError(f"{file.path}: is in use by too many requests at once; try again") from error
     except (DBAPIError, sqlite3.Error) as error:
+        file.require_current()
         cause = error.orig if isinstance(error, DBAPIError) else error
-        code = getattr(cause, "sqlite_errorcode", None)
-        # the low byte is the primary result code
-        problem = None if code is None else _PROBLEMS.get(code & 0xFF)
+        problem = _problem(cause)
         if problem is None:
             raise
-        raise ProjectError(f"{path}: {problem} ({cause})") from error
+        raise ProjectError(f"{file.path}: {problem} ({cause})") from error
+
+
+def _problem(cause: BaseException | None) -> str | None:
+    """What is wrong, and what to do; None for an error that a database cannot cause."""
+    code = getattr(cause, "sqlite_errorcode", None)
+    if code == sqlite3.SQLITE_ERROR and any(text in str(cause) for text in MISFITS):
+        return "is damaged: its tables are not those of its version; restore it from a backup"
+    # the low byte is the primary result code
+    return None if code is None else _PROBLEMS.get(code & 0xFF)
+
+
+def _wait_at_most(connection: Connection, seconds: float) -> None:
+    """Sets how long the connection waits for locks, if it differs from before."""
+    milliseconds = round(seconds * 1000)
+    if connection.info.get(_WAITS_MS) != milliseconds:
+        driver = connection.connection.driver_connection
+        assert isinstance(driver, sqlite3.Connection)
+        driver.execute(f"PRAGMA busy_timeout = {milliseconds}")
+        connection.info[_WAITS_MS] = milliseconds
 
 
 @contextmanager
@@ -190,29 +277,41 @@ def _closed_on_error(store: Store) -> Iterator[None]:
         raise
 
 
-def _store(path: Path, mode: str, busy_timeout_s: float, clock: Clock) -> Store:
-    address = f"file:{quote(str(path.resolve()))}?mode={mode}"
-
+def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
     def connect() -> sqlite3.Connection:
+        file.require_current()
         connection = sqlite3.connect(
-            address,
+            file.address,
             uri=True,
-            timeout=busy_timeout_s,
+            timeout=patience_s(busy_timeout_s),
             isolation_level=None,  # the begin event below starts transactions, not the sqlite3 module
             check_same_thread=False,  # the pool hands a connection to one thread at a time
         )
-        connection.execute("PRAGMA foreign_keys = ON")
-        # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it is
-        # safe. NORMAL in WAL mode may lose the last commits in a power cut.
-        connection.execute("PRAGMA synchronous = FULL")
-        # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
-        connection.execute("PRAGMA recursive_triggers = ON")
+        try:
+            # the file may have been replaced before SQLite opened it
+            file.require_current()
+            connection.execute("PRAGMA foreign_keys = ON")
+            # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it
+            # is safe. NORMAL in WAL mode may lose the last commits in a power cut.
+            connection.execute("PRAGMA synchronous = FULL")
+            # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
+            connection.execute("PRAGMA recursive_triggers = ON")
+        except BaseException:
+            connection.close()
+            raise
         return connection
 
-    engine = create_engine("sqlite://", creator=connect, poolclass=QueuePool, pool_size=THREADS, max_overflow=THREADS)
+    engine = create_engine(
+        "sqlite://",
+        creator=connect,
+        poolclass=QueuePool,
+        pool_size=THREADS,
+        max_overflow=THREADS,
+        pool_timeout=busy_timeout_s,
+    )
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         connection.exec_driver_sql(connection.get_execution_options().get(_BEGIN, "BEGIN"))
 
-    return Store(path, engine, clock)
+    return Store(file, engine, busy_timeout_s, clock)
