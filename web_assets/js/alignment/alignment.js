@@ -223,7 +223,7 @@ export function mount(root, app) {
     effect.textContent =
       `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay ` +
       "where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected anew. " +
-      "Boxes drawn on images stay. The next training makes the pictures of 3D boxes anew. Undo restores everything.";
+      "Boxes drawn on images stay. The next training makes its pictures anew. Undo restores everything.";
     offsetNote.textContent =
       `${count(drawn, "frame has", "frames have")} boxes that were drawn on the image. With this time offset ` +
       "they are on another image: draw them again.";
