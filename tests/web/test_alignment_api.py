@@ -102,6 +102,7 @@ def test_up_is_estimated_set_and_cleared(live: Live) -> None:
     found = live.client.post(f"{RECORDING}/estimate-up", json={}).json()
     assert np.degrees(np.arccos(np.dot(found["up"], known))) < 2
     assert found["certainty"] > 0.6
+    assert live.client.post(f"{ROOM}/recordings/99/estimate-up", json={}).status_code == 404
     body = {"up": [0.1, -0.99, 0.0], "frame": 1, "adjusted": shown(live.client)["adjusted"]}
     answer = live.client.post(f"{RECORDING}/up", json=body).json()
     assert answer["up_source"] == "project"

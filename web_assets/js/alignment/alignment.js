@@ -6,6 +6,7 @@
 import { confirm } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { isAborted, messageOf } from "../errors.js";
+import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { dot, multiply, transpose } from "../rotation.js";
 import { anglesOf, upOf } from "./level.js";
@@ -42,6 +43,8 @@ export function mount(root, app) {
   let isBusy = false;
   /** Someone else has adjusted the recording since it was shown. */
   let isOutdated = false;
+  /** The frame cannot be read. */
+  let isBroken = false;
 
   const host = h("div", { class: "picture" });
   const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "alignment-problem" });
@@ -73,7 +76,11 @@ export function mount(root, app) {
   const showPoints = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-points" });
   const showLevel = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-level" });
   const pointSize = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: display });
-  const picture = createPicture(host);
+  const picture = createPicture(host, (url) => void explain(url));
+  const frameProblem = createFrameProblem(host, {
+    onRetry: () => void load(),
+    onStep: (which) => void leaveBroken(which),
+  });
 
   root.append(
     h(
@@ -212,11 +219,12 @@ export function mount(root, app) {
       up: turnedUp(correction()),
       isFirm: !isUpChanged(),
     });
-    keep.disabled = back.disabled = isBusy || !isCorrectionChanged();
-    zero.disabled = isBusy || flat(known.correction).every((value) => value === 0);
-    accept.disabled = isBusy || !isUpChanged();
-    refuse.disabled = isBusy || (estimate === null && !isUpChanged());
-    unknown.disabled = isBusy || known.up_source !== "project";
+    const isOff = isBusy || isBroken;
+    keep.disabled = back.disabled = isOff || !isCorrectionChanged();
+    zero.disabled = isOff || flat(known.correction).every((value) => value === 0);
+    accept.disabled = isOff || !isUpChanged();
+    refuse.disabled = isOff || (estimate === null && !isUpChanged());
+    unknown.disabled = isOff || known.up_source !== "project";
     propose.disabled = isBusy;
     offset.root.hidden = known.images.length === 0;
     noTimes.hidden = known.images.length > 0;
@@ -287,7 +295,12 @@ export function mount(root, app) {
    */
   function take(answer) {
     const isSame = known?.recording === answer.recording && known.adjusted === answer.adjusted;
-    const [sliders, level, proposed] = [correction(), up, estimate];
+    // what was not changed is as this frame has it: the files may know another up direction for each
+    const [sliders, level, proposed] = [
+      isCorrectionChanged() ? correction() : null,
+      isUpChanged() ? up : null,
+      estimate,
+    ];
     known = answer;
     isOutdated = false;
     const flatPoints = answer.points;
@@ -325,7 +338,34 @@ export function mount(root, app) {
       await app.loadFrame(own);
       /** @type {Api.AlignmentJson} */
       const answer = await app.api.get(app.path("frames", own, "alignment"));
-      if (!ended && own === frame) take(answer);
+      if (ended || own !== frame) return;
+      isBroken = false;
+      frameProblem.hide();
+      take(answer);
+    } catch (error) {
+      if (ended || isAborted(error)) return;
+      isBroken = frame !== null;
+      if (isBroken) frameProblem.show(error);
+      else fail(error);
+      show();
+    }
+  }
+
+  /** @param {Direction} which */
+  async function leaveBroken(which) {
+    const beside = frame === null ? null : await frameBeside(app, frame, which);
+    if (beside !== null) app.go(makeHash(app.state.project.name, "alignment", beside));
+  }
+
+  /**
+   * Says why an image could not be loaded.
+   *
+   * @param {string} url
+   */
+  async function explain(url) {
+    try {
+      await app.api.get(url);
+      fail(new Error("The image of this frame cannot be shown."));
     } catch (error) {
       fail(error);
     }
@@ -360,6 +400,7 @@ export function mount(root, app) {
     const own = frame;
     const sliders = content.correction === undefined ? correction() : null;
     const level = content.correction !== undefined && isUpChanged() ? turnedUp(content.correction) : null;
+    const proposed = content.correction === undefined ? null : estimate;
     isBusy = true;
     show();
     try {
@@ -369,13 +410,10 @@ export function mount(root, app) {
       const answer = await app.api.change(path, { ...content, frame: own, adjusted: known.adjusted });
       isBusy = false;
       if (ended) return;
-      if (own !== frame) {
-        await load();
-        return;
-      }
       take(answer);
-      putBack(sliders, level, null);
-      await app.loadFrame(own);
+      putBack(sliders, level, proposed);
+      if (own === frame) await app.loadFrame(own);
+      else await load();
     } catch (error) {
       fail(error);
     } finally {
