@@ -185,8 +185,9 @@ def test_an_adjustment_made_while_there_was_no_connection_is_shown(
     monkeypatch.setattr(hub, "recording_adjusted", lambda *_: None)
     page.goto(f"/#/{room.path.name}/{mode}/1")
     page.locator("img.picture[src]" if mode == "label" else shown).first.wait_for()
-    hub.close()
+    # before the connection is lost, so that the page cannot be back before it
     room.adjustments.correct(1, Correction((0.0, 0.02, 0.0)), "Bob")
+    hub.close()
     expect(page.locator(shown)).to_be_visible()
     if mode == "alignment":
         expect(page.locator(shown)).to_have_value("1.15")
