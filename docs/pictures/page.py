@@ -17,6 +17,7 @@ from annotator.web.serve import Running
 from annotator.web.settings import ServerSettings
 
 DOCS = Path(__file__).resolve().parent.parent
+REPOSITORY = DOCS.parent
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 # The page itself is rendered without GL, so that only the 3D view uses the software GL.
 ARGS = (

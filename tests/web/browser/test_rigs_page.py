@@ -47,3 +47,7 @@ def test_virtual_cameras_are_added_and_share_a_label(start: Page, live: Live) ->
     expect(tag).to_have_count(0)
     label_object(project, 2, -10.0)
     expect(tag).to_have_text(["car #3 · around-000"])
+    start.goto("/#/room/alignment/3")
+    expect(start.get_by_test_id("correction-effect")).to_contain_text("no calibration to correct")
+    expect(start.get_by_test_id("keep-correction")).to_be_hidden()
+    expect(start.get_by_test_id("estimate-up")).to_be_visible()

@@ -211,7 +211,7 @@ export function mount(root, app) {
 
   function show() {
     if (ended || known === null || frame === null) return;
-    const { camera, width, height, labels, drawn_images: drawn } = known;
+    const { camera, width, height, labels, drawn_images: drawn, is_virtual: isVirtual } = known;
     picture.set({
       image: app.path("frames", imageFrame() ?? frame, "recorded.jpg"),
       camera: { ...camera, width, height },
@@ -226,12 +226,16 @@ export function mount(root, app) {
     refuse.disabled = isOff || (estimate === null && !isUpChanged());
     unknown.disabled = isOff || known.up_source !== "project";
     propose.disabled = isBusy;
-    offset.root.hidden = known.images.length === 0;
-    noTimes.hidden = known.images.length > 0;
-    effect.textContent =
-      `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay ` +
-      "where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected anew. " +
-      "Boxes drawn on images stay. The next training makes its pictures anew. Undo restores everything.";
+    for (const { root: row } of [...turns, ...shifts]) row.hidden = isVirtual;
+    keep.hidden = back.hidden = isVirtual;
+    zero.hidden = isVirtual && zero.disabled;
+    offset.root.hidden = isVirtual || known.images.length === 0;
+    noTimes.hidden = isVirtual || known.images.length > 0;
+    effect.textContent = isVirtual
+      ? "The image is drawn from the cloud itself, so there is no calibration to correct."
+      : `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay ` +
+        "where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected anew. " +
+        "Boxes drawn on images stay. The next training makes its pictures anew. Undo restores everything.";
     offsetNote.textContent =
       `${count(drawn, "frame has", "frames have")} boxes that were drawn on the image. With this time offset ` +
       "they are on another image: draw them again.";
