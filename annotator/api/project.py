@@ -340,7 +340,7 @@ class Project:
         return self._loaded[kind][1]
 
     def _detector_source(
-        self, image: Any, view: Any, box_kind: BoxKind | str | None, image_kind: BoxKind | str | None
+        self, image: Any, view: Any, box_kind: BoxKind | str | None, image_kind: BoxKind | str | None = None
     ) -> DetectorSource:
         if image is None and image_kind is not None:
             raise ArgumentError("image_kind tells what the boxes of image_detector enclose; give image_detector, too")

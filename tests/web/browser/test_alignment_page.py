@@ -139,6 +139,21 @@ def test_the_level_that_the_files_give_another_frame_is_no_change_by_hand(aligne
     expect(source).to_have_text("Known from the recording's files.")
 
 
+def test_nothing_can_be_set_before_the_recording_is_known(aligned: Page) -> None:
+    page, aside, held = aligned, aligned.locator(".alignment-mode .aside"), list["Route"]()
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route("**/frames/*/alignment", hold)
+    with page.expect_request("**/frames/*/alignment"):
+        page.reload()
+    expect(aside).to_have_attribute("inert", "")
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("0.00")
+    held[0].continue_()
+    expect(aside).not_to_have_attribute("inert", "")
+
+
 def test_frames_and_images_that_cannot_be_read_are_explained(aligned: Page) -> None:
     page = aligned
     broken = {"error": {"kind": "FrameError", "message": "000001.png: is damaged"}}

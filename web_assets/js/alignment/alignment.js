@@ -76,6 +76,18 @@ export function mount(root, app) {
   const showPoints = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-points" });
   const showLevel = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-level" });
   const pointSize = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: display });
+  // what is set before the recording is known would be lost
+  const aside = h(
+    "div",
+    { class: "aside", inert: true },
+    panel(
+      "Calibration",
+      [...turns, ...shifts, offset].map((each) => each.root).concat(noTimes, offsetNote),
+      [keep, back, zero],
+      effect,
+    ),
+    panel("Which way is up", [source, roll.root, pitch.root], [propose, accept, refuse, unknown], follows),
+  );
   const picture = createPicture(host, (url) => void explain(url));
   const frameProblem = createFrameProblem(host, {
     onRetry: () => void load(),
@@ -107,17 +119,7 @@ export function mount(root, app) {
           "Near points are red, far ones blue. The wheel zooms; drag to move the picture.",
         ),
       ),
-      h(
-        "div",
-        { class: "aside" },
-        panel(
-          "Calibration",
-          [...turns, ...shifts, offset].map((each) => each.root).concat(noTimes, offsetNote),
-          [keep, back, zero],
-          effect,
-        ),
-        panel("Which way is up", [source, roll.root, pitch.root], [propose, accept, refuse, unknown], follows),
-      ),
+      aside,
     ),
   );
 
@@ -310,6 +312,7 @@ export function mount(root, app) {
     const flatPoints = answer.points;
     points = Array.from({ length: flatPoints.length / 3 }, (_, i) => flatPoints.slice(3 * i, 3 * i + 3));
     problem.hidden = true;
+    aside.inert = false;
     recordings.value = String(answer.recording);
     reset();
     if (isSame) putBack(sliders, level, proposed);
