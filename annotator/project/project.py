@@ -12,7 +12,7 @@ from types import TracebackType
 
 from sqlalchemy import Connection, select
 
-from annotator.files import sync_folder
+from annotator.files import private_folder, sync_folder
 from annotator.project.adjusting.adjustments import Adjustments
 from annotator.project.boxes import Boxes
 from annotator.project.config import (
@@ -160,8 +160,9 @@ def create_project(
         raise ProjectError(taken)
     unfinished = root / f".{name}.{uuid.uuid4().hex}.unfinished"
     try:
+        private_folder(unfinished)
         for folder in _FOLDERS:
-            (unfinished / folder).mkdir(parents=True)
+            (unfinished / folder).mkdir()
         create_store(unfinished / DATABASE_FILE, clock=clock).close()
         write_config(unfinished, config)
         unfinished.rename(path)
