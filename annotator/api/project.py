@@ -11,7 +11,15 @@ from typing import Any, overload
 from annotator import project as store
 from annotator.api.inputs import up_of
 from annotator.api.labels import read_labels
-from annotator.api.proposing import ImageDetector, Rotation, image_boxes_of, kind_of, rotation_of, watch_with
+from annotator.api.proposing import (
+    ImageDetector,
+    Rotation,
+    image_boxes_of,
+    image_kind_of,
+    kind_of,
+    rotation_of,
+    watch_with,
+)
 from annotator.evaluation.report import Report
 from annotator.project import ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.config import RcvConfig
@@ -151,6 +159,7 @@ class Project:
         *,
         image_boxes: Sequence[Box2D] | None = ...,
         image_detector: ImageDetector | None = ...,
+        image_kind: BoxKind | str | None = ...,
     ) -> FrameProposals: ...
 
     @overload
@@ -160,6 +169,7 @@ class Project:
         *,
         image_boxes: Sequence[Sequence[Box2D]] | None = ...,
         image_detector: ImageDetector | None = ...,
+        image_kind: BoxKind | str | None = ...,
     ) -> list[FrameProposals]: ...
 
     def detect(
@@ -168,6 +178,7 @@ class Project:
         *,
         image_boxes: Sequence[Any] | None = None,
         image_detector: ImageDetector | None = None,
+        image_kind: BoxKind | str | None = None,
     ) -> FrameProposals | list[FrameProposals]:
         """Proposes oriented boxes with the project's detectors and settings, as `annotator annotate` does.
 
@@ -175,6 +186,8 @@ class Project:
 
         Args:
             image_boxes, image_detector: used instead of the project's image detector; as for `propose`.
+            image_kind: what these boxes enclose: "box" (the whole object, hidden parts included) or "silhouette" (what
+                is seen of it). None: the attribute `box_kind` of `image_detector`, or box if it has none.
 
         Raises:
             ArgumentError: as `propose`.
@@ -183,9 +196,10 @@ class Project:
         """
         several = [frames] if isinstance(frames, Frame) else list(frames)
         if image_boxes is None and image_detector is None:
-            image_detector = self._detector(DetectorKind.IMAGE)
+            image_detector, own = self._detector(DetectorKind.IMAGE), active_model(self.stored, DetectorKind.IMAGE)
+            image_kind = own.box_kind if image_kind is None else image_kind
         boxes = image_boxes_of(frames, image_boxes, image_detector)
-        pair = self._pair(image_detector)
+        pair = self._pair(image_detector, image_kind_of(image_detector, image_kind))
         config, rotation = pair.settings(self._config()), self.stored.config.settings.rotation
         proposals = propose_image_boxes(several, boxes, pair.view, config, rotation, pair.compute) if several else []
         return proposals[0] if isinstance(frames, Frame) else proposals
@@ -196,7 +210,8 @@ class Project:
         Raises:
             DetectionError, FormatError, ConfigError: as `detect`.
         """
-        pair = self._pair(self._detector(DetectorKind.IMAGE))
+        image_kind = active_model(self.stored, DetectorKind.IMAGE).box_kind
+        pair = self._pair(self._detector(DetectorKind.IMAGE), image_kind)
         return watch_with(frames, pair, self._config(), self.stored.config.settings.rotation)
 
     def annotate(
@@ -205,6 +220,7 @@ class Project:
         image_detector: Detector | None = None,
         view_detector: Detector | None = None,
         box_kind: BoxKind | str | None = None,
+        image_kind: BoxKind | str | None = None,
         engine: str = EngineName.INLINE,
         workers: int | None = None,
         address: str | None = None,
@@ -216,6 +232,7 @@ class Project:
             image_detector, view_detector: None: the project's own. The `fingerprint` of any other detector must change
                 whenever its results may change, since it determines which frames are done already.
             box_kind: what the boxes of `view_detector` measure; as for `propose`.
+            image_kind: what the boxes of `image_detector` enclose; as for `detect`.
             engine: inline (this process), local (worker processes), ray, or auto. Your own detectors are pickled for
                 the workers.
             workers, address: options of the engine, as for `annotator annotate`.
@@ -231,7 +248,7 @@ class Project:
         """
         if engine not in tuple(EngineName):
             raise ArgumentError(f"engine must be one of {', '.join(EngineName)}, not {engine!r}")
-        source = self._detector_source(image_detector, view_detector, box_kind)
+        source = self._detector_source(image_detector, view_detector, box_kind, image_kind)
         present = self.stored.frames.count_present(None)
         frames = present if limit is None else min(present, limit)
         made = make_engine(EngineName(engine), source, frames=frames, workers=workers, address=address)
@@ -308,12 +325,12 @@ class Project:
     def _config(self) -> RcvConfig:
         return rcv_config(self.stored)
 
-    def _pair(self, image: ImageDetector | None) -> Detectors:
+    def _pair(self, image: ImageDetector | None, image_kind: BoxKind) -> Detectors:
         view = self._detector(DetectorKind.VIEW)
         # if the image boxes are given, the image detector is never called; the view detector takes its place
         detector = image if isinstance(image, Detector) else view
         model = view_model(self.stored)
-        return Detectors(detector, view, model.box_kind, model.class_agnostic)
+        return Detectors(detector, view, model.box_kind, model.class_agnostic, image_kind)
 
     def _detector(self, kind: DetectorKind) -> Detector:
         """The project's active detector; loaded once, and reloaded after another one is activated."""
@@ -322,7 +339,11 @@ class Project:
             self._loaded[kind] = (model.fingerprint, load_detector(model.path))
         return self._loaded[kind][1]
 
-    def _detector_source(self, image: Any, view: Any, box_kind: BoxKind | str | None) -> DetectorSource:
+    def _detector_source(
+        self, image: Any, view: Any, box_kind: BoxKind | str | None, image_kind: BoxKind | str | None = None
+    ) -> DetectorSource:
+        if image is None and image_kind is not None:
+            raise ArgumentError("image_kind tells what the boxes of image_detector enclose; give image_detector, too")
         if image is None and view is None:
             return trained_detectors(self.stored)
         for detector in (image, view):
@@ -336,6 +357,6 @@ class Project:
         else:
             kind, agnostic = kind_of(view, box_kind), False
         if image is not None:
-            return GivenDetectors(Detectors(image, view, kind, agnostic))
+            return GivenDetectors(Detectors(image, view, kind, agnostic, image_kind_of(image, image_kind)))
         image_kind = active_model(self.stored, DetectorKind.IMAGE).box_kind
         return GivenDetectors(Detectors(self._detector(DetectorKind.IMAGE), view, kind, agnostic, image_kind))

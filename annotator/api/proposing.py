@@ -224,8 +224,21 @@ def kind_of(view_detector: ViewDetector, given: BoxKind | str | None) -> BoxKind
     Raises:
         ArgumentError: an unknown kind.
     """
-    kind = getattr(view_detector, "box_kind", BoxKind.SILHOUETTE) if given is None else given
+    return _kind("box_kind", view_detector, given, BoxKind.SILHOUETTE)
+
+
+def image_kind_of(image_detector: ImageDetector | None, given: BoxKind | str | None) -> BoxKind:
+    """What boxes on the image enclose: `given`, else the `box_kind` of their detector, else whole objects.
+
+    Raises:
+        ArgumentError: an unknown kind.
+    """
+    return _kind("image_kind", image_detector, given, BoxKind.BOX)
+
+
+def _kind(name: str, detector: Any, given: BoxKind | str | None, default: BoxKind) -> BoxKind:
+    kind = getattr(detector, "box_kind", default) if given is None else given
     try:
         return BoxKind(kind)
     except ValueError as error:
-        raise ArgumentError(f"box_kind must be one of {', '.join(BoxKind)}, not {kind!r}") from error
+        raise ArgumentError(f"{name} must be one of {', '.join(BoxKind)}, not {kind!r}") from error

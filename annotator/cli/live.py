@@ -34,8 +34,8 @@ def run(
     dropped and counted. The command ends when the source ends, or with Ctrl-C.
 
     Args:
-        source: path of a recording, which plays at its own rate, or `kinect` for a connected Azure Kinect; `kinect:N`
-            picks one of several by its serial number or by its index from 0.
+        source: path of a recording, or the name of one of the project, which plays at its own rate; or `kinect` for a
+            connected Azure Kinect: `kinect:N` picks one of several by its serial number or by its index from 0.
         no_warm_start: do not start from the boxes of the previous frame; slower.
         record: write the frames to a new recording at this path, and add it to the project with its proposals.
         loop: restart the recording after its last frame.

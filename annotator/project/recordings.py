@@ -122,37 +122,46 @@ class Recordings:
         return Rescan(new, tuple(key for key in known if key not in present))
 
     def move(self, recording_id: int, path: Path, keys: Sequence[str], author: str) -> StoredRecording:
-        """Changes the path of a moved recording; its frames, labels and boxes stay as they are.
+        """Changes the path of one moved recording, as `move_together`."""
+        return self.move_together({recording_id: (path, keys)}, author)[0]
+
+    def move_together(
+        self, moved: Mapping[int, tuple[Path, Sequence[str]]], author: str
+    ) -> tuple[StoredRecording, ...]:
+        """Changes the paths of moved recordings, all or none; their frames, labels and boxes stay as they are.
 
         Args:
-            path: the new path; stored as an absolute path.
-            keys: the frames' keys there: all those of the latest scan, and possibly new ones.
+            moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
+                those of the latest scan, and possibly new ones.
             author: of the change, for the table `moves`.
 
         Raises:
             ProjectError: no such recording, frames are missing, or the path belongs to another recording.
         """
-        path = path.resolve()
-        _require_unique(path, keys)
         with self.store.write() as connection:
-            before = _recording(connection, recording_id)
-            taken = select(recordings.c.name).where(
-                recordings.c.path == str(path),
-                recordings.c.options == before.options,
-                recordings.c.id != recording_id,
-            )
-            other = connection.execute(taken).scalar()
-            if other is not None:
-                raise ProjectError(f"{path} is in the project already, as recording {other}")
-            known = _positions(connection, recording_id)
-            _require_same(before, path, known, keys)
-            _update_frames(connection, recording_id, known, keys)
-            if path != before.path:
-                same = recordings.c.id == recording_id
-                connection.execute(update(recordings).where(same).values(path=str(path)))
-                row = {"recording_id": recording_id, "path_before": str(before.path), "path_after": str(path)}
-                connection.execute(insert(moves), row | {"author": author, "time_ns": self.store.clock()})
-            return _recording(connection, recording_id)
+            for recording_id, (path, keys) in moved.items():
+                self._move(connection, recording_id, path.resolve(), keys, author)
+            return tuple(_recording(connection, recording_id) for recording_id in moved)
+
+    def _move(self, connection: Connection, recording_id: int, path: Path, keys: Sequence[str], author: str) -> None:
+        _require_unique(path, keys)
+        before = _recording(connection, recording_id)
+        taken = select(recordings.c.name).where(
+            recordings.c.path == str(path),
+            recordings.c.options == before.options,
+            recordings.c.id != recording_id,
+        )
+        other = connection.execute(taken).scalar()
+        if other is not None:
+            raise ProjectError(f"{path} is in the project already, as recording {other}")
+        known = _positions(connection, recording_id)
+        _require_same(before, path, known, keys)
+        _update_frames(connection, recording_id, known, keys)
+        if path != before.path:
+            same = recordings.c.id == recording_id
+            connection.execute(update(recordings).where(same).values(path=str(path)))
+            row = {"recording_id": recording_id, "path_before": str(before.path), "path_after": str(path)}
+            connection.execute(insert(moves), row | {"author": author, "time_ns": self.store.clock()})
 
     def all(self) -> tuple[StoredRecording, ...]:
         """All recordings, in the order they were added."""

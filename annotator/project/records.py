@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Annotated, TypeVar
 
 import numpy as np
+from jaxtyping import UInt8
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticSerializationError
 from scipy.spatial.transform import RigidTransform
@@ -139,6 +140,11 @@ class ViewGeometry(BaseModel):
         """The geometry of a pseudo-view."""
         values = {"axes": view.axes.tolist(), "metres_per_px": view.metres_per_px, "origin_m": view.origin_m.tolist()}
         return cls.model_validate(values | {"look_px": view.look_px})
+
+    def view(self, rgb: UInt8[np.ndarray, "h w 3"]) -> PseudoView:
+        """The pseudo-view with this picture; its points are not known."""
+        points = np.zeros((0, 3), np.float32)
+        return PseudoView(rgb, np.array(self.axes), self.metres_per_px, np.array(self.origin_m), points, self.look_px)
 
 
 _BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
 from annotator.geometry.thinning import thin
 from annotator.rcv.config import ViewConfig
-from annotator.rcv.drawing import Window, draw_views, fit_windows, pack_colors
+from annotator.rcv.drawing import BACKGROUND, Window, draw_views, fit_windows, pack_colors
 from annotator.types import PointCloud, PseudoView
 
 
@@ -65,6 +65,30 @@ def render_pairs(
         PseudoView(image, rows, window.metres_per_px, window.origin_m, cloud.xyz_m)
         for image, rows, window in zip(images, view_axes, windows, strict=True)
     ]
+
+
+def render_window(
+    cloud: PointCloud, axes: Float64[np.ndarray, "3 3"], window: Window, max_splat_px: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The image that a window of a view plane shows of a cloud; points outside the window are left out.
+
+    Args:
+        axes: rows = right, down, into the image.
+        max_splat_px: as in `ViewConfig`.
+    """
+    from annotator.rcv.kernels import drawing as kernel
+
+    reach = np.array([window.width_px, window.height_px])
+    px = (cloud.xyz_m @ axes[:2].T - window.origin_m) / window.metres_per_px
+    cloud = cloud.select(((px >= -0.5) & (px <= reach - 0.5)).all(axis=1))
+    if not len(cloud):
+        return np.full((window.height_px, window.width_px, 3), BACKGROUND, np.uint8)
+    xyz, rows = np.array(cloud.xyz_m.T, order="C"), axes.astype(np.float32)[None]
+    least, most = np.empty((2, 1, 3), np.float32)
+    kernel.extents(xyz, rows, least, most)
+    depths = np.stack([least[:, 2], most[:, 2]], axis=1)
+    packed = pack_colors(point_colors(cloud), len(cloud))
+    return draw_views(xyz, packed, rows, [window], depths, max_splat_px)[0]
 
 
 def drawn_points(n_points: int, config: ViewConfig) -> Int64[np.ndarray, "m"] | None:

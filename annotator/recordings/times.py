@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import Protocol, runtime_checkable
-
-import numpy as np
 
 from annotator.recordings.kitti.folder import KittiFolder
 from annotator.recordings.recording import Recording
@@ -38,15 +37,27 @@ def has_times(recording: Recording) -> bool:
     return times is not None and sum(time is not None for time in times.values()) > 1
 
 
-def image_at(recording: Recording, index: int, offset_s: float) -> int:
-    """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead by `offset_s`.
+class Clock:
+    """The times of a recording's frames, in order, to find images in."""
 
-    It is the frame itself without a time for it, or where no other image is nearer in time.
-    """
-    times = recorded_times(recording) if recording.is_sequence else None
-    time_ns = None if times is None else times[recording.keys[index]]
-    if times is None or time_ns is None:
-        return index
-    apart = [np.inf if time is None else abs(time - time_ns + offset_s * 1e9) for time in times.values()]
-    nearest = int(np.argmin(apart))
-    return index if apart[index] <= apart[nearest] else nearest
+    def __init__(self, recording: Recording) -> None:
+        times = recorded_times(recording) if recording.is_sequence else None
+        self._times = None if times is None else tuple(times.values())
+        self._ordered = sorted((time, i) for i, time in enumerate(self._times or ()) if time is not None)
+
+    def image_at(self, index: int, offset_s: float) -> int:
+        """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead.
+
+        It is the frame itself without a time for it, or where no other image is nearer in time.
+
+        Args:
+            offset_s: how far the clouds' clock is ahead.
+        """
+        time_ns = None if self._times is None else self._times[index]
+        if time_ns is None:
+            return index
+        wanted = time_ns - round(offset_s * 1e9)
+        place = bisect_left(self._ordered, (wanted, 0))
+        near = self._ordered[max(place - 1, 0) : place + 1]
+        apart, nearest = min((abs(time - wanted), i) for time, i in near)
+        return index if abs(time_ns - wanted) <= apart else nearest

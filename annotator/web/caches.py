@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections import OrderedDict
+from functools import partial
 from pathlib import Path
 
 from annotator.project import Project
@@ -61,7 +62,7 @@ class Caches:
         with self._lock:
             known = self._whole.get(project.path)
             if known is None or known.project is not project:  # opened again
-                known = self._whole[project.path] = WholeBoxes(project)
+                known = self._whole[project.path] = WholeBoxes(project, partial(self.frames.look, project))
             return known
 
     def close(self) -> None:

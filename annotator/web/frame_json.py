@@ -35,6 +35,7 @@ from annotator.web.schemas import (
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
+from annotator.workflows.rigs import OtherLabel, Rigs, Sibling
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.review_priority import doubt
@@ -89,6 +90,7 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
     frame, page = opened.frame, shown.page
     boxes = page.image_boxes
     undo, redo = project.history.next(operator)
+    rigs, siblings = _siblings(ctx, project, shown)
     objects, labels = opened.newest(
         "json",
         page.frame.revision,
@@ -109,19 +111,25 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
         else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
         objects=objects,
         labels=labels,
-        others=_others(ctx, project, shown, opened),
+        others=_others(shown, opened, rigs.labels_of(siblings)),
+        siblings=[each.frame.id for each in siblings],
         open_by=ctx.hub.open_by(name, frame_id, operator),
         history=HistoryJson(undo=undo, redo=redo),
     )
 
 
-def _others(ctx: Context, project: Project, shown: ShownFrame, opened: OpenFrame) -> list[OtherLabelJson]:
-    """The labels of the rig's other cameras; none if one of their recordings cannot be read, as after a move."""
+def _siblings(ctx: Context, project: Project, shown: ShownFrame) -> tuple[Rigs, list[Sibling]]:
+    """The rig's other cameras; none if one of their recordings cannot be read, as after a move."""
+    rigs = ctx.caches.frames.rigs(project)
     try:
-        others = ctx.caches.frames.others(project, shown.page.frame)
+        return rigs, rigs.siblings(shown.page.frame)
     except RecordingError as error:
         LOG.warning("the other cameras of %s are not shown: %s", shown.page.recording_name, error)
-        return []
+        return rigs, []
+
+
+def _others(shown: ShownFrame, opened: OpenFrame, others: Sequence[OtherLabel]) -> list[OtherLabelJson]:
+    """The labels of the rig's other cameras."""
     return [
         OtherLabelJson.model_construct(
             uid=each.other.label.uid,

@@ -267,7 +267,7 @@ class HistoryJson(Schema):
 
 
 class FrameStateJson(Schema):
-    """All data of a frame that the page shows."""
+    """All data of a frame that the page shows. `siblings`: frames of the rig's other cameras at the same moment."""
 
     frame: FrameJson
     image: ImageJson
@@ -277,6 +277,7 @@ class FrameStateJson(Schema):
     objects: list[ObjectJson]
     labels: list[LabelJson]
     others: list[OtherLabelJson]
+    siblings: list[int]
     open_by: list[str]
     history: HistoryJson
 

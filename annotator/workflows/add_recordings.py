@@ -112,7 +112,7 @@ def register_recording(
 def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
     """Sets the new path of a recording whose folder was moved. Stored frames are unchanged; new frames are added.
 
-    Other recordings with the same path, such as the other cameras of a rig, are moved with it.
+    Other recordings with the same path, such as the other cameras of a rig, are moved with it: all or none.
 
     Args:
         author: of the change.
@@ -126,12 +126,11 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     known = project.recordings.get(recording_id)
     # this recording first: its error says what is wrong
     together = sorted(project.recordings.at(known.path), key=lambda each: each.id != recording_id)
-    for each in together:
-        _move(project, each, path, author)
-    return project.recordings.get(recording_id)
+    moved = {each.id: _moved(each, path) for each in together}
+    return project.recordings.move_together(moved, author)[0]
 
 
-def _move(project: Project, known: StoredRecording, path: Path, author: str) -> None:
+def _moved(known: StoredRecording, path: Path) -> tuple[Path, Sequence[str]]:
     moved = open_recording(path, stored_options(known.options))
     if moved.format != known.format:
         raise RecordingError(
@@ -139,7 +138,7 @@ def _move(project: Project, known: StoredRecording, path: Path, author: str) -> 
             "give the folder that was moved"
         )
     _require_readable(moved)
-    project.recordings.move(known.id, moved.path, moved.keys, author)
+    return moved.path, moved.keys
 
 
 def _chosen(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from annotator.project.project import Project
 from annotator.project.recordings import StoredRecording
 from annotator.rcv.config import Orientation
 from annotator.recordings import Recording, open_recording, stored_options
-from annotator.recordings.times import image_at
+from annotator.recordings.times import Clock
 from annotator.types import NO_CORRECTION, Correction, Frame
 from annotator.types.errors import FrameError, RecordingError
 
@@ -48,10 +49,14 @@ class OpenedRecording:
         index = self.index(key)
         frame = self.recording.frame(index)
         if self.correction.time_offset_s:
-            shown = image_at(self.recording, index, self.correction.time_offset_s)
+            shown = self._clock.image_at(index, self.correction.time_offset_s)
             frame = frame if shown == index else with_image(frame, self.recording.frame(shown).rgb)
         frame = corrected(frame, self.correction)
         return frame if self.up is None else replace(frame, up=np.asarray(self.up, np.float64))
+
+    @cached_property
+    def _clock(self) -> Clock:
+        return Clock(self.recording)
 
     def index(self, key: str) -> int:
         """The frame's index in the recording.

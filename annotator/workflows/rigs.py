@@ -112,9 +112,13 @@ class Rigs:
 
     def others(self, frame: StoredFrame) -> list[OtherLabel]:
         """Returns all labels of the other cameras at the moment of a frame. Raises as `siblings`."""
+        return self.labels_of(self.siblings(frame))
+
+    def labels_of(self, siblings: Sequence[Sibling]) -> list[OtherLabel]:
+        """Returns all labels of the other cameras, from the result of `siblings`."""
         return [
             OtherLabel(_moved(label, sibling.T_here_there), sibling.frame, sibling.recording)
-            for sibling in self.siblings(frame)
+            for sibling in siblings
             for label in self._project.labels.of_frame(sibling.frame.id)
         ]
 

@@ -21,6 +21,7 @@ MAKERS = {
     "method": method.main,
     "moving": moving.main,
     "guide": guide.main,
+    "calibration": guide.calibration,
     "gallery": gallery.main,
 }
 
@@ -38,7 +39,8 @@ def main(words: list[str]) -> None:
     unknown = set(words) - set(MAKERS)
     if unknown:
         sys.exit(f"no such picture: {', '.join(sorted(unknown))}; choose from {', '.join(MAKERS)}")
-    for name in words or MAKERS:
+    # the guide's pictures include those of `calibration`
+    for name in words or [name for name in MAKERS if name != "calibration"]:
         sys.stderr.write(f"{name} ...\n")
         MAKERS[name]()
 

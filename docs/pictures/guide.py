@@ -1,14 +1,20 @@
-"""The pictures of docs/guide.md: one session at the page, from an empty projects folder to a downloaded dataset."""
+"""The pictures of docs/guide.md: one session at the page, from an empty projects folder to a downloaded dataset.
+
+`python docs/pictures calibration` makes only those of a bag's topics and of Alignment, which need no detector.
+"""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from page import DOCS, chromium, corners_on_page, drag, save_jpeg, shot, signed_in, wait_for_3d, workbench
-from playwright.sync_api import Page
+from page import DOCS, REPOSITORY, chromium, corners_on_page, drag, save_jpeg, shot, signed_in, wait_for_3d, workbench
+from playwright.sync_api import Browser, Page
 from scenes import unlabelled_boxes
+from scipy.spatial.transform import Rotation
 
+from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
 from annotator.types import Box2D, Camera
 
@@ -20,6 +26,8 @@ WIDTH, MOST_BYTES = 1000, 85_000
 # Shorter than a user would train: the page is to be shown, not the best detector.
 IMAGE_PICTURES, MINUTES = 480, 1
 SETTLED_MS = 1_500
+# Of the bag: the time of its first frame and between two, and how far its clouds are turned, degrees.
+BEGIN_NS, EVERY_NS, OFF_DEG = 1_700_000_000 * 10**9, 10**8, 2.0
 
 
 def main() -> None:
@@ -46,12 +54,65 @@ def main() -> None:
             accept_all(page)
             check(page)
             export(page)
+    calibration()
 
 
-def keep(page: Page, name: str) -> None:
+def calibration() -> None:
+    """The dialog with the topics of a bag, and Alignment with a cloud that lies beside its image."""
+    with TemporaryDirectory() as folder:
+        recordings, projects = Path(folder) / "recordings", Path(folder) / "projects"
+        projects.mkdir()
+        write_generated(recordings / "room", "people", 3, SEED)
+        write_bag(recordings, "room")
+        with workbench(projects, recordings) as address, chromium() as browser:
+            choose_topics(browser, address)
+
+
+def choose_topics(browser: Browser, address: str) -> None:
+    page = signed_in(browser, address)
+    click(page, "new-project")
+    page.get_by_test_id("project-name").fill("room")
+    page.get_by_test_id("project-classes").fill("person")
+    click(page, "dialog-create")
+    click(page, "folder-recordings")
+    click(page, "add-room.bag")
+    page.get_by_test_id("topic-image").select_option("/front/image_raw")
+    page.get_by_test_id("topics-preview").wait_for()
+    keep(page, "guide_topics")
+    page.get_by_test_id("topics-dialog").get_by_test_id("dialog-add").click()
+    page.get_by_test_id("added-recording").wait_for()
+    page.keyboard.press("Escape")
+    page.goto(f"{address}#/room/alignment")
+    page.get_by_test_id("correction-effect").get_by_text("Undo restores everything").wait_for()
+    click(page, "estimate-up")
+    page.get_by_text("Proposed with certainty").wait_for()
+    page.get_by_test_id("turn-y-field").fill(str(OFF_DEG))
+    # thousands of points do not compress
+    keep(page, "guide_alignment", 2 * MOST_BYTES)
+
+
+def write_bag(recordings: Path, name: str) -> None:
+    """A bag of the recording `name`: two cameras, one of them with depth, and one whose cloud is turned a little."""
+    sys.path.append(str(REPOSITORY))
+    from benchmarks.bag_writer import BagWriter, structured
+
+    recording = open_recording(recordings / name)
+    with BagWriter(recordings, "ros1") as bag:
+        for index in range(len(recording)):
+            frame, time_ns = recording.frame(index), BEGIN_NS + index * EVERY_NS
+            xyz = Rotation.from_euler("y", -OFF_DEG, degrees=True).apply(frame.cloud.xyz_m[::5])
+            for camera, rgb in (("front", frame.rgb), ("rear", frame.rgb[:, ::-1])):
+                size = frame.camera.width_px, frame.camera.height_px
+                bag.info(f"/{camera}/camera_info", time_ns, size, frame.camera.matrix)
+                bag.image(f"/{camera}/image_raw", time_ns, rgb, "rgb8")
+            bag.cloud("/lidar/points", time_ns, structured(dict(zip("xyz", xyz.T, strict=True))), frame="camera")
+    bag.path.rename(recordings / f"{name}.bag")
+
+
+def keep(page: Page, name: str, most_bytes: int = MOST_BYTES) -> None:
     """Saves what the page shows."""
     page.wait_for_timeout(SETTLED_MS)
-    save_jpeg(shot(page), DOCS / f"{name}.jpg", WIDTH, MOST_BYTES)
+    save_jpeg(shot(page), DOCS / f"{name}.jpg", WIDTH, most_bytes)
 
 
 def click(page: Page, test_id: str) -> None:

@@ -18,6 +18,7 @@ from annotator.web.settings import ServerSettings
 from annotator.web.tokens import with_token
 
 DOCS = Path(__file__).resolve().parent.parent
+REPOSITORY = DOCS.parent
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 # The page itself is rendered without GL, so that only the 3D view uses the software GL.
 ARGS = (

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import annotator
+from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ArgumentError, DetectionError, NotFoundError, ProjectError
 from annotator.workflows.detectors import Detectors
@@ -71,6 +72,50 @@ def test_the_projects_image_detector_is_known_to_find_silhouettes(
     people.annotate(view_detector=knowing("people").view, box_kind="box", limit=1)
     (run,) = people.stored.jobs.all()
     assert json.loads(run.config)["image_box_kind"] == "silhouette"
+
+
+class Seeing:
+    """An image detector whose boxes enclose what is seen."""
+
+    def __init__(self, image: annotator.Detector) -> None:
+        self.labels, self.fingerprint, self.detect = image.labels, image.fingerprint, image.detect
+        self.box_kind = "silhouette"
+
+
+@pytest.mark.parametrize(("image_kind", "stored"), [(None, "silhouette"), ("silhouette", "silhouette"), ("box", None)])
+def test_given_image_detectors_may_find_silhouettes(
+    people: annotator.Project, knowing: Knowing, image_kind: str | None, stored: str | None
+) -> None:
+    pair = knowing("people")
+    people.annotate(
+        image_detector=Seeing(pair.image), view_detector=pair.view, box_kind="box", image_kind=image_kind, limit=1
+    )
+    (run,) = people.stored.jobs.all()
+    assert json.loads(run.config).get("image_box_kind") == stored
+
+
+def test_the_kind_of_given_image_boxes_reaches_the_recursion(
+    people: annotator.Project, trained: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds: list[str] = []
+    real = Detectors.settings
+
+    def settings(self: Detectors, config: RcvConfig) -> RcvConfig:
+        kinds.append(self.image_kind.value)
+        return real(self, config)
+
+    monkeypatch.setattr(Detectors, "settings", settings)
+    frame = people.read(people.frames()[0])
+    people.detect(frame)  # the project's own detector finds silhouettes
+    for given in (None, "silhouette"):
+        people.detect(frame, image_boxes=[], image_kind=given)
+    people.detect(frame, image_detector=lambda _: [], image_kind="silhouette")
+    next(people.watch([frame]))
+    assert kinds == ["silhouette", "box", "silhouette", "silhouette", "silhouette"]
+    with pytest.raises(annotator.ArgumentError, match="image_kind must be one of box, silhouette, not 'outline'"):
+        people.detect(frame, image_boxes=[], image_kind="outline")
+    with pytest.raises(annotator.ArgumentError, match="give image_detector, too"):
+        people.annotate(image_kind="box")
 
 
 def test_given_2d_boxes_need_no_image_detector(

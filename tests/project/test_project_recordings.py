@@ -121,6 +121,16 @@ def test_a_moved_recording_keeps_frames_and_labels(project: Project, recording: 
     assert project.recordings.get(recording.id) == recording
 
 
+def test_recordings_are_moved_together_or_not_at_all(project: Project, recording: StoredRecording) -> None:
+    other = project.recordings.add(recording.path, "rgbd", "other", ["0", "1"], True, options='{"camera":"left"}')
+    there, keys = recording.path.parent / "there", [str(n) for n in range(5)]
+    with pytest.raises(ProjectError, match="there is not other: it lacks frame 1"):
+        project.recordings.move_together({recording.id: (there, keys), other.id: (there, ["0"])}, "ann")
+    assert {each.path for each in project.recordings.all()} == {recording.path} and _moves(project) == []
+    moved = project.recordings.move_together({recording.id: (there, keys), other.id: (there, ["0", "1"])}, "ann")
+    assert [each.path for each in moved] == [there, there]
+
+
 def test_missing_frames_may_reappear_at_the_new_path(project: Project, recording: StoredRecording) -> None:
     project.recordings.rescan(recording.id, ["0", "1", "2"])
     project.recordings.move(recording.id, recording.path / "there", ["0", "1", "2", "4"], "ann")

@@ -50,7 +50,7 @@ def test_the_points_are_those_of_the_files_whatever_the_correction(live: Live, g
     recorded = open_recording(generated / "people").frame(0)
     points = np.array(before["points"]).reshape(-1, 3)
     assert 1000 < len(points) <= 15_000
-    assert before["correction"] == NONE
+    assert before["correction"] == NONE and not before["is_virtual"]
     distance, _ = cKDTree(recorded.cloud.xyz_m).query(points)
     assert distance.max() < 1e-3
     after = correct(live.client, TURNED).json()
@@ -102,6 +102,7 @@ def test_up_is_estimated_set_and_cleared(live: Live) -> None:
     found = live.client.post(f"{RECORDING}/estimate-up", json={}).json()
     assert np.degrees(np.arccos(np.dot(found["up"], known))) < 2
     assert found["certainty"] > 0.6
+    assert live.client.post(f"{ROOM}/recordings/99/estimate-up", json={}).status_code == 404
     body = {"up": [0.1, -0.99, 0.0], "frame": 1, "adjusted": shown(live.client)["adjusted"]}
     answer = live.client.post(f"{RECORDING}/up", json=body).json()
     assert answer["up_source"] == "project"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Event
@@ -14,7 +15,9 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction
+from annotator.web.caches import Caches
 from annotator.workflows import simulate_whole
+from annotator.workflows.add_recordings import move_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import simulate_recording
@@ -87,6 +90,21 @@ def test_a_correction_of_the_calibration_applies_at_once(drawn: Project) -> None
     corrected = [one.box.center_m.tolist() for one in offers.of(frame, stored, image_box, None)]
     assert corrected == [one.box.center_m.tolist() for one in WholeBoxes(drawn).of(frame, stored, image_box, None)]
     assert corrected != [one.box.center_m.tolist() for one in before]
+
+
+def test_frames_of_a_moved_recording_are_read_at_their_new_place(
+    drawn: Project, own_copy: Callable[[str], Path]
+) -> None:
+    caches, recording, here = Caches(), drawn.recordings.all()[0].id, own_copy("people")
+    move_recording(drawn, recording, here, "Ann")
+    first, second = [frame for frame in drawn.frames.of() if drawn.boxes.on_views_of(frame.id)][:2]
+    offers = caches.whole_boxes(drawn)
+    assert offers._objects(first)
+    there = here.rename(here.with_name("there"))
+    move_recording(drawn, recording, there, "Ann")
+    caches.frames.forget(drawn)  # as the server does
+    assert offers._objects(second)
+    caches.close()
 
 
 def test_a_long_search_does_not_block_another_operators(drawn: Project, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,6 +104,8 @@ export function createEvents() {
       const old = socket;
       socket = null;
       old?.close();
+      // without a project there is no connection that could be lost
+      if (name === null) emit("connection", true);
       ready = name === null ? Promise.resolve() : begin(name);
       return ready;
     },

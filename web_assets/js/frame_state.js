@@ -90,6 +90,8 @@ export function createFrameState(app) {
      */
     hear({ frame, revision }) {
       heard.set(frame, Math.max(heard.get(frame) ?? -1, revision));
+      // objects of the rig's other cameras are outlines in this one
+      if (state.frame?.siblings.includes(frame)) hasMissed = true;
     },
 
     /** Events may have been missed. */

@@ -38,6 +38,8 @@ const app = createApp();
 /** @type {Mounted | null} */
 let mounted = null;
 let visit = 0;
+/** What the address names could not be opened. */
+let isBroken = false;
 /** @type {AbortController | null} */
 let frameRequest = null;
 
@@ -186,6 +188,7 @@ async function catchUp() {
  */
 async function follow(isAnew = false) {
   const ownVisit = ++visit;
+  isBroken = false;
   const before = app.state.route;
   const route = parseHash(location.hash);
   const isSameMode =
@@ -211,7 +214,7 @@ async function follow(isAnew = false) {
     if (ownVisit !== visit) return;
     if (route.project !== null && app.state.project === null) await refreshProject();
     /** @type {Mode} */
-    const module = await import(MODULES[route.mode]);
+    const module = await loadMode(route.mode);
     if (ownVisit !== visit) return;
     work.replaceChildren();
     app.keys.setMode(route.mode);
@@ -221,6 +224,20 @@ async function follow(isAnew = false) {
     mounted = module.mount(work, /** @type {ModeApp} */ (app));
   } catch (error) {
     if (ownVisit === visit) showProblem(error, route);
+  }
+}
+
+/**
+ * @param {string} mode
+ * @returns {Promise<Mode>}
+ */
+async function loadMode(mode) {
+  try {
+    return await import(MODULES[mode]);
+  } catch (error) {
+    // says that the server does not respond, if that is the reason
+    await app.api.get("/api/session");
+    throw error;
   }
 }
 
@@ -240,9 +257,12 @@ function leave() {
  */
 function showProblem(error, route) {
   if (!(error instanceof ApiError)) console.error(error);
+  isBroken = true;
   const retry = h("button", { type: "button", class: "primary", onclick: () => follow() }, "Try again");
   const back = h("a", { class: "button", href: "#/" }, "All projects");
   const isMissing = error instanceof ApiError && error.status === 404;
+  // the server refuses a connection for a project that does not exist, which is no lost connection
+  if (isMissing) void app.events.follow(null);
   const title = isMissing ? `There is no project '${route.project}'` : "This page could not be opened";
   work.replaceChildren(
     h(
@@ -311,7 +331,7 @@ async function start() {
   app.events.on("replaced", () =>
     toast("This project was replaced on the server. Reload the page: what it shows is no longer stored.", "error"),
   );
-  app.events.on("reconnected", () => void catchUp());
+  app.events.on("reconnected", () => void (isBroken ? follow() : catchUp()));
   app.events.on("connection", (connected) => app.state.set({ connected }));
   mountTopbar(topbar, app);
   try {
@@ -326,6 +346,10 @@ async function start() {
   app.viewport = createViewport(app);
   void loadJobs();
   window.addEventListener("hashchange", () => follow());
+  // the operator may have created the project, or started the server, in another window
+  window.addEventListener("focus", () => {
+    if (isBroken) void follow();
+  });
   await follow();
 }
 

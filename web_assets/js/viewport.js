@@ -214,7 +214,8 @@ export function createViewport(app) {
   /** @param {HTMLIFrameElement} loaded */
   function prepare(loaded) {
     const view = loaded.contentWindow;
-    if (view === null || view.location.href === "about:blank") return;
+    // without a server, the browser shows a page of its own, which is out of reach
+    if (view === null || loaded.contentDocument === null || view.location.href === "about:blank") return;
     const style = view.document.createElement("style");
     style.textContent = STYLE;
     view.document.head.append(style);

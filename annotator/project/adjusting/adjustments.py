@@ -9,7 +9,7 @@ import numpy as np
 from sqlalchemy import Connection, select
 
 from annotator.project.adjusting.adjustment import Adjustment, Up, read_adjustment
-from annotator.project.adjusting.moving import between
+from annotator.project.adjusting.moving import Moves, between
 from annotator.project.event_types import RecordingAdjusted
 from annotator.project.events import Effort
 from annotator.project.schema import adjustments, events, frames
@@ -53,6 +53,11 @@ class Adjustments:
         query = query.join(events, events.c.id == adjustments.c.event_id).where(adjustments.c.event_id > event_id)
         with self.writer.store.read() as connection:
             return tuple((row[0], row[1], row[2]) for row in connection.execute(query.order_by(adjustments.c.event_id)))
+
+    def corrected(self) -> frozenset[int]:
+        """Recordings whose calibration has been corrected, present or not."""
+        with self.writer.store.read() as connection:
+            return Moves(connection).corrected
 
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS

@@ -55,6 +55,12 @@ class Moves:
             assert isinstance(payload, RecordingAdjusted)
             self._corrections.setdefault(payload.recording, []).append((row.id, payload.correction))
 
+    @property
+    def corrected(self) -> frozenset[int]:
+        """Recordings that have, or once had, a correction."""
+        steps = self._corrections.items()
+        return frozenset(id for id, made in steps if any(correction != NO_CORRECTION for _, correction in made))
+
     def since(self, frame_id: int | None, event_id: int) -> RigidTransform | None:
         """From the camera frame at the event `event_id` to the present one; None if the clouds are where they were."""
         if not self._corrections or frame_id is None:

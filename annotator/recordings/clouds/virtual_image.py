@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.geometry.projection import inside_image, project
-from annotator.types import Camera, PointCloud
+from annotator.types import Camera, Frame, PointCloud
 
 # A point is drawn as a square: this length, projected, is its side, within these bounds in pixels.
 POINT_SIZE_M = 0.06
@@ -43,6 +43,15 @@ def virtual_image(camera: Camera, cloud: PointCloud) -> UInt8[np.ndarray, "h w 3
         np.maximum(seen, squares, out=seen)
     palette = np.concatenate([np.zeros((1, 3), np.uint8), _colors(cloud)[drawn]])
     return palette[seen[LARGEST_PX:, LARGEST_PX:].astype(np.int64)]
+
+
+def has_virtual_image(frame: Frame) -> bool:
+    """True if a frame's image is rendered from its cloud, so that the two cannot lie beside each other.
+
+    Args:
+        frame: as its recording gives it, without a correction.
+    """
+    return np.array_equal(frame.rgb, virtual_image(frame.camera, frame.cloud))
 
 
 def _colors(cloud: PointCloud) -> UInt8[np.ndarray, "n 3"]:

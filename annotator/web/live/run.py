@@ -82,7 +82,9 @@ def run_live(
     if options.record is not None:
         require_unused_path(project, options.record)
     # opened before the detectors are loaded, which takes seconds, so that an invalid source is reported at once
-    source = open_source(options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None)
+    source = open_source(
+        project, options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None
+    )
     try:
         with Interrupts() as interrupts:
             return _run(project, options, settings, source, report, interrupts)

@@ -59,7 +59,8 @@ class AlignmentJson(Schema):
 
     `points`: x, y, z of some points one after the other, metres, in the camera frame without the correction.
     `up`: unit vector in the corrected camera frame. `adjusted` identifies the present correction and up direction.
-    `labels` and `drawn_images`: number of 3D boxes, and of images with drawn boxes, in the recording.
+    `labels` and `drawn_images`: number of 3D boxes, and of images with drawn boxes, in the recording. `is_virtual`: the
+    image is drawn from the cloud, so there is no calibration to correct.
     """
 
     recording: int
@@ -75,6 +76,7 @@ class AlignmentJson(Schema):
     images: list[ImageAt]
     labels: int
     drawn_images: int
+    is_virtual: bool
 
 
 class EstimatedUp(Schema):
@@ -175,4 +177,5 @@ def _alignment(ctx: Context, name: str, frame_id: int) -> AlignmentJson:
         images=[ImageAt(frame=frame, seconds=seconds) for frame, seconds in shown.images],
         labels=shown.labels,
         drawn_images=shown.drawn_images,
+        is_virtual=shown.is_virtual,
     )

@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
 
 import numpy as np
 
 from annotator.recordings import Recording
+from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.live.source import Taken
 
@@ -45,10 +46,18 @@ class Playback:
 
     gives_newest = True
 
-    def __init__(self, recording: Recording, *, rate: float | None = None, repeat: Repeat = Repeat.NO) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        *,
+        rate: float | None = None,
+        repeat: Repeat = Repeat.NO,
+        read: Callable[[str], Frame] | None = None,
+    ) -> None:
         """
         Args:
             rate: frames per second; None = as recorded; infinite = as fast as frames can be read.
+            read: reads a frame by its key; None = as the recording's files give it.
 
         Raises:
             ConfigError: a rate of zero or less.
@@ -57,6 +66,7 @@ class Playback:
             raise ConfigError(f"cannot play at {rate:g} frames per second; give more than 0")
         self.recording = recording
         self.skipped = 0
+        self._read = read
         self._gap_s = None if rate is None else 1 / rate
         self._times_s = None if rate is not None else times_s(recording)
         self._order = _order(len(recording), repeat)
@@ -89,7 +99,7 @@ class Playback:
         index, taken_s = due
         begin = time.perf_counter()
         try:
-            frame = self.recording.frame(index)
+            frame = self._frame(index)
         except FrameError as error:
             self._broken_in_a_row += 1
             if self._broken_in_a_row >= len(self.recording):
@@ -100,6 +110,9 @@ class Playback:
             raise
         self._broken_in_a_row = 0
         return Taken(frame, taken_s, time.perf_counter() - begin)
+
+    def _frame(self, index: int) -> Frame:
+        return self.recording.frame(index) if self._read is None else self._read(self.recording.keys[index])
 
     def resume(self) -> None:
         """Makes the next frame due now."""

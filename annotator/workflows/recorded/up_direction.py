@@ -47,9 +47,11 @@ def estimate_recording_up(project: Project, recording_id: int) -> RecordingUp:
     """Estimates the up direction of a recording from some of its frames, as they are corrected now.
 
     Raises:
+        NotFoundError: no such recording.
         FrameError: none of the frames can be read.
         RecordingError: the recording is missing or cannot be read.
     """
+    project.recordings.get(recording_id)
     frames = [frame for frame in project.frames.of([recording_id]) if frame.index is not None]
     picked = sorted(set(np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).round().astype(int).tolist()))
     return agreed_up([estimate_up(frame) for frame in _readable(FrameSource(project), [frames[i] for i in picked])])

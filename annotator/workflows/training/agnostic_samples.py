@@ -16,7 +16,7 @@ from annotator.detection.dataset import TrainingSample
 from annotator.project import Project, ViewBoxes
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.teach import project_box, teach_agnostic_views
-from annotator.types import Box2D, BoxKind, Detector, Image, PseudoView
+from annotator.types import Box2D, BoxKind, Detector, Image
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.training.samples import (
     DRAWN,
@@ -24,6 +24,7 @@ from annotator.workflows.training.samples import (
     Material,
     SampleConfig,
     Skip,
+    drawn_pictures,
     frame_group,
     known_objects,
 )
@@ -51,7 +52,7 @@ def agnostic_samples(
     Args:
         start: the class-agnostic detector that the training starts from.
     """
-    yield from _drawn(project, material, start)
+    yield from _drawn(project, material, rcv, start, skip)
     for known in known_objects(project, material, rcv, config, MOST_DRAWS, skip, both_kinds=True):
         labels, objects = known.labels, known.objects
         for taught in teach_agnostic_views(
@@ -85,15 +86,16 @@ def with_generated(own: Iterable[TrainingSample], share: float, size_px: int, se
         yield from generated_views(number, GENERATED_DRAWS, size_px)
 
 
-def _drawn(project: Project, material: Material, start: Detector) -> Iterator[TrainingSample]:
+def _drawn(
+    project: Project, material: Material, rcv: RcvConfig, start: Detector, skip: Skip
+) -> Iterator[TrainingSample]:
     """Views with the drawn box of their own object, which is the first of a view that belongs to an object."""
     groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view in material.views:
+    for view, rgb in drawn_pictures(project, material.views, rcv, skip):
         if len(view.boxes) > 1 and (view.geometry is None or view.geometry.image_box is None):
             continue  # nothing says which object the view is about
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
-        rgb = project.views.load(view.view_id)
         yield TrainingSample(rgb, _boxes_of(view, material, start, rgb), group, DRAWN, (), look_px)
 
 
@@ -102,14 +104,7 @@ def _boxes_of(view: ViewBoxes, material: Material, start: Detector, rgb: np.ndar
     geometry = view.geometry
     if known and view.box_kind is BoxKind.SILHOUETTE and geometry is not None and geometry.image_box is not None:
         whole = material.whole.get((view.frame_id or 0, geometry.image_box))
-        drawn_on = PseudoView(
-            rgb,
-            np.array(geometry.axes),
-            geometry.metres_per_px,
-            np.array(geometry.origin_m),
-            np.zeros((0, 3), np.float32),
-        )
-        shown = None if whole is None else project_box(drawn_on, whole, AGNOSTIC_LABELS[BoxKind.BOX])
+        shown = None if whole is None else project_box(geometry.view(rgb), whole, AGNOSTIC_LABELS[BoxKind.BOX])
         known += [] if shown is None else [shown]
     return _completed(start, _Picture(rgb), known)
 

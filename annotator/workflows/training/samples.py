@@ -13,6 +13,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence, S
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import UInt8
 from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.detection.dataset import TrainingSample
@@ -30,6 +31,7 @@ from annotator.workflows.rigs import Rigs
 from annotator.workflows.views.outlines import outlines, undrawn
 from annotator.workflows.views.pairs import front_and_side, views_by_object
 from annotator.workflows.views.places import spans_m
+from annotator.workflows.views.redrawn import redrawn
 
 DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
 
@@ -209,10 +211,9 @@ def view_samples(
 ) -> Iterator[TrainingSample]:
     """Yields drawn pseudo-views, then views along random axes of every object whose 3D extent is known."""
     groups = {stored.id: frame_group(stored) for stored in project.frames.of()}
-    for view in material.views_of_kind:
+    for view, rgb in drawn_pictures(project, material.views_of_kind, rcv, skip):
         group = f"view/{view.view_id[:12]}" if view.frame_id is None else groups[view.frame_id]
         look_px = 0 if view.geometry is None else view.geometry.look_px
-        rgb = project.views.load(view.view_id)
         yield TrainingSample(rgb, view.boxes, group, DRAWN, _drawn_uids(view), look_px)
     for known in known_objects(project, material, rcv, config, config.most_draws, skip):
         doubtful = [label.box for label in (*material.open.get(known.stored.id, ()), *known.untaught)]
@@ -222,6 +223,34 @@ def view_samples(
             uids = tuple(known.labels[index].uid for index in taught.objects if index < len(known.labels))
             drawn = taught.view
             yield TrainingSample(drawn.rgb, taught.boxes, frame_group(known.stored), TAUGHT, uids, drawn.look_px)
+
+
+def drawn_pictures(
+    project: Project, views: Sequence[ViewBoxes], rcv: RcvConfig, skip: Skip
+) -> Iterator[tuple[ViewBoxes, UInt8[np.ndarray, "_ _ 3"]]]:
+    """Yields labelled pseudo-views with their pictures, which are new where a calibration was corrected.
+
+    Views that the correction leaves without points in their boxes are passed to `skip`.
+    """
+    corrected = project.adjustments.corrected()
+    moved = {stored.id for stored in project.frames.of(sorted(corrected))} if corrected else set()
+    again: dict[int, list[ViewBoxes]] = defaultdict(list)
+    for view in views:
+        if view.frame_id in moved and view.geometry is not None and view.geometry.image_box is not None:
+            again[view.frame_id].append(view)
+        else:
+            yield view, project.views.load(view.view_id)
+    for stored, frame in labelled_frames(project, sorted(again), skip):
+        objects = views_by_object(again[stored.id])
+        for view in again[stored.id]:
+            assert view.geometry is not None and view.geometry.image_box is not None
+            steps = objects.get((stored.id, view.geometry.image_box), {})
+            rgb = redrawn(frame, view, steps, lambda each: project.views.size(each.view_id), rcv)
+            if rgb is not None:
+                yield view, rgb
+            else:
+                path = project.views.path(view.view_id)
+                skip(stored, FrameError(path, "the corrected calibration leaves no points in its box", "draw it again"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from jaxtyping import Float32
 from annotator.geometry.thinning import thin
 from annotator.project import Project, StoredRecording
 from annotator.project.adjusting.adjustment import Up
+from annotator.recordings.clouds.virtual_image import has_virtual_image
 from annotator.recordings.times import has_times, recorded_times
 from annotator.types import Frame
 from annotator.workflows.workbench.frame_cache import FrameCache
@@ -35,6 +36,7 @@ class Alignment:
         images: (id, seconds after this frame) of the frames whose images a time offset may show, nearest times first.
         labels: number of labels in the recording.
         drawn_images: number of its frames with boxes on their image.
+        is_virtual: the image is drawn from the cloud, so there is no calibration to correct.
     """
 
     recorded: Frame
@@ -45,6 +47,7 @@ class Alignment:
     images: tuple[tuple[int, float], ...]
     labels: int
     drawn_images: int
+    is_virtual: bool
 
 
 def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
@@ -67,6 +70,7 @@ def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
         _images(project, cache, stored.recording_id, stored.key),
         len(project.labels.signals(recordings=[stored.recording_id])),
         len(project.boxes.on_images([stored.recording_id])),
+        has_virtual_image(frame),
     )
 
 

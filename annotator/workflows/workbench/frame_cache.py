@@ -16,7 +16,7 @@ from annotator.recordings import Recording
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.rigs import OtherLabel, Rigs
+from annotator.workflows.rigs import Rigs
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 LOG = logging.getLogger("annotator.web")
@@ -75,18 +75,23 @@ class FrameCache:
         self._read_ahead(_ReadAhead(project, stored, time.monotonic() + PAUSE_S), operator)
         return opened
 
-    def others(self, project: Project, frame: StoredFrame) -> list[OtherLabel]:
-        """Returns the labels of the other cameras of a rig at the moment of a frame.
+    def look(self, project: Project, stored: StoredFrame) -> Frame:
+        """Returns a frame that is not opened: it is not cached, and nothing is read ahead. Raises as `read`."""
+        opened = self._cached((project, stored.id))
+        if opened is not None and opened.adjusted == project.adjustments.newest(stored.recording_id):
+            return opened.frame
+        lock, source = self._source(project)
+        with lock:
+            return self._read(project, source, stored)
 
-        Raises:
-            FrameError, RecordingError: a recording of the rig cannot be read.
-        """
+    def rigs(self, project: Project) -> Rigs:
+        """Returns the rigs of a project, with its present recordings."""
         _, source = self._source(project)
         with self._lock:
             rigs = self._rigs.get(project)
             if rigs is None or rigs.source is not source:
                 rigs = self._rigs[project] = Rigs(project, source)
-        return rigs.others(frame)
+        return rigs
 
     def recorded(self, project: Project, frame_id: int) -> Frame:
         """Returns a frame as its recording's files give it; it is not cached. Raises as `read`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from annotator.project import BoxRotation, Project, StoredFrame, ViewBoxes
 from annotator.rcv.recursion import held_direction
@@ -23,9 +23,13 @@ MOST_FRAMES = 300
 class WholeBoxes:
     """Offers whole boxes for the drawn objects of a project; remembers what its frames show of them. Thread-safe."""
 
-    def __init__(self, project: Project) -> None:
+    def __init__(self, project: Project, read: Callable[[StoredFrame], Frame] | None = None) -> None:
+        """
+        Args:
+            read: reads a frame of the project; None = with a `FrameSource`, for recordings that stay where they are.
+        """
         self.project = project
-        self._frames = FrameSource(project)
+        self._read_frame = read or FrameSource(project).read
         self._lock = threading.Lock()
         self._seen: OrderedDict[tuple[int, BoxRotation, int, tuple[int, ...]], list[SeenObject]] = OrderedDict()
 
@@ -81,7 +85,7 @@ class WholeBoxes:
         with self._lock:
             if key not in self._seen:
                 try:
-                    self._seen[key] = self._read(self._frames.read(stored) if frame is None else frame, drawn)
+                    self._seen[key] = self._read(self._read_frame(stored) if frame is None else frame, drawn)
                 except FrameError:
                     return []  # another frame; the operator sees the problem when it is opened
                 while len(self._seen) > MOST_FRAMES:

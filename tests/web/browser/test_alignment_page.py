@@ -13,7 +13,7 @@ from annotator.types import Correction
 
 if TYPE_CHECKING:
     from conftest import Shop
-    from playwright.sync_api import Page
+    from playwright.sync_api import Page, Route
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
@@ -97,11 +97,11 @@ def test_label_mode_opens_the_frame_anew_after_a_correction_by_another(
 def test_what_was_not_kept_yet_stays_on_another_frame_and_when_the_other_half_is_kept(
     aligned: Page, room: Project
 ) -> None:
-    page, name = aligned, room.path.name
+    page = aligned
     page.get_by_test_id("turn-x-field").fill("2")
     page.get_by_test_id("roll-field").fill("7")
-    page.goto(f"/#/{name}/alignment/3")
-    page.get_by_test_id("alignment-picture").wait_for()
+    page.get_by_label("Next frame in time").click()
+    expect(page.get_by_test_id("frame-position")).to_contain_text("2 /")
     expect(page.get_by_test_id("up-source")).to_contain_text("not kept yet")
     expect(page.get_by_test_id("turn-x-field")).to_have_value("2.00")
     page.get_by_test_id("keep-correction").click()
@@ -112,6 +112,63 @@ def test_what_was_not_kept_yet_stays_on_another_frame_and_when_the_other_half_is
     stored = room.recordings.all()[0]
     assert stored.correction.turn_rad[0] == pytest.approx(0.0349, abs=1e-4)
     assert stored.up is not None and stored.up[0] == pytest.approx(0.12, abs=0.02)
+
+
+def test_a_proposal_stays_one_when_the_correction_is_kept_first(aligned: Page, room: Project) -> None:
+    page, source = aligned, aligned.get_by_test_id("up-source")
+    page.get_by_test_id("estimate-up").click()
+    expect(source).to_contain_text("Proposed with certainty")
+    page.get_by_test_id("turn-x-field").fill("1")
+    page.get_by_test_id("keep-correction").click()
+    expect(page.get_by_test_id("clear-correction")).to_be_enabled()
+    expect(source).to_contain_text("Proposed with certainty")
+    page.get_by_test_id("keep-up").click()
+    expect(source).to_have_text("Set in this project.")
+
+
+def test_the_level_that_the_files_give_another_frame_is_no_change_by_hand(aligned: Page) -> None:
+    page, source = aligned, aligned.get_by_test_id("up-source")
+
+    def turned(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json={**answer.json(), "up": [0.6, -0.8, 0.0]})
+
+    page.route("**/frames/2/alignment", turned)
+    page.get_by_label("Next frame in time").click()
+    expect(page.get_by_test_id("roll-field")).to_have_value("36.9")
+    expect(source).to_have_text("Known from the recording's files.")
+
+
+def test_nothing_can_be_set_before_the_recording_is_known(aligned: Page) -> None:
+    page, aside, held = aligned, aligned.locator(".alignment-mode .aside"), list["Route"]()
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route("**/frames/*/alignment", hold)
+    with page.expect_request("**/frames/*/alignment"):
+        page.reload()
+    expect(aside).to_have_attribute("inert", "")
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("0.00")
+    held[0].continue_()
+    expect(aside).not_to_have_attribute("inert", "")
+
+
+def test_frames_and_images_that_cannot_be_read_are_explained(aligned: Page) -> None:
+    page = aligned
+    broken = {"error": {"kind": "FrameError", "message": "000001.png: is damaged"}}
+    page.route("**/frames/2", lambda route: route.fulfill(status=422, json=broken))
+    page.get_by_label("Next frame in time").click()
+    problem = page.get_by_test_id("frame-problem")
+    expect(problem).to_contain_text("000001.png: is damaged")
+    page.get_by_test_id("turn-x-field").fill("1")
+    expect(page.get_by_test_id("keep-correction")).to_be_disabled()
+    page.route("**/frames/3/recorded.jpg", lambda route: route.fulfill(status=422, json=broken))
+    page.get_by_test_id("frame-next").click()
+    expect(problem).to_be_hidden()
+    expect(page.get_by_test_id("turn-x-field")).to_have_value("1.00")
+    expect(page.get_by_test_id("alignment-problem")).to_contain_text("000001.png: is damaged")
+    page.get_by_test_id("discard-correction").click()
 
 
 def test_changes_are_made_anew_after_another_operators(aligned: Page, room: Project) -> None:
@@ -143,8 +200,9 @@ def test_an_adjustment_made_while_there_was_no_connection_is_shown(
     monkeypatch.setattr(hub, "recording_adjusted", lambda *_: None)
     page.goto(f"/#/{room.path.name}/{mode}/1")
     page.locator("img.picture[src]" if mode == "label" else shown).first.wait_for()
-    hub.close()
+    # before the connection is lost, so that the page cannot be back before it
     room.adjustments.correct(1, Correction((0.0, 0.02, 0.0)), "Bob")
+    hub.close()
     expect(page.locator(shown)).to_be_visible()
     if mode == "alignment":
         expect(page.locator(shown)).to_have_value("1.15")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from rig_room import label_object, rig_settings
 
+from annotator.project import WriteContext
+from annotator.types import Source
 from annotator.web.settings import ServerSettings
 
 expect = pytest.importorskip("playwright.sync_api").expect
@@ -33,8 +35,19 @@ def test_virtual_cameras_are_added_and_share_a_label(start: Page, live: Live) ->
     start.get_by_test_id("add-drive").click()
     expect(added.nth(4)).to_have_text("drive@around-270: 1 frame")
     start.get_by_test_id("dialog-done").click()
-    label_object(live.context.project("room"), 2, -10.0)
+    project, tag = live.context.project("room"), start.get_by_test_id("editor-tag")
+    uid = label_object(project, 2, -10.0)
     start.goto("/#/room/review/3")
-    expect(start.get_by_test_id("editor-tag")).to_have_text(["car #3 · around-000"])
+    expect(tag).to_have_text(["car #3 · around-000"])
+    # what changes in the other camera is shown at once
+    project.labels.delete(2, uid, WriteContext(project.frames.get(2).revision, "maria", Source.MANUAL))
+    expect(tag).to_have_count(0)
     start.goto("/#/room/label/3")
-    expect(start.get_by_test_id("editor-tag")).to_have_text(["car #3 · around-000"])
+    start.get_by_test_id("image-editor").locator("img.picture[src]").wait_for()
+    expect(tag).to_have_count(0)
+    label_object(project, 2, -10.0)
+    expect(tag).to_have_text(["car #3 · around-000"])
+    start.goto("/#/room/alignment/3")
+    expect(start.get_by_test_id("correction-effect")).to_contain_text("no calibration to correct")
+    expect(start.get_by_test_id("keep-correction")).to_be_hidden()
+    expect(start.get_by_test_id("estimate-up")).to_be_visible()

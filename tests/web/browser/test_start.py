@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from annotator.project import create_project
+
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
@@ -110,6 +112,40 @@ def test_a_missing_project_is_reported(start: Page) -> None:
     expect(start.get_by_test_id("page-problem")).to_be_visible()
     start.get_by_role("link", name="All projects").last.click()
     expect(start.get_by_test_id("project-room")).to_be_visible()
+
+
+def test_a_project_that_is_created_meanwhile_is_opened_and_no_lost_connection_is_reported(
+    start: Page, live: Live
+) -> None:
+    page, offline = start, start.locator(".offline")
+    page.goto("/#/later")
+    expect(page.get_by_test_id("page-problem")).to_be_visible()
+    expect(offline).to_be_empty()
+    create_project(live.settings.projects_root, "later", ("hand",)).close()
+    page.evaluate("dispatchEvent(new Event('focus'))")  # back from the terminal
+    expect(page.get_by_test_id("page-problem")).to_be_hidden()
+    expect(page.get_by_test_id("mode-label")).to_be_visible()
+    expect(offline).to_be_empty()
+
+
+def test_a_page_that_could_not_be_opened_is_opened_once_the_server_is_back(start: Page, live: Live) -> None:
+    page, asked = start, "**/api/projects/room"
+    page.route(asked, lambda route: route.abort())
+    page.goto("/#/room/statistics")
+    expect(page.get_by_test_id("page-problem")).to_contain_text("The server does not respond")
+    page.unroute(asked)
+    live.context.hub.close()  # ends all connections; the page connects again
+    expect(page.get_by_test_id("statistics")).to_be_visible()
+
+
+def test_the_note_of_a_lost_connection_does_not_stay_on_the_start_page(start: Page, live: Live) -> None:
+    page, offline = start, start.locator(".offline")
+    page.route_web_socket("**/api/events**", lambda socket: socket.close())
+    page.goto("/#/room/statistics")
+    expect(offline).to_contain_text("no connection")
+    page.get_by_test_id("home").click()
+    expect(page.get_by_test_id("new-project").first).to_be_visible()
+    expect(offline).to_be_empty()
 
 
 def test_the_theme_can_be_switched_and_survives_a_reload(start: Page) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,10 +21,24 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.recordings.frame_writer import FrameWriter
-from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox, PointCloud, Proposal, Quality, ReviewState
+from annotator.recordings.options import ReaderOptions
+from annotator.types import (
+    Box2D,
+    Camera,
+    Correction,
+    Frame,
+    LostObject,
+    OrientedBox,
+    PointCloud,
+    Proposal,
+    Quality,
+    ReviewState,
+)
 from annotator.types.errors import ConfigError, RecordingError
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.live import recorder as recording_of
 from annotator.workflows.live.detection import Detected
+from annotator.workflows.live.open_source import open_source
 from annotator.workflows.live.recorder import Recorder, require_recordable
 from annotator.workflows.live.store_session import store
 
@@ -210,6 +225,30 @@ def test_a_full_disk_keeps_the_proposals_written_before(
     done = store(hands, recorder, knowing("hands"), RcvConfig(), BoxRotation.FREE, warm_start=True)
     assert (done.frames, done.proposals) == (2, 1)
     recorder.close()
+
+
+def test_a_recording_of_the_project_is_played_as_the_project_reads_it(people: Project, generated: Path) -> None:
+    (stored,) = people.recordings.all()
+    people.adjustments.correct(stored.id, Correction((0.0, 0.1, 0.0), (0.2, 0.0, 0.0)), "me")
+    people.adjustments.set_up(stored.id, (0.0, -1.0, 0.2), "me")
+    expected = FrameSource(people).read(people.frames.of()[0])
+    for name in (str(generated / "people"), stored.name):
+        taken = open_source(people, name).read(threading.Event())
+        assert taken is not None
+        assert np.array_equal(taken.frame.cloud.xyz_m, expected.cloud.xyz_m)
+        assert np.array_equal(taken.frame.up, expected.up)
+        assert taken.frame.depth_m is None
+    other = open_source(people, str(generated / "hands")).read(threading.Event())
+    assert other is not None and other.frame.depth_m is not None
+
+
+def test_a_path_of_several_recordings_is_played_by_name(make_project: Any, generated: Path) -> None:
+    project, path = make_project(), (generated / "people").resolve()
+    for camera in ("left", "right"):
+        options = ReaderOptions(camera=camera).stored()
+        project.recordings.add(path, "rgbd_folder", f"people@{camera}", ["000000"], True, options=options)
+    with pytest.raises(ConfigError, match="several recordings of it; give the name of one: people@left, people@right"):
+        open_source(project, str(path))
 
 
 def test_unusable_recording_paths_are_errors(tmp_path: Path) -> None:

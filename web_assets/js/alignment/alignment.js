@@ -6,6 +6,7 @@
 import { confirm } from "../dialogs.js";
 import { count, h } from "../dom.js";
 import { isAborted, messageOf } from "../errors.js";
+import { createFrameProblem, frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { dot, multiply, transpose } from "../rotation.js";
 import { anglesOf, upOf } from "./level.js";
@@ -42,6 +43,8 @@ export function mount(root, app) {
   let isBusy = false;
   /** Someone else has adjusted the recording since it was shown. */
   let isOutdated = false;
+  /** The frame cannot be read. */
+  let isBroken = false;
 
   const host = h("div", { class: "picture" });
   const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "alignment-problem" });
@@ -73,7 +76,23 @@ export function mount(root, app) {
   const showPoints = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-points" });
   const showLevel = h("input", { type: "checkbox", checked: true, onchange: display, "data-testid": "show-level" });
   const pointSize = h("input", { type: "range", min: 1, max: 8, step: 0.5, value: "2", oninput: display });
-  const picture = createPicture(host);
+  // what is set before the recording is known would be lost
+  const aside = h(
+    "div",
+    { class: "aside", inert: true },
+    panel(
+      "Calibration",
+      [...turns, ...shifts, offset].map((each) => each.root).concat(noTimes, offsetNote),
+      [keep, back, zero],
+      effect,
+    ),
+    panel("Which way is up", [source, roll.root, pitch.root], [propose, accept, refuse, unknown], follows),
+  );
+  const picture = createPicture(host, (url) => void explain(url));
+  const frameProblem = createFrameProblem(host, {
+    onRetry: () => void load(),
+    onStep: (which) => void leaveBroken(which),
+  });
 
   root.append(
     h(
@@ -100,17 +119,7 @@ export function mount(root, app) {
           "Near points are red, far ones blue. The wheel zooms; drag to move the picture.",
         ),
       ),
-      h(
-        "div",
-        { class: "aside" },
-        panel(
-          "Calibration",
-          [...turns, ...shifts, offset].map((each) => each.root).concat(noTimes, offsetNote),
-          [keep, back, zero],
-          effect,
-        ),
-        panel("Which way is up", [source, roll.root, pitch.root], [propose, accept, refuse, unknown], follows),
-      ),
+      aside,
     ),
   );
 
@@ -204,7 +213,7 @@ export function mount(root, app) {
 
   function show() {
     if (ended || known === null || frame === null) return;
-    const { camera, width, height, labels, drawn_images: drawn } = known;
+    const { camera, width, height, labels, drawn_images: drawn, is_virtual: isVirtual } = known;
     picture.set({
       image: app.path("frames", imageFrame() ?? frame, "recorded.jpg"),
       camera: { ...camera, width, height },
@@ -212,18 +221,23 @@ export function mount(root, app) {
       up: turnedUp(correction()),
       isFirm: !isUpChanged(),
     });
-    keep.disabled = back.disabled = isBusy || !isCorrectionChanged();
-    zero.disabled = isBusy || flat(known.correction).every((value) => value === 0);
-    accept.disabled = isBusy || !isUpChanged();
-    refuse.disabled = isBusy || (estimate === null && !isUpChanged());
-    unknown.disabled = isBusy || known.up_source !== "project";
+    const isOff = isBusy || isBroken;
+    keep.disabled = back.disabled = isOff || !isCorrectionChanged();
+    zero.disabled = isOff || flat(known.correction).every((value) => value === 0);
+    accept.disabled = isOff || !isUpChanged();
+    refuse.disabled = isOff || (estimate === null && !isUpChanged());
+    unknown.disabled = isOff || known.up_source !== "project";
     propose.disabled = isBusy;
-    offset.root.hidden = known.images.length === 0;
-    noTimes.hidden = known.images.length > 0;
-    effect.textContent =
-      `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay ` +
-      "where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected anew. " +
-      "Boxes drawn on images stay. The next training makes the pictures of 3D boxes anew. Undo restores everything.";
+    for (const { root: row } of [...turns, ...shifts]) row.hidden = isVirtual;
+    keep.hidden = back.hidden = isVirtual;
+    zero.hidden = isVirtual && zero.disabled;
+    offset.root.hidden = isVirtual || known.images.length === 0;
+    noTimes.hidden = isVirtual || known.images.length > 0;
+    effect.textContent = isVirtual
+      ? "The image is drawn from the cloud itself, so there is no calibration to correct."
+      : `For all frames of ${known.name}: ${count(labels, "3D box", "3D boxes")} and the boxes on pseudo-views stay ` +
+        "where they are in the cloud, so they move on the image with it; outlines and 2D boxes are projected anew. " +
+        "Boxes drawn on images stay. The next training makes its pictures anew. Undo restores everything.";
     offsetNote.textContent =
       `${count(drawn, "frame has", "frames have")} boxes that were drawn on the image. With this time offset ` +
       "they are on another image: draw them again.";
@@ -287,12 +301,18 @@ export function mount(root, app) {
    */
   function take(answer) {
     const isSame = known?.recording === answer.recording && known.adjusted === answer.adjusted;
-    const [sliders, level, proposed] = [correction(), up, estimate];
+    // what was not changed is as this frame has it: the files may know another up direction for each
+    const [sliders, level, proposed] = [
+      isCorrectionChanged() ? correction() : null,
+      isUpChanged() ? up : null,
+      estimate,
+    ];
     known = answer;
     isOutdated = false;
     const flatPoints = answer.points;
     points = Array.from({ length: flatPoints.length / 3 }, (_, i) => flatPoints.slice(3 * i, 3 * i + 3));
     problem.hidden = true;
+    aside.inert = false;
     recordings.value = String(answer.recording);
     reset();
     if (isSame) putBack(sliders, level, proposed);
@@ -325,7 +345,34 @@ export function mount(root, app) {
       await app.loadFrame(own);
       /** @type {Api.AlignmentJson} */
       const answer = await app.api.get(app.path("frames", own, "alignment"));
-      if (!ended && own === frame) take(answer);
+      if (ended || own !== frame) return;
+      isBroken = false;
+      frameProblem.hide();
+      take(answer);
+    } catch (error) {
+      if (ended || isAborted(error)) return;
+      isBroken = frame !== null;
+      if (isBroken) frameProblem.show(error);
+      else fail(error);
+      show();
+    }
+  }
+
+  /** @param {Direction} which */
+  async function leaveBroken(which) {
+    const beside = frame === null ? null : await frameBeside(app, frame, which);
+    if (beside !== null) app.go(makeHash(app.state.project.name, "alignment", beside));
+  }
+
+  /**
+   * Says why an image could not be loaded.
+   *
+   * @param {string} url
+   */
+  async function explain(url) {
+    try {
+      await app.api.get(url);
+      fail(new Error("The image of this frame cannot be shown."));
     } catch (error) {
       fail(error);
     }
@@ -360,6 +407,7 @@ export function mount(root, app) {
     const own = frame;
     const sliders = content.correction === undefined ? correction() : null;
     const level = content.correction !== undefined && isUpChanged() ? turnedUp(content.correction) : null;
+    const proposed = content.correction === undefined ? null : estimate;
     isBusy = true;
     show();
     try {
@@ -369,13 +417,10 @@ export function mount(root, app) {
       const answer = await app.api.change(path, { ...content, frame: own, adjusted: known.adjusted });
       isBusy = false;
       if (ended) return;
-      if (own !== frame) {
-        await load();
-        return;
-      }
       take(answer);
-      putBack(sliders, level, null);
-      await app.loadFrame(own);
+      putBack(sliders, level, proposed);
+      if (own === frame) await app.loadFrame(own);
+      else await load();
     } catch (error) {
       fail(error);
     } finally {

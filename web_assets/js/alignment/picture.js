@@ -11,8 +11,11 @@ const RAD = Math.PI / 180;
 /** @typedef {{ image: string, camera: Camera, points: Vector[], up: Vector | null, isFirm: boolean }} Shown */
 /** @typedef {{ points: boolean, level: boolean, size: number }} Show */
 
-/** @param {HTMLElement} host */
-export function createPicture(host) {
+/**
+ * @param {HTMLElement} host
+ * @param {(url: string) => void} onMissing the image could not be loaded.
+ */
+export function createPicture(host, onMissing) {
   const canvas = h("canvas", { "data-testid": "alignment-picture", "aria-label": "The cloud over the image" });
   const image = new Image();
   /** @type {Shown | null} */
@@ -77,6 +80,10 @@ export function createPicture(host) {
   canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
   canvas.addEventListener("pointermove", onMove);
   image.addEventListener("load", draw);
+  image.addEventListener("error", () => {
+    draw();
+    onMissing(image.src);
+  });
   const size = new ResizeObserver(draw);
   size.observe(host);
 

@@ -12,7 +12,8 @@ export function createSlider({ label, testid, most, step, unit, onChange }) {
   const range = h("input", { type: "range", min: -most, max: most, step, value: "0", "data-testid": testid });
   range.setAttribute("aria-label", label);
   range.addEventListener("input", () => change(Number(range.value)));
-  const field = h("input", { type: "number", step, class: "number", "data-testid": `${testid}-field` });
+  const start = (0).toFixed(decimals);
+  const field = h("input", { type: "number", step, class: "number", value: start, "data-testid": `${testid}-field` });
   field.setAttribute("aria-label", `${label}, ${unit}`);
   field.addEventListener("input", () => {
     if (Number.isFinite(field.valueAsNumber)) change(field.valueAsNumber);

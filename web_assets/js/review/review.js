@@ -156,9 +156,9 @@ export function mount(root, app) {
       queue.settle(frame);
       selectWhatWasUndone(frame);
     }),
-    app.events.on("frame", (message) => {
+    app.events.on("frame", () => {
       queue.reloadSoon();
-      if (app.state.frame?.frame.id === message.frame) desk.refresh().catch(app.toast);
+      desk.refresh().catch(app.toast);
     }),
     app.events.on("reconnected", () => {
       queue.reloadSoon();
