@@ -12,7 +12,7 @@ import uuid
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from annotator.types.errors import FormatError
@@ -60,6 +60,29 @@ def is_within(folder: Path, name: str | Path) -> bool:
     except (OSError, RuntimeError, ValueError):
         # too long, a circular link, a null byte
         return False
+
+
+def link_out(folder: Path, unvisited: str = "") -> Path | None:
+    """The first link below a folder that leads out of it, also a broken one; None if there is none.
+
+    Args:
+        unvisited: name of a subfolder that is not searched.
+
+    Raises:
+        OSError: a subfolder cannot be read.
+    """
+    left = [str(folder)]
+    while left:
+        place = left.pop()
+        # another process may remove temporary files meanwhile
+        with suppress(FileNotFoundError), os.scandir(place) as entries:
+            for entry in entries:
+                if entry.is_symlink():
+                    if not is_within(folder, Path(entry.path).relative_to(folder)):
+                        return Path(entry.path)
+                elif entry.is_dir() and (place != str(folder) or entry.name != unvisited):
+                    left.append(entry.path)
+    return None
 
 
 def write_atomic(path: Path, content: bytes) -> None:

@@ -19,8 +19,10 @@ from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Answer
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
+from annotator.detection.network_file import MOST_BYTES
 from annotator.detection.selection import Candidates, candidates
 from annotator.detection.suppression import suppress
+from annotator.files import read_at_most
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
 
@@ -41,7 +43,7 @@ class YoloDetector:
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
         """
         Args:
-            weights: `detector.pt` of a training run, or any ultralytics detection weights.
+            weights: the file of a training run, or ultralytics' own detection weights.
             config: settings.
 
         Raises:
@@ -52,11 +54,13 @@ class YoloDetector:
         self.weights = weights
         self._config = config
         try:
-            content = weights.read_bytes()
+            content = read_at_most(weights, MOST_BYTES)
         except FileNotFoundError as error:
             raise DetectionError(f"{weights}: no such weights file; train a detector first") from error
         except OSError as error:
             raise DetectionError(f"{weights}: cannot be read ({error.strerror}); train the detector again") from error
+        if len(content) > MOST_BYTES:
+            raise DetectionError(f"{weights}: has more than {MOST_BYTES >> 20} MiB, so it is no detector")
         self._network = open_network(weights, hashlib.sha256(content).hexdigest(), config)
         settings = f"{REVISION} {config.image_size_px} {config.confidence} {config.iou}"
         if config.edge_errors:

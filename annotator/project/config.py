@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from annotator.files import write_atomic
+from annotator.files import is_within, write_atomic
 from annotator.types.errors import ConfigError, ProjectError
 
 CONFIG_FILE = "project.json"
@@ -112,6 +112,8 @@ def read_config(folder: Path) -> ProjectConfig:
         ProjectError: no project, an unreadable file, or one of a newer version.
     """
     path = folder / CONFIG_FILE
+    if path.is_symlink() and not is_within(folder, CONFIG_FILE):
+        raise ProjectError(f"{path}: is a link that leads out of the project; put the file in its place")
     try:
         content = path.read_bytes()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:

@@ -23,6 +23,7 @@ from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
+from annotator.web.security import is_loopback
 from annotator.web.settings import ServerSettings
 from annotator.web.uploads import as_sent
 
@@ -47,7 +48,11 @@ class Context:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
-        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._send_job, self.public_message)
+        # other people must not see more recordings than those they could add, whatever a project names
+        self._readable = None if is_loopback(settings.host) else tuple(path.resolve() for path in settings.folders)
+        self.jobs = JobRunner(
+            settings.projects_root / JOBS_FOLDER, self._send_job, self.public_message, readable=self._readable
+        )
         self.follow_runs = FollowRuns(self.hub, self.public_message)
         self.caches = Caches()
         self._lock = threading.Lock()
@@ -70,7 +75,7 @@ class Context:
                 self.hub.forget(name)
             if not folder.is_dir():
                 raise NotFoundError(f"there is no project {name!r}; the start page lists the existing ones")
-            self._projects[name] = open_project(folder)
+            self._projects[name] = open_project(folder, readable=self._readable)
             return self._projects[name]
 
     def frame(self, project: Project, frame_id: int) -> Frame:

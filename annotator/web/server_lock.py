@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from annotator.types.errors import ConfigError
+from annotator.web.jobs.journal import require_own_files
 
 LOG = logging.getLogger("annotator.web")
 
@@ -22,7 +23,7 @@ def hold_server_lock(projects_root: Path) -> Iterator[None]:
     On a file system without locks it logs a warning instead.
 
     Raises:
-        ConfigError: another server holds the lock, or the lock file cannot be written.
+        ConfigError: another server holds the lock, or the lock file cannot be written or is reached by a link.
     """
     try:
         import fcntl
@@ -30,6 +31,7 @@ def hold_server_lock(projects_root: Path) -> Iterator[None]:
         yield
         return
     path = projects_root / LOCK
+    require_own_files(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("w")
