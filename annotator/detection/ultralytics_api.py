@@ -83,7 +83,7 @@ def _load() -> SimpleNamespace:
     _hide_repository(trainer)
     _take_paths_as_they_are(downloads)
     _find_architectures_in_the_package(tasks, checks, Path(ultralytics.__file__).parent / "cfg" / "models")
-    dataset.load_dataset_cache_file = _unread  # type: ignore[attr-defined]
+    dataset.load_dataset_cache_file = _unread
     return SimpleNamespace(
         torch=torch,
         DetectionModel=tasks.DetectionModel,
