@@ -1,11 +1,18 @@
-"""Atomic writing of files and folders: a reader sees either the old or the new content, never a part of it."""
+"""The one door to files: bounded reading of regular files, and atomic writing.
+
+Reading never hangs or fills the memory: pipes, sockets and devices (also behind links) and files that are too large are
+refused. All modules read through `read_file`, `read_text_file` and `open_file`; before a library opens a path by
+itself, `check_file` does. Writing: a reader sees either the old or the new content, never a part of it.
+"""
 
 from __future__ import annotations
 
 import errno
+import io
 import lzma
 import os
 import shutil
+import stat
 import struct
 import tempfile
 import uuid
@@ -14,10 +21,21 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO, BinaryIO, cast
 
 from annotator.types.errors import FormatError
 
 CHUNK_BYTES = 2**20
+# Settings, calibrations, records, and labels of one frame.
+DOCUMENT_BYTES = 2**24
+# Tables with a line for each frame: 64 bytes for each of a million.
+TABLE_BYTES = 2**26
+# Weights of a detector, and what they were converted to.
+NETWORK_BYTES = 2**30
+# Limit of an archive's list of files, each of which becomes a Python object.
+MOST_DIRECTORY_BYTES = 2**25
+# The record at the end of an archive, with the longest comment, after the records of large archives.
+LONGEST_ARCHIVE_END = 22 + 0xFFFF + 76
 # Errors that zipfile raises on archives that are damaged, encrypted (RuntimeError) or compressed with an unsupported
 # method (NotImplementedError).
 ARCHIVE_ERRORS = (
@@ -104,21 +122,115 @@ def write_atomic(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
-def read_at_most(path: Path, limit: int) -> bytes:
-    """The content of a file; at most its first `limit` + 1 bytes.
+def open_file(path: Path, most_bytes: int | None = None, *, buffering: int = -1) -> BinaryIO:
+    """Opens a regular file for reading, without waiting for the other end of a pipe.
+
+    Args:
+        most_bytes: refuse larger files; None for files that are read in parts, such as videos and bags.
+        buffering: as for `open`.
 
     Raises:
-        OSError: it cannot be read, or is not a regular file (a pipe, for example).
+        OSError: it cannot be opened, is not a regular file (EINVAL) or is too large (EFBIG).
     """
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "not a regular file")
-    parts, left = [], limit + 1
-    with path.open("rb") as stream:
-        # in chunks, since read(n) allocates n bytes in advance
-        while left > 0 and (part := stream.read(min(left, CHUNK_BYTES))):
+    # the descriptor is examined, since the path may lead to another file a moment later
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(path, flags)
+    try:
+        found = os.fstat(descriptor)
+        if stat.S_ISDIR(found.st_mode):
+            raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+        if most_bytes is not None and found.st_size > most_bytes:
+            raise _too_large(path, most_bytes)
+        return cast(BinaryIO, os.fdopen(descriptor, "rb", buffering))
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def open_text_file(
+    path: Path, most_bytes: int, encoding: str = "utf-8", newline: str | None = None
+) -> io.TextIOWrapper:
+    """Opens a regular file for reading text.
+
+    Raises:
+        OSError: as `open_file`.
+    """
+    return io.TextIOWrapper(open_file(path, most_bytes), encoding, newline=newline)
+
+
+def read_file(path: Path, most_bytes: int = DOCUMENT_BYTES) -> bytes:
+    """Returns the content of a regular file.
+
+    Raises:
+        OSError: as `open_file`.
+    """
+    parts, size = [], 0
+    with open_file(path, most_bytes) as stream:
+        # in chunks, since read(n) allocates n bytes in advance; the file may grow meanwhile
+        while part := stream.read(CHUNK_BYTES):
             parts.append(part)
-            left -= len(part)
+            size += len(part)
+            if size > most_bytes:
+                raise _too_large(path, most_bytes)
     return b"".join(parts)
+
+
+def read_text_file(
+    path: Path, most_bytes: int = DOCUMENT_BYTES, encoding: str = "utf-8", errors: str = "strict"
+) -> str:
+    """Returns the content of a text file; lines end with `\n`.
+
+    Raises:
+        OSError: as `open_file`.
+        UnicodeDecodeError: it has another encoding.
+    """
+    return io.IncrementalNewlineDecoder(None, translate=True).decode(
+        read_file(path, most_bytes).decode(encoding, errors), final=True
+    )
+
+
+def end_of_file(path: Path, most_bytes: int) -> str:
+    """Returns the end of a text file, such as a log.
+
+    Raises:
+        OSError: as `open_file`.
+    """
+    with open_file(path) as stream:
+        stream.seek(max(stream.seek(0, os.SEEK_END) - most_bytes, 0))
+        return stream.read(most_bytes).decode("utf-8", "replace")
+
+
+def check_file(path: Path, most_bytes: int | None = None) -> None:
+    """Checks a file that a library will open by its path.
+
+    Raises:
+        OSError: as `open_file`.
+    """
+    open_file(path, most_bytes).close()
+
+
+def open_archive(file: IO[bytes] | io.BufferedIOBase) -> zipfile.ZipFile:
+    """Opens a zip archive whose list of files has a sensible length; `zipfile` reads all of it.
+
+    Raises:
+        zipfile.BadZipFile: not an archive, or its list of files is too long; or another of `ARCHIVE_ERRORS`.
+    """
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(size - LONGEST_ARCHIVE_END, 0))
+    end = file.read(LONGEST_ARCHIVE_END)
+    # the record at the end, and that of archives of more than 4 GiB (APPNOTE 4.3.14 and 4.3.16)
+    for mark, at, length in ((b"PK\5\6", 12, 4), (b"PK\6\6", 40, 8)):
+        place = end.rfind(mark) + at
+        declared = int.from_bytes(end[place : place + length], "little") if place >= at else 0
+        if declared > MOST_DIRECTORY_BYTES and declared != 0xFFFFFFFF:
+            raise zipfile.BadZipFile(f"its list of files has {declared} bytes; at most {MOST_DIRECTORY_BYTES} are read")
+    return zipfile.ZipFile(file)
+
+
+def _too_large(path: Path, most_bytes: int) -> OSError:
+    return OSError(errno.EFBIG, f"larger than {most_bytes / 2**20:.6g} MiB, the limit for such a file", str(path))
 
 
 def sync_folder(folder: Path) -> None:

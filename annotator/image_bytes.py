@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import re
 import zlib
+from pathlib import Path
 
 import numpy as np
+
+from annotator.frame_limits import read_frame_file, require_pixels
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_START = b"\xff\xd8"
@@ -22,11 +25,19 @@ JPEG_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Markers without a length, and bytes that are not markers; they are invalid before a frame header.
 JPEG_WITHOUT_LENGTH = frozenset({0x00, 0x01, *range(0xD0, 0xDA)})
-# A file of a few kilobytes can declare an image that fills the memory. The limit is 67 million pixels (200 MB, colour).
-MOST_PIXELS = 1 << 26
 
 
-def decode_image(data: bytes, flags: int) -> np.ndarray:
+def read_image(path: Path, flags: int, *, give_points: bool = False) -> np.ndarray:
+    """Decodes a PNG or JPEG file as `decode_image`.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: as `decode_image`.
+    """
+    return decode_image(read_frame_file(path), flags, give_points=give_points)
+
+
+def decode_image(data: bytes, flags: int, *, give_points: bool = False) -> np.ndarray:
     """Decodes the bytes of a PNG or JPEG file to an image in OpenCV's layout (BGR).
 
     Other formats that OpenCV can decode are refused, because their memory use is not bounded.
@@ -34,9 +45,10 @@ def decode_image(data: bytes, flags: int) -> np.ndarray:
     Args:
         data: PNG or JPEG.
         flags: OpenCV's, such as `cv2.IMREAD_COLOR`.
+        give_points: as `require_pixels`.
 
     Raises:
-        ValueError: truncated, damaged, of another format, or more than `MOST_PIXELS`; the message says which.
+        ValueError: truncated, damaged, of another format, or too large (`frame_limits`); the message says which.
     """
     import cv2
 
@@ -46,8 +58,7 @@ def decode_image(data: bytes, flags: int) -> np.ndarray:
     width, height = declared_size(data)
     if width * height == 0:
         raise ValueError("cannot be decoded as a PNG or JPEG image; convert images of other formats to one of these")
-    if width * height > MOST_PIXELS:
-        raise ValueError(f"the image has {width} x {height} pixels; the limit is {MOST_PIXELS} pixels")
+    require_pixels(width, height, give_points=give_points)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:

@@ -8,6 +8,7 @@ its values in column order. A compressed element is a zlib stream of another ele
 
 from __future__ import annotations
 
+import errno
 import math
 import struct
 import zlib
@@ -17,6 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from annotator.files import read_file
 
 HEAD_BYTES, TAG_BYTES = 128, 8
 MATRIX, COMPRESSED = 14, 15
@@ -40,6 +43,10 @@ class MatFileError(ValueError):
     """Not a supported MATLAB file, or it does not contain the variable."""
 
 
+class MatSizeError(MatFileError):
+    """A variable that is larger than the limit."""
+
+
 class _Element(NamedTuple):
     kind: int
     data: memoryview
@@ -59,10 +66,12 @@ def read_mat(path: Path, name: str, most_bytes: int, *, numbers_only: bool = Fal
             no such variable.
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file:
-        data = file.read(most_bytes + 1)
-    if len(data) > most_bytes:
-        raise MatFileError(f"is larger than {most_bytes // 2**20} MiB")
+    try:
+        data = read_file(path, most_bytes)
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            raise MatSizeError(f"is larger than {most_bytes // 2**20} MiB") from error
+        raise
     if len(data) < HEAD_BYTES or data[126:128] not in (b"IM", b"MI"):
         raise MatFileError("is not a MATLAB file of version 5 to 7; save it with -v7")
     reader = _Reader("<" if data[126:128] == b"IM" else ">", numbers_only)
@@ -84,7 +93,7 @@ def _unpacked(data: memoryview, most_bytes: int) -> memoryview:
     except zlib.error as error:
         raise MatFileError(f"is damaged ({error})") from error
     if len(content) > most_bytes:
-        raise MatFileError(f"is larger than {most_bytes // 2**20} MiB when unpacked")
+        raise MatSizeError(f"has more than {most_bytes // 2**20} MiB when unpacked")
     return memoryview(content)
 
 

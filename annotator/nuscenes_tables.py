@@ -18,6 +18,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.files import open_file
+
 # Larger numbers are not physical, and their products overflow.
 LARGEST = 1e9
 # 2**63 nanoseconds, the largest time in the database.
@@ -163,7 +165,7 @@ def find_rows(path: Path, model: type[Row], field: str, wanted: Collection[str])
 @contextmanager
 def _mapped(path: Path) -> Iterator[mmap.mmap]:
     """Maps a table, which is not loaded, and checks that it is a list that ends."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         if path.stat().st_size == 0:
             raise TableError("the file is empty")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:

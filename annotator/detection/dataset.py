@@ -22,6 +22,7 @@ from annotator.detection.held_out import is_held_out
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, ManifestEntry, Split
 from annotator.files import new_folder
 from annotator.geometry.image_shares import clip_to_image, shares_of
+from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError
 
@@ -62,11 +63,12 @@ class TrainingSample:
             DetectionError: the file cannot be read.
         """
         if isinstance(self.rgb, Path):
-            bgr = cv2.imread(str(self.rgb), cv2.IMREAD_COLOR)
-            if bgr is None:
+            try:
+                bgr = read_image(self.rgb, cv2.IMREAD_COLOR)
+            except (OSError, ValueError) as error:
                 raise DetectionError(
-                    f"{self.rgb}: training image cannot be read; restore the file or remove its labels"
-                )
+                    f"{self.rgb}: training image cannot be read ({error}); restore the file or remove its labels"
+                ) from error
             return np.ascontiguousarray(bgr[:, :, ::-1])
         return self.rgb() if callable(self.rgb) else self.rgb
 

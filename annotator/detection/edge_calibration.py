@@ -17,6 +17,7 @@ from annotator.detection.edge_errors import SPREAD_ITSELF, Refused, fit_edge_err
 from annotator.detection.manifest import DatasetManifest
 from annotator.detection.trained import TrainedModel
 from annotator.detection.yolo import YoloDetector
+from annotator.files import read_text_file
 from annotator.types import Box2D
 
 LOG = logging.getLogger("annotator.detectors")
@@ -87,7 +88,7 @@ def _labels(dataset: Path, image: Path, classes: Sequence[str], width_px: int, h
     """The boxes of an image's label file, pixels."""
     boxes = []
     split = image.parent.name
-    for line in (dataset / "labels" / split / f"{image.stem}.txt").read_text(encoding="ascii").splitlines():
+    for line in read_text_file(dataset / "labels" / split / f"{image.stem}.txt").splitlines():
         number, *shares = line.split()
         x, y, width, height = (float(share) for share in shares)
         sides = np.array([width_px, height_px] * 2)

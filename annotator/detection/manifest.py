@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from annotator.files import TABLE_BYTES, read_file
 from annotator.types import BoxKind
 from annotator.types.errors import FormatError
 
@@ -76,7 +77,7 @@ def read_manifest(folder: Path) -> DatasetManifest:
     """
     path = folder / MANIFEST_NAME
     try:
-        return DatasetManifest.model_validate_json(path.read_bytes())
+        return DatasetManifest.model_validate_json(read_file(path, TABLE_BYTES))
     except FileNotFoundError as error:
         raise FormatError(path, "no such file; this folder is not a training set written by annotator") from error
     except (OSError, ValidationError) as error:

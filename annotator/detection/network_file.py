@@ -14,14 +14,14 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.detection.ultralytics_api import api
-from annotator.files import read_at_most, write_atomic
+from annotator.files import NETWORK_BYTES, check_file, open_file, write_atomic
 from annotator.types.errors import DetectionError
 
 FORMAT = "annotator network 1"
 # Key of the description in the file's metadata, which holds strings only.
 DESCRIPTION = "description"
-# Largest weights file and header. The largest network of ultralytics has 0.4 GB, and a header of some 200 kB.
-MOST_BYTES, MOST_HEADER_BYTES = 2**30, 2**23
+# Largest header; the largest network of ultralytics has one of some 200 kB.
+MOST_HEADER_BYTES = 2**23
 # Last layers of ultralytics' detection models. Models for segmentation or poses have others.
 DETECTING_LAYERS = {"Detect", "v10Detect"}
 
@@ -51,7 +51,8 @@ def is_network_file(path: Path) -> bool:
     Raises:
         OSError: the file cannot be read.
     """
-    begin = read_at_most(path, 8)
+    with open_file(path) as file:
+        begin = file.read(9)
     # the length of the header, and the header, which is JSON
     length = min(path.stat().st_size, MOST_HEADER_BYTES)
     return begin[8:] == b"{" and int.from_bytes(begin[:8], "little") <= length
@@ -170,8 +171,7 @@ def _opened(path: Path, framework: str, remedy: str) -> Iterator[Any]:
     from safetensors import SafetensorError, safe_open
 
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise SafetensorError(f"has more than {MOST_BYTES >> 20} MiB")
+        check_file(path, NETWORK_BYTES)
         if not is_network_file(path):
             raise SafetensorError(f"not a network file, or its header has more than {MOST_HEADER_BYTES >> 20} MiB")
         with safe_open(path, framework=framework, device="cpu") as file:

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from annotator.detection.config import TrainingConfig
 from annotator.detection.edge_errors import EdgeErrors
 from annotator.detection.manifest import Split
-from annotator.files import write_atomic
+from annotator.files import read_file, write_atomic
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FormatError
 
@@ -108,7 +108,7 @@ def read_trained(folder: Path) -> TrainedModel:
     """
     path = folder / MODEL_NAME
     try:
-        stored = TrainedModel.model_validate_json(path.read_bytes())
+        stored = TrainedModel.model_validate_json(read_file(path))
     except FileNotFoundError as error:
         raise FormatError(path, "no such file; the detector is not trained, or its training was interrupted") from error
     except (OSError, ValidationError) as error:
@@ -128,6 +128,6 @@ def read_run(folder: Path) -> RunRecord | None:
     if not path.is_file():
         return None
     try:
-        return RunRecord.model_validate_json(path.read_bytes())
+        return RunRecord.model_validate_json(read_file(path))
     except (OSError, ValidationError) as error:
         raise FormatError(path, f"not a training run ({error}); remove the folder and train again") from error

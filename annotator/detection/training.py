@@ -20,12 +20,14 @@ from annotator.detection.pretrained import StartingPoint, check_model_name, chec
 from annotator.detection.progress import Report, TrainingProgress, TrainingStoppedError, Watch
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
 from annotator.detection.ultralytics_api import api, pick_device
+from annotator.files import DOCUMENT_BYTES, open_text_file, read_text_file
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
 # Approximate number of validations per run, without `measure_every`.
 MEASUREMENTS = 12
 DETECTOR = "detector.safetensors"
+ODD = (LookupError, TypeError, AttributeError)
 
 __all__ = ["TrainingProgress", "TrainingStoppedError", "train_detector", "trainer_settings"]
 
@@ -129,7 +131,8 @@ def _run(
     with _unchanged_torch():
         try:
             make_trainer(settings, hooks).train()
-        except (RuntimeError, ValueError, OSError, AssertionError) as error:
+        # a checkpoint that somebody else wrote may lack settings, or have others
+        except (RuntimeError, ValueError, OSError, AssertionError, *(() if checkpoint is None else ODD)) as error:
             raise DetectionError(f"training in {out} failed: {error}") from error
 
 
@@ -225,7 +228,7 @@ def _trim_curves(path: Path, epochs_done: int) -> None:
     """Drops the rows of epochs that will be repeated."""
     if not path.is_file():
         return
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines = read_text_file(path).splitlines(keepends=True)
     path.write_text("".join(lines[: epochs_done + 1]), encoding="utf-8")
 
 
@@ -269,5 +272,5 @@ def _finish(
 
 
 def _rows(path: Path) -> int:
-    with path.open(newline="", encoding="utf-8") as file:
+    with open_text_file(path, DOCUMENT_BYTES, newline="") as file:
         return sum(1 for _ in csv.DictReader(file))

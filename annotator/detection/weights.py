@@ -23,7 +23,6 @@ from annotator.detection.backends.export_cache import MOST_KEPT, forget_oldest
 from annotator.detection.network_file import (
     DESCRIPTION,
     DETECTING_LAYERS,
-    MOST_BYTES,
     NetworkDescription,
     filled,
     is_network_file,
@@ -31,7 +30,7 @@ from annotator.detection.network_file import (
     write_tensors,
 )
 from annotator.detection.ultralytics_api import api, cache_dir
-from annotator.files import read_at_most
+from annotator.files import NETWORK_BYTES, open_archive, read_file
 from annotator.types.errors import DetectionError
 
 LOG = logging.getLogger("annotator.detectors")
@@ -80,7 +79,10 @@ def load_weights(path: Path, device: Any, remedy: str = "train the detector agai
 
 
 def _converted(path: Path, remedy: str) -> Any:
-    content = read_at_most(path, MOST_BYTES)
+    try:
+        content = read_file(path, NETWORK_BYTES)
+    except OSError as error:
+        raise DetectionError(f"{path}: cannot be read as detector weights ({error.strerror}); {remedy}") from error
     copy = cache_dir() / CONVERTED / f"{hashlib.sha256(content).hexdigest()}.safetensors"
     if copy.is_file():
         try:
@@ -189,9 +191,9 @@ def _network(content: bytes) -> tuple[NetworkDescription, dict[str, Any]]:
     """The description and the tensors of a checkpoint of ultralytics; raises exceptions of many types."""
     if not zipfile.is_zipfile(io.BytesIO(content)):
         raise pickle.UnpicklingError("neither a network file nor an archive of torch")
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        if sum(entry.file_size for entry in archive.infolist()) > MOST_BYTES:
-            raise pickle.UnpicklingError(f"has more than {MOST_BYTES >> 20} MiB")
+    with open_archive(io.BytesIO(content)) as archive:
+        if sum(entry.file_size for entry in archive.infolist()) > NETWORK_BYTES:
+            raise pickle.UnpicklingError(f"has more than {NETWORK_BYTES >> 20} MiB")
         (name,) = (name for name in archive.namelist() if name.endswith("/data.pkl") and name.count("/") == 1)
         checkpoint = _Reader(io.BytesIO(archive.read(name))).load()
         model = checkpoint.get("ema") or checkpoint.get("model")

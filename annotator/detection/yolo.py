@@ -19,10 +19,9 @@ from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Answer
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.letterbox import Placement, fill_batch, place, to_pictures
-from annotator.detection.network_file import MOST_BYTES
 from annotator.detection.selection import Candidates, candidates
 from annotator.detection.suppression import suppress
-from annotator.files import read_at_most
+from annotator.files import NETWORK_BYTES, read_file
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
 
@@ -54,13 +53,11 @@ class YoloDetector:
         self.weights = weights
         self._config = config
         try:
-            content = read_at_most(weights, MOST_BYTES)
+            content = read_file(weights, NETWORK_BYTES)
         except FileNotFoundError as error:
             raise DetectionError(f"{weights}: no such weights file; train a detector first") from error
         except OSError as error:
             raise DetectionError(f"{weights}: cannot be read ({error.strerror}); train the detector again") from error
-        if len(content) > MOST_BYTES:
-            raise DetectionError(f"{weights}: has more than {MOST_BYTES >> 20} MiB, so it is no detector")
         self._network = open_network(weights, hashlib.sha256(content).hexdigest(), config)
         settings = f"{REVISION} {config.image_size_px} {config.confidence} {config.iou}"
         if config.edge_errors:

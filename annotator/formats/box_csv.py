@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.reading import finite_number
 from annotator.types.errors import FormatError
 
@@ -43,7 +44,7 @@ def read_box_csv(path: Path, *, scored: bool) -> list[BoxRow]:
             number of fields, a field that is not a finite number, an empty name or a size that is not positive.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with open_text_file(path, TABLE_BYTES, "utf-8-sig", newline="") as file:
             return list(_rows(path, file, scored))
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error

@@ -13,7 +13,7 @@ from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError
 
-from annotator.files import read_at_most, write_atomic
+from annotator.files import read_file, write_atomic
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 
@@ -65,11 +65,9 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
         FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is not JSON (names the line).
     """
     try:
-        data = read_at_most(path, MAX_BYTES)
+        data = read_file(path, MAX_BYTES)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
-    if len(data) > MAX_BYTES:
-        raise FormatError(path, f"is longer than {MAX_BYTES // 2**20} MiB; split it")
     try:
         content: object = json.loads(data.decode("utf-8-sig"), object_pairs_hook=pairs_hook)
     except UnicodeDecodeError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.image_bytes import decode_image
+from annotator.image_bytes import read_image
 from annotator.types.errors import FormatError
 
 SINGLE_OBJECT = 255
@@ -24,7 +24,7 @@ def read_mask(path: Path) -> UInt8[np.ndarray, "h w"]:
     import cv2
 
     try:
-        mask = decode_image(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+        mask = read_image(path, cv2.IMREAD_UNCHANGED)
     except OSError as error:
         raise FormatError(path, f"the mask cannot be read ({error.strerror})") from error
     except ValueError as error:

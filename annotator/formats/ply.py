@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.frame_limits import read_frame_file
 from annotator.types import PointCloud
 from annotator.types.errors import FormatError
 
@@ -49,7 +50,7 @@ def read_ply(path: Path) -> PointCloud:
         FormatError: the file cannot be read, has a different layout, or is truncated.
     """
     try:
-        data = path.read_bytes()
+        data = read_frame_file(path)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     end = data.find(b"end_header\n", 0, HEADER_LIMIT)

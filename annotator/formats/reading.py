@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.files import read_at_most
+from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import decode_image
 from annotator.types.errors import FormatError
 
@@ -51,10 +51,6 @@ def finite_number(text: str, path: Path, line: int, name: str = "") -> float:
     return value
 
 
-# Uncompressed images of the largest cameras have a few hundred megabytes.
-MAX_PICTURE_BYTES = 512 * 2**20
-
-
 def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
     """Returns the bytes of an image file and its pixels: BGR order, rotated according to the EXIF tag.
 
@@ -64,9 +60,7 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
     import cv2
 
     try:
-        content = read_at_most(file, MAX_PICTURE_BYTES)
-        if len(content) > MAX_PICTURE_BYTES:
-            raise ValueError(f"the file is longer than {MAX_PICTURE_BYTES // 2**20} MiB")
+        content = read_frame_file(file)
         return content, decode_image(content, cv2.IMREAD_COLOR)
     except OSError as error:
         raise FormatError(

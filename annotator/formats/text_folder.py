@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath
 
-from annotator.files import ARCHIVE_ERRORS, read_at_most
+from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_archive, open_file, read_file
 from annotator.types.errors import FormatError
 
-# The label file of one frame takes a few kilobytes.
-MAX_BYTES = 16 * 2**20
 MAX_FILES = 1_000_000
 
 
@@ -27,11 +26,11 @@ def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> I
 
     Raises:
         FormatError: there is no such folder or archive, no file has the suffix, two files have the same name, or one
-            cannot be read: damaged, encrypted, not UTF-8, or longer than `MAX_BYTES`.
+            cannot be read: damaged, encrypted, not UTF-8, or longer than `DOCUMENT_BYTES`.
     """
     if path.is_dir():
         yield from _of_folder(path, suffix)
-    elif path.is_file() and zipfile.is_zipfile(path):
+    elif path.is_file() and _is_archive(path):
         yield from _of_archive(path, suffix, within)
     elif path.exists():
         raise FormatError(path, f"is neither a folder of *{suffix} files nor a zip archive of one")
@@ -58,10 +57,10 @@ def read_text(file: Path) -> str:
     """Returns the content of a text file.
 
     Raises:
-        FormatError: the file cannot be read, is not UTF-8 or is longer than `MAX_BYTES`.
+        FormatError: the file cannot be read, is not UTF-8 or is longer than `DOCUMENT_BYTES`.
     """
     try:
-        content = read_at_most(file, MAX_BYTES)
+        content = read_file(file)
     except OSError as error:
         raise FormatError(file, f"cannot be read ({error.strerror})") from error
     return _text(file, content)
@@ -78,7 +77,7 @@ def text_rows(file: Path) -> list[tuple[int, list[str]]]:
 
 def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[str, Path, str]]:
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path) as file, open_archive(file) as archive:
             named: dict[str, zipfile.ZipInfo] = {}
             for info in _wanted(archive, suffix, within):
                 name = PurePosixPath(info.filename)
@@ -90,11 +89,18 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
             for key in sorted(named):
                 with archive.open(named[key]) as stream:
                     # the size that an archive declares may be wrong
-                    content = stream.read(MAX_BYTES + 1)
-                file = path / PurePosixPath(named[key].filename).name
-                yield key, file, _text(file, content)
+                    content = stream.read(DOCUMENT_BYTES + 1)
+                member = path / PurePosixPath(named[key].filename).name
+                yield key, member, _text(member, content)
     except ARCHIVE_ERRORS as error:
         raise FormatError(path, f"the archive cannot be read ({error})") from error
+
+
+def _is_archive(path: Path) -> bool:
+    with suppress(OSError):
+        check_file(path)
+        return zipfile.is_zipfile(path)
+    return False
 
 
 def _wanted(archive: zipfile.ZipFile, suffix: str, within: str | None) -> list[zipfile.ZipInfo]:
@@ -107,8 +113,8 @@ def _wanted(archive: zipfile.ZipFile, suffix: str, within: str | None) -> list[z
 
 
 def _text(file: Path, content: bytes) -> str:
-    if len(content) > MAX_BYTES:
-        raise FormatError(file, f"is longer than {MAX_BYTES // 2**20} MiB; a label file of one frame is smaller")
+    if len(content) > DOCUMENT_BYTES:
+        raise FormatError(file, f"is longer than {DOCUMENT_BYTES // 2**20} MiB; a label file of one frame is smaller")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

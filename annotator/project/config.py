@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from annotator.files import is_within, write_atomic
+from annotator.files import is_within, read_file, write_atomic
 from annotator.types.errors import ConfigError, ProjectError
 
 CONFIG_FILE = "project.json"
@@ -115,7 +115,7 @@ def read_config(folder: Path) -> ProjectConfig:
     if path.is_symlink() and not is_within(folder, CONFIG_FILE):
         raise ProjectError(f"{path}: is a link that leads out of the project; put the file in its place")
     try:
-        content = path.read_bytes()
+        content = read_file(path)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         message = f"{folder} is not a project: it has no {CONFIG_FILE}; create one with `annotator new`"
         raise ProjectError(message) from error

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.files import write_atomic
+from annotator.files import open_file, read_file, write_atomic
 from annotator.types.errors import NotFoundError, ProjectError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -81,7 +81,7 @@ class Views:
         """
         path = self.path(view_id)
         try:
-            content = path.read_bytes()
+            content = read_file(path)
         except OSError as error:
             raise ProjectError(f"{path}: cannot be read: {error}") from error
         if hashlib.sha256(content).hexdigest() != view_id:
@@ -97,7 +97,7 @@ class Views:
         """
         path = self.path(view_id)
         try:
-            with path.open("rb") as file:
+            with open_file(path) as file:
                 head = file.read(24)
         except OSError as error:
             raise ProjectError(f"{path}: cannot be read: {error}") from error

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from annotator.files import TABLE_BYTES, read_text_file
 from annotator.types.errors import RecordingError
 
 FILE_NAME = "timestamps.csv"
@@ -37,7 +38,7 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
     if not path.is_file():
         return None
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text_file(path, TABLE_BYTES).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read ({error}); {REMEDY}") from error
     if not lines or lines[0].strip() != HEADER:

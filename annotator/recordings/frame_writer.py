@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from annotator.files import TABLE_BYTES, read_text_file
 from annotator.geometry.projection import camera_key
 from annotator.recordings import frame_times
 from annotator.recordings.rgbd_camera import FILE_NAME as CAMERA_FILE
@@ -123,7 +124,7 @@ def trim(folder: Path) -> int:
             path.unlink()
     times = folder / frame_times.FILE_NAME
     if times.is_file():
-        lines = times.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+        lines = read_text_file(times, TABLE_BYTES, errors="replace").splitlines(keepends=True)
         valid = [text for text in lines[1:] if text.endswith("\n") and text.rpartition(",")[0] in complete]
         times.write_text("".join([frame_times.HEADER + "\n", *valid]), encoding="utf-8")
     return len(complete)

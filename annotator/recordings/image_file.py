@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from annotator.image_bytes import decode_image
+from annotator.image_bytes import read_image
 from annotator.types.errors import FrameError
 
 REMEDY = "copy the file again from its source, or remove the frame"
@@ -47,7 +47,7 @@ def read_confidence(path: Path) -> UInt8[np.ndarray, "h w"]:
 def _plane(path: Path, dtype: type[np.generic], what: str, remedy: str) -> np.ndarray:
     import cv2
 
-    raw = _decode(path, cv2.IMREAD_UNCHANGED)
+    raw = _decode(path, cv2.IMREAD_UNCHANGED, give_points=True)
     if raw.ndim != 2 or raw.dtype != dtype:
         channels, bits = 1 if raw.ndim == 2 else raw.shape[2], 8 * np.dtype(dtype).itemsize
         raise FrameError(
@@ -58,9 +58,9 @@ def _plane(path: Path, dtype: type[np.generic], what: str, remedy: str) -> np.nd
     return raw
 
 
-def _decode(path: Path, flags: int) -> np.ndarray:
+def _decode(path: Path, flags: int, give_points: bool = False) -> np.ndarray:
     try:
-        return decode_image(path.read_bytes(), flags)
+        return read_image(path, flags, give_points=give_points)
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
     except ValueError as error:

@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform
 
+from annotator.files import read_file
 from annotator.geometry.projection import resized
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.recordings.rotated_depth import decode_depth, looks_rotated
@@ -105,7 +106,7 @@ def camera_file(folder: Path) -> Path:
     if expected.is_file():
         return expected
     for place in (folder, folder.resolve().parent):
-        files = [path for path in sorted(place.glob("camera_*.json")) if b'"intrinsic_matrix"' in path.read_bytes()]
+        files = [path for path in sorted(place.glob("camera_*.json")) if _has_matrix(path)]
         if len(files) == 1:
             return files[0]
         if files:
@@ -118,6 +119,13 @@ def camera_file(folder: Path) -> Path:
     )
 
 
+def _has_matrix(path: Path) -> bool:
+    try:
+        return path.is_file() and b'"intrinsic_matrix"' in read_file(path)
+    except OSError as error:
+        raise FrameError(path, f"cannot be read ({error.strerror})", "correct or remove it") from error
+
+
 def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
     """Reads a camera file; `depth_scale` is used if it has none.
 
@@ -125,7 +133,7 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
         FrameError: not JSON, a missing key, or numbers that do not describe a pinhole camera.
     """
     try:
-        content = IntrinsicFile.model_validate_json(path.read_bytes())
+        content = IntrinsicFile.model_validate_json(read_file(path))
     except (OSError, ValidationError) as error:
         raise FrameError(path, f"not a camera file ({_brief(error)})", "compare it with Open3D's format") from error
     K = np.array(content.intrinsic_matrix).reshape(3, 3).T
@@ -191,7 +199,7 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
         return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
     read = read_camera(path, color.depth_scale)
     try:
-        more = DepthFile.model_validate_json(path.read_bytes())
+        more = DepthFile.model_validate_json(read_file(path))
     except (OSError, ValidationError) as error:
         raise FrameError(
             path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
@@ -223,7 +231,7 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
     if not path.exists():
         return None
     try:
-        up = np.array(GravityFile.model_validate_json(path.read_bytes()).up)
+        up = np.array(GravityFile.model_validate_json(read_file(path)).up)
     except (OSError, ValidationError) as error:
         raise FrameError(path, f"not a gravity file ({_brief(error)})", 'write {"up": [x, y, z]}') from error
     length = np.linalg.norm(up)

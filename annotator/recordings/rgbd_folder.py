@@ -18,6 +18,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from annotator.files import open_file
 from annotator.geometry.projection import unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
@@ -87,7 +88,7 @@ class RgbdFolder(KeyedFrames):
         try:
             color = read_camera(camera_file(self.path))
             first = next(file for key in self.keys if (file := self.path / "depth" / f"{key}.png").is_file())
-            with first.open("rb") as opened:
+            with open_file(first) as opened:
                 size = declared_size(opened.read(PNG_HEAD_BYTES))
             depth = read_depth_camera(self.path, color, first, size) if all(size) else None
         except (OSError, FrameError, StopIteration):  # each frame reports it

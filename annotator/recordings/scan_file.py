@@ -16,6 +16,7 @@ from typing import NamedTuple, Never
 import numpy as np
 from jaxtyping import Float, Float32
 
+from annotator.frame_limits import read_frame_file
 from annotator.recordings.plausible import LARGEST
 from annotator.recordings.scan_columns import BYTES_PER_VALUE, FEWEST, MOST, Evidence, weigh_columns
 from annotator.types.errors import FrameError, UnclearError
@@ -60,7 +61,7 @@ class Scans:
             FrameError: the file is missing, empty, truncated, or has no valid point.
         """
         try:
-            data = path.read_bytes()
+            data = read_frame_file(path)
         except OSError as error:
             raise FrameError(
                 path, f"the scan cannot be read ({error.strerror})", "copy it from the data set"
@@ -175,7 +176,7 @@ def fractions(values: Float[np.ndarray, "n"]) -> Float32[np.ndarray, "n"]:
 def _content(path: Path) -> bytes:
     """Returns a file's content; empty if it cannot be read, which is reported when its own frame is read."""
     try:
-        return path.read_bytes()
+        return read_frame_file(path)
     except OSError:
         return b""
 

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
+from annotator.files import TABLE_BYTES, read_text_file
 from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.options import ReaderOptions
@@ -162,7 +163,7 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
     """Returns the numbers and the words of all lines that are not comments."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text_file(path, TABLE_BYTES).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read ({error})") from error
     split = ((number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1))

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.image_bytes import MOST_PIXELS
+from annotator.files import check_file
+from annotator.frame_limits import most_pixels, require_memory
 
 # An edit list of the container would leave images out that have depth.
 CONTAINER_OPTIONS = {"ignore_editlist": "1"}
@@ -48,6 +49,7 @@ class VideoFile:
         self._decoder: Iterator[tuple[int, Any]] | None = None
         self._next = 0
         try:
+            check_file(path)
             with av.open(str(path), options=CONTAINER_OPTIONS) as container:
                 if not container.streams.video:
                     raise ValueError("it has no video")
@@ -62,8 +64,7 @@ class VideoFile:
                 ]
         except (av.error.FFmpegError, OverflowError) as error:
             raise ValueError(f"not a readable video ({_brief(error)})") from error
-        if self.size[0] * self.size[1] > MOST_PIXELS:
-            raise ValueError(f"its images have {self.size[0]} x {self.size[1]} pixels; the limit is {MOST_PIXELS}")
+        require_memory(pixels=self.size[0] * self.size[1])
         shown = sorted({pts for pts, _, _ in found})
         self._number = {pts: number for number, pts in enumerate(shown)}
         self._keyframes = sorted(
@@ -111,9 +112,11 @@ class VideoFile:
         """Decodes images with their numbers, from a keyframe on, or from the file's beginning."""
         import av
 
+        check_file(self.path)
         with av.open(str(self.path), options=CONTAINER_OPTIONS) as container:
             stream = container.streams.video[0]
-            stream.codec_context.options = {"err_detect": STRICTEST if stream.codec_context.name == "hevc" else STRICT}
+            strictness = STRICTEST if stream.codec_context.name == "hevc" else STRICT
+            stream.codec_context.options = {"err_detect": strictness, "max_pixels": str(most_pixels())}
             stream.codec_context.thread_count = THREADS
             stream.thread_type = "AUTO"
             if dts is not None:

@@ -10,12 +10,11 @@ import io
 import re
 import shutil
 import uuid
-import zipfile
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from annotator.files import ARCHIVE_ERRORS, is_within
+from annotator.files import ARCHIVE_ERRORS, is_within, open_archive
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES
@@ -111,7 +110,7 @@ def remove_upload(project: Project, upload_id: str) -> None:
 
 def _unpack(file: Path, content: bytes, folder: Path) -> None:
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        with open_archive(io.BytesIO(content)) as packed:
             texts = [entry for entry in packed.infolist() if _is_wanted(PurePosixPath(entry.filename))]
             if len(texts) > MOST_FILES or sum(entry.file_size for entry in texts) > MOST_BYTES:
                 raise FormatError(

@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import pickle
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -54,7 +55,9 @@ def torch_file(content: Any) -> bytes:
 def torch_script(trap: Path) -> bytes:
     """An archive of TorchScript, with a pickle in the place of its constants."""
     torch, file = api().torch, io.BytesIO()
-    torch.jit.save(torch.jit.trace(torch.nn.Identity(), torch.zeros(1)), file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        torch.jit.save(torch.jit.trace(torch.nn.Identity(), torch.zeros(1)), file)
     out = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(file.getvalue())) as old, zipfile.ZipFile(out, "w") as new:
         for name in old.namelist():
@@ -158,7 +161,8 @@ def external_onnx() -> bytes:
     """A network in ONNX whose weights are read from a file of this machine."""
     from onnx import TensorProto, helper
 
-    tensor = helper.make_tensor("w", TensorProto.UINT8, [8], b"", raw=True)
+    tensor = helper.make_tensor("w", TensorProto.UINT8, [8], bytes(8), raw=True)
+    tensor.ClearField("raw_data")
     tensor.data_location = TensorProto.EXTERNAL
     for key, value in (("location", "/etc/passwd"), ("offset", "0"), ("length", "8")):
         entry = tensor.external_data.add()

@@ -28,7 +28,6 @@ from annotator.detection.config import DetectorConfig, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.network_file import (
     DESCRIPTION,
-    MOST_BYTES,
     NetworkDescription,
     build,
     read_tensors,
@@ -39,6 +38,7 @@ from annotator.detection.training import train_detector
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
+from annotator.files import NETWORK_BYTES
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.settings import ServerSettings
@@ -243,7 +243,7 @@ def test_huge_files_and_pipes_are_refused_unread(tmp_path: Path) -> None:
     for begin in (FILES["no description"], b"PK\x03\x04"):
         with path.open("wb") as file:
             file.write(begin)
-            file.truncate(50 * MOST_BYTES)  # a hole
+            file.truncate(50 * NETWORK_BYTES)  # a hole
         with pytest.raises(DetectionError):
             load_weights(path, "cpu")
         with pytest.raises(DetectionError):
@@ -272,7 +272,7 @@ def test_huge_files_and_pipes_are_refused_unread(tmp_path: Path) -> None:
         {"labels": ["x"] * 10_000},
         {"labels": ["x" * 10**6]},
         {"labels": [1]},
-        {"end2end": "yes"},
+        {"end2end": [1]},
         {"activation": "__import__('os')"},
     ],
     ids=lambda changes: f"{next(iter(changes))} {next(iter(changes.values()))!r:.30}",
@@ -315,7 +315,7 @@ def bomb() -> bytes:
     """A program of more bytes than any weights have, packed into a thousandth."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed, packed.open("a/data.pkl", "w") as file:
-        for _ in range(MOST_BYTES // 2**24 + 1):
+        for _ in range(NETWORK_BYTES // 2**24 + 1):
             file.write(bytes(2**24))
     return out.getvalue()
 

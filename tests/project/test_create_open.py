@@ -7,12 +7,13 @@ import json
 import sqlite3
 import threading
 from collections.abc import Callable
-from functools import partialmethod
+from functools import partial, partialmethod
 from pathlib import Path
 
 import pytest
 from store_samples import box_at, by_hand
 
+from annotator.files import read_file
 from annotator.project import (
     BoxRotation,
     NewLabel,
@@ -227,8 +228,8 @@ def test_an_unreadable_project_is_listed_with_its_problem(tmp_path: Path, monkey
             raise PermissionError(errno.EACCES, "Permission denied")
         return ask(path, **options)
 
-    for name in ("stat", "read_bytes"):
-        monkeypatch.setattr(Path, name, partialmethod(refused, getattr(Path, name)))
+    monkeypatch.setattr(Path, "stat", partialmethod(refused, Path.stat))
+    monkeypatch.setattr("annotator.project.config.read_file", partial(refused, ask=read_file))
     fine, locked = list_projects(tmp_path)
     assert fine.problem is None
     assert "cannot be read: [Errno 13] Permission denied" in (locked.problem or "")

@@ -13,6 +13,7 @@ from annotator.detection.backends.network import ExportKind, NetworkFacts
 from annotator.detection.backends.openvino_api import openvino
 from annotator.detection.backends.raw_network import raw_network
 from annotator.detection.ultralytics_api import api
+from annotator.files import NETWORK_BYTES, read_file
 from annotator.types.errors import DetectionError
 
 # Input that the network is traced with. Its axes have different lengths, so that the tracer cannot confuse them.
@@ -46,7 +47,7 @@ def export(weights: Path, kind: ExportKind) -> tuple[NetworkFacts, dict[str, byt
             for message in DEPRECATION_WARNINGS:
                 warnings.filterwarnings("ignore", message)
             _WRITERS[kind](module, torch.zeros(EXAMPLE_SHAPE, dtype=torch.uint8), Path(temporary))
-            return facts, {path.name: path.read_bytes() for path in sorted(Path(temporary).iterdir())}
+            return facts, {path.name: read_file(path, NETWORK_BYTES) for path in sorted(Path(temporary).iterdir())}
     except DetectionError:
         raise
     except Exception as error:  # torch and the converters raise many types
@@ -65,7 +66,7 @@ def _write_openvino(module: Any, example: Any, folder: Path) -> None:
     # float16 weights would save disk space but cost accuracy.
     file = folder / "network.xml"
     runtime.save_model(model, file, compress_to_fp16=False)
-    file.write_bytes(marked(file.read_bytes(), len(module.model.model) - 1))
+    file.write_bytes(marked(read_file(file, NETWORK_BYTES), len(module.model.model) - 1))
 
 
 def _write_onnx(module: Any, example: Any, folder: Path) -> None:

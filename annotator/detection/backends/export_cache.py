@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.backends.network import ExportKind, NetworkFacts
 from annotator.detection.ultralytics_api import cache_dir
-from annotator.files import new_folder
+from annotator.files import NETWORK_BYTES, new_folder, read_file
 from annotator.types.errors import FormatError
 
 LOG = logging.getLogger("annotator.detectors")
@@ -126,8 +126,8 @@ def _place(kind: ExportKind, key: str) -> Path:
 
 def _read(folder: Path, key: str) -> Export | None:
     try:
-        record = _Record.model_validate_json((folder / RECORD).read_bytes())
-        parts = {name: (folder / name).read_bytes() for name in record.files if Path(name).name == name}
+        record = _Record.model_validate_json(read_file(folder / RECORD))
+        parts = {name: read_file(folder / name, NETWORK_BYTES) for name in record.files if Path(name).name == name}
     except (OSError, ValidationError) as error:
         if folder.exists():
             LOG.warning("%s: cannot be read (%s); exporting again", folder, type(error).__name__)

@@ -17,6 +17,7 @@ from xml.parsers import expat
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from annotator.files import open_file
 from annotator.formats.reading import finite_number
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
@@ -94,7 +95,7 @@ def _objects(path: Path) -> list[tuple[int, _Object]]:
     """Returns the objects with the lines that they begin on."""
     reader = _Reader(path)
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             reader.parser.ParseFile(file)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error

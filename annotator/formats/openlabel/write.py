@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Literal
 
-from annotator.files import new_folder
+from annotator.files import new_folder, open_file
 from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
 from annotator.formats.losses import Losses, Lost, count_lost
@@ -99,5 +99,5 @@ def _is_dataset(folder: Path) -> bool:
 
 
 def _is_document(path: Path) -> bool:
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         return b'"openlabel"' in stream.read(_HEAD_BYTES)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from annotator.files import new_folder
+from annotator.files import TABLE_BYTES, new_folder, read_text_file
 from annotator.formats.dataset_writing import DatasetItem, FrameIds, encoded_image, writing
 from annotator.formats.ply import write_ply
 from annotator.formats.rcv.convert import camera_record, labels_record
@@ -83,7 +83,7 @@ def export_rcv(out: Path, items: Iterable[DatasetItem], info: RcvInfo, *, overwr
 def _is_dataset(folder: Path) -> bool:
     """True for an export of annotator; no other folder is overwritten."""
     manifest = folder / MANIFEST
-    return manifest.is_file() and f'"{FORMAT_NAME}"' in manifest.read_text(encoding="utf-8", errors="replace")
+    return manifest.is_file() and f'"{FORMAT_NAME}"' in read_text_file(manifest, TABLE_BYTES, errors="replace")
 
 
 def _require_classes(out: Path, item: DatasetItem, classes: tuple[str, ...]) -> None:

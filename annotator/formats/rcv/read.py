@@ -14,7 +14,7 @@ from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.model import RcvLabels, RcvManifest
-from annotator.image_bytes import decode_image
+from annotator.image_bytes import read_image
 from annotator.types import Frame, Label, PointCloud
 from annotator.types.errors import FormatError
 
@@ -131,7 +131,7 @@ def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     import cv2
 
     try:
-        bgr = decode_image(path.read_bytes(), cv2.IMREAD_COLOR)
+        bgr = read_image(path, cv2.IMREAD_COLOR)
     except OSError as error:
         raise FormatError(path, f"the image cannot be read ({error.strerror})") from error
     except ValueError as error:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.frame_limits import read_frame_file
 from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud
 from annotator.recordings.clouds.las_file import parse_las
 from annotator.recordings.clouds.numpy_file import parse_npy, parse_npz
@@ -42,7 +43,7 @@ def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
         scan = (scans or Scans()).read(path)
         return RawCloud(scan.xyz_m.astype(np.float64), reflectance=scan.reflectance)
     try:
-        data = path.read_bytes()
+        data = read_frame_file(path)
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
     if not data:

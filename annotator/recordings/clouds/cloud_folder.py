@@ -25,9 +25,10 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
+from annotator.files import read_file
+from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
-from annotator.image_bytes import MOST_PIXELS
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_image import virtual_image
@@ -123,13 +124,9 @@ class CloudFolder(KeyedFrames):
         raw = read_cloud(cloud_path, self.scans)
         if self.images is None:
             source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
-            if source.camera.width_px * source.camera.height_px > MOST_PIXELS:
-                size = f"{source.camera.width_px} x {source.camera.height_px}"
-                raise FrameError(
-                    source.path,
-                    f"the camera has {size} pixels; at most {MOST_PIXELS} are allowed",
-                    "correct the calibration",
-                )
+            problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
+            if problem:
+                raise FrameError(source.path, f"its camera's image is {problem}", "correct the calibration")
             cloud = source.to_camera(raw)
             rgb = virtual_image(source.camera, cloud)
         else:
@@ -250,7 +247,7 @@ def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
             "write the intrinsics for this image size",
         )
     try:
-        rows = CloudPoseFile.model_validate_json(path.read_bytes()).cloud_to_camera
+        rows = CloudPoseFile.model_validate_json(read_file(path)).cloud_to_camera
     except (OSError, ValidationError) as error:
         raise FrameError(path, "cloud_to_camera is not four rows of four numbers", "correct the camera file") from error
     return CloudCamera(

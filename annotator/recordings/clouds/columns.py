@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from annotator.frame_limits import memory_problem
 from annotator.recordings.plausible import LARGEST
 from annotator.recordings.scan_file import fractions
 from annotator.types.errors import FrameError
@@ -19,6 +22,11 @@ PACKED_NAMES = ("rgb", "rgba")
 REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_reflectance", "i")
 # Longest number in a text file, characters.
 LONGEST_NUMBER = 400
+
+
+LINE = re.compile(rb"[^\r\n]+")
+# Values of text that are parsed together.
+VALUES_AT_ONCE = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +44,17 @@ class RawCloud:
     reflectance: Float32[np.ndarray, "n"] | None = None
 
 
+def require_points(path: Path, points: int, *, more_bytes: int = 0) -> None:
+    """Checks a number of points before memory is allocated for them.
+
+    Raises:
+        FrameError: they are too many (`annotator.frame_limits`).
+    """
+    problem = memory_problem(points=points, more_bytes=more_bytes)
+    if problem:
+        raise FrameError(path, problem, "raise the limit, or save fewer points")
+
+
 def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
     """Returns the cloud of columns of equal length, without non-finite points; column names are lower case.
 
@@ -46,6 +65,7 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
     if missing:
         present = ", ".join(columns) or "none"
         raise FrameError(path, f"has no column {' '.join(missing)} (its columns: {present})", CLOUD_REMEDY)
+    require_points(path, len(columns["x"]))
     xyz_m = np.stack([_real(columns[name]) for name in "xyz"], axis=1)
     # false also for infinity and NaN
     valid = np.all(np.abs(xyz_m) < LARGEST, axis=1)
@@ -119,20 +139,35 @@ def text_columns(path: Path, body: bytes, count: int, names: tuple[str, ...], fi
     # each value needs two bytes: impossible counts are rejected before memory is allocated
     if count * len(names) * 2 > len(body) + 1:
         raise FrameError(path, f"declares {count} points, too many for its {len(body)} bytes", CLOUD_REMEDY)
-    rows = [(number, line.split()) for number, line in enumerate(body.splitlines(), first_line) if line.strip()][:count]
-    for number, values in rows:
-        if len(values) < len(names):
-            raise FrameError(path, f"line {number} has {len(values)} values instead of {len(names)}", CLOUD_REMEDY)
-        # a numpy array of strings reserves the longest length for every element
-        if max(map(len, values)) > LONGEST_NUMBER:
-            raise FrameError(path, f"line {number} has a value of more than {LONGEST_NUMBER} characters", CLOUD_REMEDY)
-    if len(rows) < count:
-        raise FrameError(path, f"declares {count} points but has {len(rows)}", CLOUD_REMEDY)
-    try:
-        table = np.array([values[: len(names)] for _, values in rows]).astype(np.float64).reshape(count, len(names))
-    except ValueError as error:
-        raise FrameError(path, f"a value is not a number ({error})", CLOUD_REMEDY) from error
+    require_points(path, count, more_bytes=count * len(names) * 8)
+    table = np.empty((count, len(names)))
+    rows, filled, at_once = _text_rows(path, body, names, first_line), 0, max(VALUES_AT_ONCE // len(names), 1)
+    while part := list(islice(rows, min(at_once, count - filled))):
+        try:
+            table[filled : filled + len(part)] = np.array(part).astype(np.float64)
+        except ValueError as error:
+            raise FrameError(path, f"a value is not a number ({error})", CLOUD_REMEDY) from error
+        filled += len(part)
+    if filled < count:
+        raise FrameError(path, f"declares {count} points but has {filled}", CLOUD_REMEDY)
     return {name: table[:, column] for column, name in enumerate(names)}
+
+
+def _text_rows(path: Path, body: bytes, names: tuple[str, ...], first_line: int) -> Iterator[list[bytes]]:
+    """Yields the values of each line that is not blank."""
+    for line in LINE.finditer(body):
+        values = line[0].split()
+        problem = ""
+        if values and len(values) < len(names):
+            problem = f"has {len(values)} values instead of {len(names)}"
+        # a numpy array of strings reserves the longest length for every element
+        elif values and max(map(len, values)) > LONGEST_NUMBER:
+            problem = f"has a value of more than {LONGEST_NUMBER} characters"
+        if problem:
+            number = first_line + len(body[: line.start()].splitlines())
+            raise FrameError(path, f"line {number} {problem}", CLOUD_REMEDY)
+        if values:
+            yield values[: len(names)]
 
 
 def binary_columns(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns, require_points
 from annotator.recordings.clouds.laz_check import LazLayout, laz_problem
 from annotator.types.errors import FrameError, MissingExtraError
 
@@ -25,8 +25,6 @@ SIGNATURE = b"LASF"
 HEAD_AT, HEAD = 94, struct.Struct("<HIIBHI")
 SHORTEST_HEADER = 227
 RECORD_HEAD_BYTES = 54
-# Limit for compressed files: equal points compress to almost nothing.
-MOST_POINTS = 1 << 25
 POINTS_AT_ONCE = 1 << 16
 
 
@@ -87,8 +85,7 @@ def _check_points(path: Path, data: bytes, header: laspy.LasHeader) -> None:
                 CLOUD_REMEDY,
             )
         return
-    if count > MOST_POINTS:
-        raise FrameError(path, f"declares {count} points; at most {MOST_POINTS} are supported", "save fewer points")
+    require_points(path, count)
     record = b"".join(record.record_data for record in header.vlrs.get("LasZipVlr")[:1])
     problem = laz_problem(data, LazLayout(record, int(header.point_format.id), size, count, start))
     if problem:

@@ -15,15 +15,13 @@ from typing import IO
 import numpy as np
 from numpy.lib import format as npy
 
-from annotator.files import ARCHIVE_ERRORS
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, eight_bits, from_columns
+from annotator.files import ARCHIVE_ERRORS, open_archive
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, eight_bits, from_columns, require_points
 from annotator.types.errors import FrameError
 
 POINT_NAMES = ("points", "xyz", "xyz_m", "pc", "cloud", "arr_0")
 COLOR_ARRAY_NAMES = ("colors", "colours", "rgb", "color")
 COLUMNS = {3: "x y z", 4: "x y z reflectance", 6: "x y z red green blue"}
-# Limit for decompressed arrays: zeros compress a thousandfold.
-MOST_BYTES = 1 << 30
 # Members of archives are typed as IO[bytes], files in memory are BufferedIOBase.
 Stream = IO[bytes] | io.BufferedIOBase
 
@@ -44,7 +42,7 @@ def parse_npz(path: Path, data: bytes) -> RawCloud:
         FrameError: as `parse_npy`; or no array of points, or a different number of colours.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with open_archive(io.BytesIO(data)) as archive:
             names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             points = next((names[name] for name in POINT_NAMES if name in names), None)
             if points is None:
@@ -61,21 +59,18 @@ def parse_npz(path: Path, data: bytes) -> RawCloud:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    if info.file_size > MOST_BYTES:
-        raise FrameError(
-            path,
-            f"its array {info.filename} has {info.file_size} bytes; at most {MOST_BYTES} are supported",
-            "save fewer points",
-        )
     with archive.open(info) as file:
         return read_array(path, file, info.file_size)
 
 
-def read_array(path: Path, file: Stream, size: int) -> np.ndarray:
+def read_array(path: Path, file: Stream, size: int, *, is_image: bool = False) -> np.ndarray:
     """Reads the array of an `.npy` file at the position of `file`, which holds `size` bytes.
 
+    Args:
+        is_image: each value gives a point; otherwise, each row does.
+
     Raises:
-        FrameError: a damaged header, other values than numbers, or fewer than declared.
+        FrameError: a damaged header, other values than numbers, fewer than declared, or too many points.
     """
     try:
         shape, is_fortran, dtype = _header(file)
@@ -92,6 +87,7 @@ def read_array(path: Path, file: Stream, size: int) -> np.ndarray:
         raise FrameError(
             path, f"its array declares {count} values of {dtype.itemsize} bytes but has {size} bytes", CLOUD_REMEDY
         )
+    require_points(path, count if is_image else min(count, *shape[:1]), more_bytes=count * dtype.itemsize)
     content = file.read(count * dtype.itemsize)
     if len(content) < count * dtype.itemsize:
         raise FrameError(path, "its array is truncated", CLOUD_REMEDY)

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, binary_columns, from_columns, text_columns
+from annotator.recordings.clouds.columns import (
+    CLOUD_REMEDY,
+    RawCloud,
+    binary_columns,
+    from_columns,
+    require_points,
+    text_columns,
+)
 from annotator.recordings.clouds.lzf import MOST_EXPANSION, lzf_decompress
 from annotator.types.errors import FrameError
 
@@ -14,7 +22,7 @@ LONGEST_HEADER = 1 << 16
 KINDS = {"F": "f", "I": "i", "U": "u"}
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 KEYWORDS = {"VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"}
-MOST_VALUES_PER_FIELD = 10_000
+MOST_VALUES_PER_FIELD, MOST_VALUES = 10_000, 1 << 16
 
 
 def parse_pcd(path: Path, data: bytes) -> RawCloud:
@@ -72,6 +80,8 @@ def _dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
         # padding is called "_" and may occur several times
         unique = f"_{position}" if name == "_" else name.lower()
         fields.append((unique, f"<{KINDS[kind]}{int(size)}", () if values == 1 else (values,)))
+    if sum(math.prod(shape) for _, _, shape in fields) > MOST_VALUES:
+        raise FrameError(path, f"the PCD header declares more than {MOST_VALUES} values per point", CLOUD_REMEDY)
     try:
         return np.dtype(fields)
     except ValueError as error:  # two fields with the same name
@@ -124,6 +134,7 @@ def _compressed(path: Path, data: bytes, offset: int, count: int, dtype: np.dtyp
             f"declares sizes that do not fit: {count} points, {unpacked} bytes, {packed} bytes compressed",
             CLOUD_REMEDY,
         )
+    require_points(path, count, more_bytes=unpacked)
     try:
         plain = lzf_decompress(content, unpacked)
     except ValueError as error:

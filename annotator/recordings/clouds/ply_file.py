@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +70,8 @@ def _from_text(path: Path, data: bytes, offset: int, before: list[_Element], ver
     if skipped:
         if skipped > body.count(b"\n"):
             raise FrameError(path, "the PLY file ends before its vertices", CLOUD_REMEDY)
-        body = body.split(b"\n", skipped)[-1]
+        last = next(islice(re.finditer(b"\n", body), skipped - 1, None))
+        body = body[last.end() :]
     names = tuple(name for name, _ in vertex.properties)
     columns = text_columns(path, body, vertex.count, names, lines_above + skipped + 1)
     # text has no types: without this, byte colours up to 1 would be read as fractions

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from annotator.files import is_within
+from annotator.files import is_within, read_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_rgb
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
 REMEDY = "export the dataset again"
+# A document may describe a whole recording.
+MOST_DOCUMENT_BYTES = 2**28
 
 
 def read_document(path: Path) -> Any:
@@ -25,7 +27,7 @@ def read_document(path: Path) -> Any:
         FrameError: it cannot be read, or is not JSON.
     """
     try:
-        return json.loads(path.read_bytes())
+        return json.loads(read_file(path, MOST_DOCUMENT_BYTES))
     except (OSError, ValueError, RecursionError) as error:
         raise FrameError(path, f"cannot be read as JSON ({str(error)[:80]})", REMEDY) from error
 

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from annotator.files import open_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
 from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
@@ -112,7 +113,7 @@ def open_openlabel(path: Path) -> OpenLabelFolder | NotFound:
 
 
 def _is_ours(file: Path) -> bool:
-    with suppress(OSError), file.open("rb") as stream:
+    with suppress(OSError), open_file(file) as stream:
         head = stream.read(HEAD_BYTES)
         return all(word in head for word in HEAD)
     return False

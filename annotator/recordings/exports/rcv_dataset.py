@@ -16,6 +16,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from annotator.files import read_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
 from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import sorted_keys
@@ -82,7 +83,7 @@ class RcvFolder(KeyedFrames):
         key = self.key(i)
         path = self.path / LABELS / f"{key}.json"
         try:
-            record = FrameFile.model_validate_json(path.read_bytes())
+            record = FrameFile.model_validate_json(read_file(path))
             camera = Camera(**record.camera.model_dump())
         except OSError as error:
             raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error

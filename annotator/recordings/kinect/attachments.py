@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from annotator.files import check_file
 from annotator.recordings.kinect.matroska import MOST_NS
 from annotator.types.errors import RecordingError
 
@@ -19,6 +20,7 @@ def tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
     import av
 
     try:
+        check_file(path)
         with av.open(str(path), metadata_errors="replace") as container:
             tags = {name: value for name, value in container.metadata.items() if name.startswith("K4A_")}
             for stream in container.streams:
@@ -27,7 +29,7 @@ def tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
                 )
                 if stream.type == "attachment" and is_named:
                     return tags, bytes(stream.data)
-    except (av.FFmpegError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be read as Matroska ({error}); {REMEDY}") from error
     raise RecordingError(f"{path}: has no calibration attached; record it with the Azure Kinect SDK's recorder")
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+from annotator.files import open_file
 from annotator.types.errors import RecordingError
 
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
@@ -83,7 +84,7 @@ def read_index(path: Path) -> MatroskaIndex | None:
         OSError: the file cannot be read.
         RecordingError: it has more than `MOST_BLOCKS` blocks.
     """
-    with path.open("rb", buffering=0) as file:
+    with open_file(path, buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None
         return _IndexReader(path, file).index()
@@ -95,7 +96,7 @@ def read_tracks(path: Path) -> tuple[Track, ...] | None:
     Raises:
         OSError: the file cannot be read.
     """
-    with path.open("rb", buffering=0) as file:
+    with open_file(path, buffering=0) as file:
         if file.read(4) != EBML.to_bytes(4):
             return None
         return _IndexReader(path, file).head()

@@ -21,6 +21,8 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
+from annotator.files import open_file
+from annotator.frame_limits import frame_memory
 from annotator.recordings.kinect.attachments import REMEDY, tagged_ns, tags_and_calibration
 from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
 from annotator.recordings.kinect.captures import Capture, find_captures
@@ -155,12 +157,12 @@ class AzureKinect(KeyedFrames):
         """Reads the blocks, as far as the file reaches."""
         contents = []
         try:
-            with self.path.open("rb") as file:
+            with open_file(self.path) as file:
                 end = file.seek(0, os.SEEK_END)
                 for block in blocks:
                     file.seek(block.offset)
                     # a damaged size must not allocate more memory than the file needs
-                    contents.append(file.read(max(min(block.size, end - block.offset), 0)))
+                    contents.append(file.read(max(min(block.size, end - block.offset, frame_memory()), 0)))
         except OSError as error:
             raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
         return contents

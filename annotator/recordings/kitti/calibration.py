@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.files import read_text_file
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.types import Camera
 from annotator.types.errors import FrameError
@@ -102,7 +103,7 @@ def _read_rows(path: Path) -> dict[str, list[str]]:
         FrameError: the file is missing or not text.
     """
     try:
-        text = path.read_text()
+        text = read_text_file(path)
     except FileNotFoundError as error:
         raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
     except (OSError, UnicodeDecodeError) as error:

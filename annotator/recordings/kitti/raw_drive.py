@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
+from annotator.files import TABLE_BYTES, read_text_file
 from annotator.recordings.kitti.calibration import KittiCalibration, read_raw_calibration
 from annotator.recordings.kitti.folder import PERIOD_NS, KittiFolder
 from annotator.recordings.options import ReaderOptions
@@ -69,7 +70,7 @@ class KittiRaw(KittiFolder):
 @lru_cache(maxsize=4)
 def _times(path: Path, changed_ns: int, size: int) -> tuple[int | None, ...]:
     """Returns the time of each line, nanoseconds since the epoch; None for an invalid line."""
-    return tuple(_nanoseconds(line) for line in path.read_text().splitlines())
+    return tuple(_nanoseconds(line) for line in read_text_file(path, TABLE_BYTES).splitlines())
 
 
 def _nanoseconds(line: str) -> int | None:

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
+from annotator.frame_limits import read_frame_file
 from annotator.geometry.transforms import FORWARD
 from annotator.nuscenes_tables import TableError
 from annotator.recordings.image_file import read_rgb
@@ -230,7 +231,7 @@ def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
         FrameError: the file is missing, empty, truncated, or has no valid point.
     """
     try:
-        data = path.read_bytes()
+        data = read_frame_file(path)
     except OSError as error:
         raise FrameError(path, f"the scan cannot be read ({error.strerror})", REMEDY) from error
     if not data or len(data) % BYTES_A_POINT:

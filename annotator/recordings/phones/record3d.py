@@ -22,8 +22,9 @@ from jaxtyping import Float64, UInt8
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
+from annotator.frame_limits import require_pixels
 from annotator.geometry.projection import resized
-from annotator.image_bytes import MOST_PIXELS, decode_image
+from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.options import ReaderOptions
@@ -157,8 +158,7 @@ class Record3D(KeyedFrames):
                 size = (short, long) if camera.height_px > camera.width_px else (long, short)
             else:
                 size = (meta.dw, meta.dh)
-            if size[0] * size[1] > MOST_PIXELS:
-                raise ValueError(f"metadata declares {size[0]} x {size[1]} pixels; the limit is {MOST_PIXELS}")
+            require_pixels(*size, give_points=True)
             pixels = decompress(data, bytes_each * size[0] * size[1])
         except ValueError as error:
             raise FrameError(path, str(error), REMEDY) from error

@@ -23,6 +23,8 @@ from typing import ClassVar, Never
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from annotator.files import TABLE_BYTES, read_text_file
+from annotator.frame_limits import read_frame_file
 from annotator.recordings.clouds.numpy_file import read_array
 from annotator.recordings.image_file import read_confidence, read_depth
 from annotator.recordings.listing import frame_file
@@ -163,7 +165,7 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Not
     if not ((path / VIDEO).is_file() and poses.is_file() and (path / DEPTH).is_dir()):
         return NotFound(LOOKED_FOR)
     try:
-        lines = csv.reader(io.StringIO(poses.read_text(encoding="utf-8")), skipinitialspace=True)
+        lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)
         header = [name.strip() for name in next(lines, [])]
         rows = tuple({name: text.strip() for name, text in zip(header, line, strict=False)} for line in lines if line)
     except (UnicodeDecodeError, csv.Error) as error:
@@ -202,10 +204,10 @@ def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
         raw: np.ndarray = read_depth(path)
     else:
         try:
-            data = path.read_bytes()
+            data = read_frame_file(path)
         except OSError as error:
             raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-        raw = read_array(path, io.BytesIO(data), len(data))
+        raw = read_array(path, io.BytesIO(data), len(data), is_image=True)
         if raw.ndim != 2 or raw.dtype.names is not None:
             raise FrameError(path, "it is not an image of numbers", REMEDY)
     return np.divide(raw, np.float32(MM_PER_M), dtype=np.float32)
@@ -213,7 +215,7 @@ def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
 
 def _matrix(path: Path) -> Float64[np.ndarray, "3 3"]:
     try:
-        numbers = [float(text) for line in path.read_text(encoding="utf-8").splitlines() for text in line.split(",")]
+        numbers = [float(text) for line in read_text_file(path).splitlines() for text in line.split(",")]
     except (OSError, ValueError) as error:
         raise FrameError(path, f"cannot be read ({error})", REMEDY) from error
     if len(numbers) != 9 or not np.all(np.abs(numbers) <= LARGEST):

@@ -11,10 +11,10 @@ import zipfile
 import zlib
 from pathlib import Path
 
-from annotator.files import ARCHIVE_ERRORS
+from annotator.files import ARCHIVE_ERRORS, open_archive, open_file
+from annotator.frame_limits import read_frame_file, require_memory
 
 SIGNATURE, HEAD = b"PK\3\4", struct.Struct("<26xHH")
-MOST_BYTES = 1 << 28
 ENCRYPTED = 1
 
 # None: a file in a folder.
@@ -32,7 +32,7 @@ def list_entries(path: Path) -> Entries:
         files = (*path.iterdir(), *(file for folder in path.iterdir() if folder.is_dir() for file in folder.iterdir()))
         return {file.relative_to(path).as_posix(): None for file in files}
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path) as file, open_archive(file) as archive:
             return {info.filename: info for info in archive.infolist()}
     except OSError:
         raise
@@ -48,12 +48,11 @@ def read_entry(path: Path, name: str, info: zipfile.ZipInfo | None) -> bytes:
         ValueError: truncated, damaged, encrypted, too large, or compressed in an unknown way; the message says which.
     """
     if info is None:
-        return (path / name).read_bytes()
+        return read_frame_file(path / name)
     if info.flag_bits & ENCRYPTED:
         raise ValueError("it is encrypted")
-    if max(info.file_size, info.compress_size) > MOST_BYTES:
-        raise ValueError(f"it has {info.file_size} bytes; the limit is {MOST_BYTES}")
-    with path.open("rb") as file:
+    require_memory(more_bytes=info.file_size + info.compress_size)
+    with open_file(path) as file:
         file.seek(info.header_offset)
         head = file.read(len(SIGNATURE) + HEAD.size - 4)
         if not head.startswith(SIGNATURE) or len(head) < HEAD.size:

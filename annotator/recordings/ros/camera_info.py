@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import Rotation
 
-from annotator.image_bytes import MOST_PIXELS
+from annotator.frame_limits import require_pixels
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.types import Camera
 from annotator.types.camera import DISTORTION_LENGTHS
@@ -90,8 +90,7 @@ def read_camera_info(content: Any, is_rectified: bool) -> BagCamera:
     matrix, width, height = _region(content, full)
     if not is_pinhole(matrix):
         raise ValueError("is not a pinhole camera: K must be fx 0 cx 0 fy cy 0 0 1")
-    if not 0 < width * height <= MOST_PIXELS or min(width, height) < 0:
-        raise ValueError(f"declares {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")
+    require_pixels(width, height)
     turn = Rotation.identity()
     if is_rectified and R.any():
         if len(R) != 9 or not is_rotation(R.reshape(3, 3), MOST_OFF_ROTATION):

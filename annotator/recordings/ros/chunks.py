@@ -12,6 +12,8 @@ from threading import Lock
 from typing import Any
 from zlib import crc32
 
+from annotator.files import open_file
+from annotator.frame_limits import require_memory
 from annotator.types.errors import MissingExtraError
 
 # Limit of a chunk's content; recorders write some megabytes.
@@ -86,6 +88,7 @@ class Chunks:
             ValueError: the chunk is damaged before their end.
             OSError: the file cannot be read.
         """
+        require_memory(more_bytes=size)
         if number < 0:
             return self._stored(start, size)
         chunk = self.all[number]
@@ -115,7 +118,7 @@ class Chunks:
         return content
 
     def _pieces(self, chunk: Chunk) -> Iterator[bytes]:
-        with self.path.open("rb") as file:
+        with open_file(self.path) as file:
             file.seek(chunk.at)
             left = chunk.size
             while left > 0 and (piece := file.read(min(PIECE, left))):
@@ -123,7 +126,7 @@ class Chunks:
                 yield piece
 
     def _stored(self, at: int, size: int) -> bytes:
-        with self.path.open("rb") as file:
+        with open_file(self.path) as file:
             file.seek(at)
             return file.read(max(size, 0))
 

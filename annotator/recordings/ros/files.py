@@ -13,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from annotator.files import open_file, read_text_file
 from annotator.recordings.ros import mcap_file, ros1_file, sqlite_file
 from annotator.recordings.ros.bag import Bag, BagFile, join
 from annotator.recordings.ros.decode import FIELD_ERRORS
@@ -94,7 +95,7 @@ def _metadata(folder: Path) -> dict[str, Any]:
     if path.stat().st_size > LARGEST_METADATA:
         raise RecordingError(f"{path}: is too large; remove it to read the bag without it")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.safe_load(read_text_file(path))
         info = content["rosbag2_bagfile_information"]
     # ValueError: not UTF-8, or a date that does not exist
     except (yaml.YAMLError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -120,5 +121,5 @@ def _has_magic(path: Path) -> bool:
     magic = MAGICS.get(path.suffix.lower())
     if magic is None:
         return False
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return file.read(len(magic)) == magic

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from annotator.image_bytes import MOST_PIXELS, decode_image
+from annotator.frame_limits import require_pixels
+from annotator.image_bytes import decode_image
 from annotator.recordings.ros.decode import byte_array
 from annotator.recordings.ros.rvl import decode_rvl
 
@@ -142,8 +143,7 @@ def _values(content: Any, kind: str, channels: int) -> np.ndarray:
     width, height, step = int(content.width), int(content.height), int(content.step)
     size = np.dtype(kind).itemsize * channels
     data = byte_array(content.data)
-    if not 0 < width * height <= MOST_PIXELS:
-        raise ValueError(f"declares {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")
+    require_pixels(width, height)
     step = step or width * size
     if step < width * size or len(data) < step * (height - 1) + width * size:
         raise ValueError(

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64
 
-from annotator.files import write_atomic
+from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.recordings.ros.bag import Topic
 
 LOG = logging.getLogger("annotator.bags")
@@ -28,7 +28,7 @@ def kept_times(topic: Topic, read: Callable[[], Int64[np.ndarray, "n"]]) -> Int6
     """Returns the times of a topic's messages: those that were kept for these files, else what `read` returns."""
     path = cache_folder() / f"{_fingerprint(topic)}.npy"
     try:
-        kept = np.load(path, allow_pickle=False)
+        kept = np.load(io.BytesIO(read_file(path, TABLE_BYTES)), allow_pickle=False)
         if kept.shape == (len(topic),) and kept.dtype == np.int64:
             return np.asarray(kept)
     except (OSError, ValueError, EOFError):  # not kept, or damaged

@@ -16,6 +16,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from annotator.files import TABLE_BYTES, open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, Chunk, Chunks, unpack_message
 
@@ -91,7 +92,7 @@ class McapFile:
     def _list_records(self) -> None:
         notes: list[str] = []
         is_closed, open_chunk = False, -1
-        with self.path.open("rb") as file:
+        with open_file(self.path) as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(0)
             if file.read(len(MAGIC)) != MAGIC:
@@ -125,10 +126,10 @@ class McapFile:
                 elif kind == CHUNK:
                     open_chunk = self._add_chunk(file, at, size)
                 elif kind == INDEX and self._chunks.all:
-                    self._add_index(file.read(length), len(self._chunks.all) - 1)
+                    self._add_index(file.read(min(length, TABLE_BYTES)), len(self._chunks.all) - 1)
                     open_chunk = -1
                 elif kind in (SCHEMA, CHANNEL):
-                    self._describe(kind, file.read(length))
+                    self._describe(kind, file.read(min(length, TABLE_BYTES)))
                 is_closed = kind == FOOTER
                 at = end
         if open_chunk >= 0:

@@ -16,6 +16,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from annotator.files import TABLE_BYTES, open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import Chunk, Chunks
 
@@ -76,7 +77,7 @@ class Ros1File:
 
     def _list_records(self) -> None:
         notes: list[str] = []
-        with self.path.open("rb") as file:
+        with open_file(self.path) as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(0)
             if file.read(len(MAGIC)) != MAGIC:
@@ -234,4 +235,4 @@ def _read(file: BinaryIO, at: int, size: int) -> bytes:
     """Reads as far as the file goes; a damaged size must not allocate more memory."""
     end = file.seek(0, os.SEEK_END)
     file.seek(at)
-    return file.read(max(min(size, end - at), 0))
+    return file.read(max(min(size, end - at, TABLE_BYTES), 0))

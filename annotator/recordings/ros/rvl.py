@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import UInt16
 
-from annotator.image_bytes import MOST_PIXELS
+from annotator.frame_limits import require_pixels
 
 # columns and rows, which `compressed_depth_image_transport` writes before the words
 HEAD_BYTES = 8
@@ -24,8 +24,7 @@ def decode_rvl(data: bytes) -> UInt16[np.ndarray, "h w"]:
         ValueError: it is truncated or damaged.
     """
     width, height = np.frombuffer(data[:HEAD_BYTES], "<u4").tolist() if len(data) >= HEAD_BYTES else (0, 0)
-    if not 0 < width * height <= MOST_PIXELS:
-        raise ValueError(f"declares {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")
+    require_pixels(width, height, give_points=True)
     numbers = _numbers(data[HEAD_BYTES:])
     deltas = np.zeros(width * height, np.int64)
     is_depth = np.zeros(width * height, bool)

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from annotator.files import open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder
-from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, unpack_message
+from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, MOST_BYTES, unpack_message
 
 if TYPE_CHECKING:
     import sqlite3
@@ -42,7 +43,7 @@ class SqliteFile:
         self._kept = local()
         # SQLite keeps what was not yet merged into a file beside it
         self._is_immutable = not path.with_name(path.name + "-wal").exists()
-        with path.open("rb") as file:
+        with open_file(path) as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise ValueError("is not an SQLite file")
         with self._connected() as connection:
@@ -102,6 +103,9 @@ class SqliteFile:
                     of_topic = table[table[:, 0] == number]
                     self._messages.add(int(number), of_topic[:, 1], -1, of_topic[:, 2])
                 count += len(part)
+                # pages of a damaged file may lead to each other in circles
+                if count > self.path.stat().st_size:
+                    return "is damaged: it lists more messages than it has bytes"
         except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
             return f"is damaged after {count} messages ({error}); the others are not used"
         return ""
@@ -117,6 +121,8 @@ class SqliteFile:
                 yield kept
                 return
             with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?{mode}", uri=True)) as connection:
+                # a column that is computed can be of any length
+                connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
                 yield connection
         except sqlite3.Error as error:
             raise ValueError(f"the SQLite file is damaged ({error})") from error

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.frame_limits import most_pixels
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.decode import byte_array, message
 from annotator.recordings.video_file import STRICT, STRICTEST
@@ -42,7 +43,10 @@ def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"
     pictures = []
     try:
         decoder: Any = av.CodecContext.create(CODECS[form], "r")
-        decoder.options = {"err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT}
+        decoder.options = {
+            "err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT,
+            "max_pixels": str(most_pixels()),
+        }
         for number, packet in enumerate([*reversed(packets), None], 1):
             encoded = None if packet is None else av.Packet(packet)
             if encoded is not None:

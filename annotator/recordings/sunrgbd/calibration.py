@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.files import read_text_file
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.types import Camera
 from annotator.types.errors import FrameError
@@ -111,7 +112,7 @@ def _numbers(path: Path, text: str) -> np.ndarray:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text()
+        return read_text_file(path)
     except FileNotFoundError as error:
         raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
     except (OSError, UnicodeDecodeError) as error:

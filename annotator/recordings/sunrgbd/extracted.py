@@ -14,8 +14,10 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float32, Int32
 
+from annotator.files import open_file
+from annotator.frame_limits import VARIABLE, frame_memory
 from annotator.geometry.projection import project
-from annotator.mat_file import MatFileError, read_mat
+from annotator.mat_file import MatFileError, MatSizeError, read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.image_file import read_rgb
@@ -32,7 +34,6 @@ CLOUD_REMEDY = "extract it again from the data set"
 # A cloud is organised if its points project to pixel centres within this distance.
 ON_PIXEL_PX = 0.05
 # About ten million points.
-MOST_BYTES = 2**29
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,7 @@ def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
 
 
 def _is_kitti(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return b":" in file.read(200)
 
 
@@ -104,9 +105,11 @@ def _read_mat(path: Path) -> RawCloud:
         FrameError: the file is damaged, or has no `instance` of n x 6 numbers.
     """
     try:
-        table = read_mat(path, "instance", MOST_BYTES, numbers_only=True)
+        table = read_mat(path, "instance", frame_memory() // 2, numbers_only=True)
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
+    except MatSizeError as error:
+        raise FrameError(path, f"is too large: it {error}", f"raise {VARIABLE} (MiB), or save fewer points") from error
     except MatFileError as error:
         raise FrameError(path, f"cannot be read as a MATLAB file: it {error}", CLOUD_REMEDY) from error
     if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6:

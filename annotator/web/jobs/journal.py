@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.files import link_out, write_atomic
+from annotator.files import TABLE_BYTES, link_out, read_file, write_atomic
 from annotator.types.errors import ConfigError
 from annotator.web.jobs.records import Job, JobState
 
@@ -42,7 +42,7 @@ def read_journal(folder: Path) -> list[Job]:
     """The jobs in the journal, oldest first; unfinished ones become failed. Empty if it is missing or unreadable."""
     path = folder / FILE
     try:
-        jobs = _Journal.model_validate_json(path.read_bytes()).jobs
+        jobs = _Journal.model_validate_json(read_file(path, TABLE_BYTES)).jobs
     except FileNotFoundError:
         return []
     except (OSError, ValidationError) as error:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from annotator.files import is_within
+from annotator.files import end_of_file, is_within
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, require_own_files, write_journal
@@ -327,7 +327,7 @@ class JobRunner:
 
     def _log_end(self, job_id: str) -> str:
         path = self.folder / job_id / WORK_LOG
-        return path.read_text(encoding="utf-8", errors="replace")[-4000:] if path.is_file() else ""
+        return end_of_file(path, 4000) if path.is_file() else ""
 
     def _update(self, job_id: str, **changes: Any) -> Job:
         # within the lock, so that concurrent changes reach the pages and the journal in the same order

@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.files import open_file, read_file
 from annotator.formats.coco_dataset import is_coco_dataset, read_coco_dataset
 from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import read_labelcloud
@@ -73,7 +74,7 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
 
 
 def _is_openlabel(file: Path) -> bool:
-    with suppress(OSError), file.open("rb") as stream:
+    with suppress(OSError), open_file(file) as stream:
         return b'"openlabel"' in stream.read(SNIFFED_BYTES)
     return False
 
@@ -90,7 +91,7 @@ def _is_yolo(path: Path) -> bool:
     """True for Ultralytics' `data.yaml`, or `classes.txt` with labels in `labels` or beside images of the same name."""
     if (path / DATA_YAML).is_file():
         with suppress(OSError):
-            return b"names:" in (path / DATA_YAML).read_bytes()
+            return b"names:" in read_file(path / DATA_YAML)
     if not (path / CLASSES).is_file():
         return False
     if any(file.name != CLASSES for file in (path / "labels").glob("*.txt")):

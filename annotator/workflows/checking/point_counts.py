@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from pydantic import RootModel, ValidationError
 
-from annotator.files import write_atomic
+from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.geometry.point_index import PointIndex
 from annotator.project import Project, StoredFrame
 from annotator.types import OrientedBox
@@ -90,7 +90,7 @@ class PointCounts:
 
     def _load(self) -> dict[str, int]:
         try:
-            return _CachedCounts.model_validate_json(self._path.read_bytes()).root
+            return _CachedCounts.model_validate_json(read_file(self._path, TABLE_BYTES)).root
         except (OSError, ValidationError):
             # missing or damaged: counted again
             return {}

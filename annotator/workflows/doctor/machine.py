@@ -12,6 +12,7 @@ from pathlib import Path
 import annotator
 from annotator.detection.backends.cores import usable_cores
 from annotator.detection.ultralytics_api import cache_dir
+from annotator.files import read_text_file
 from annotator.workflows.doctor.report import Line, State
 
 SECTION = "machine"
@@ -89,7 +90,7 @@ def _memory_bytes() -> tuple[int | None, int | None]:
 def _lines(path: Path) -> list[str]:
     """Returns the lines of a system file; empty if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8", errors="replace").splitlines()
+        return read_text_file(path, errors="replace").splitlines()
     except OSError:
         return []
 

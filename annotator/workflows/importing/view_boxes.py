@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from annotator.files import read_file
 from annotator.formats.reading import read_picture
 from annotator.image_bytes import PNG_SIGNATURE
 from annotator.project import Project, ViewGeometry, WriteContext
@@ -95,7 +96,7 @@ def store_on_view(
     """
     if view.frame_id is not None and project.frames.get(view.frame_id).finalised:
         return Stored.LEFT_ALONE
-    view_id = project.views.store(view.file.read_bytes())
+    view_id = project.views.store(read_file(view.file))
     set_boxes = partial(
         project.boxes.set_on_view, view_id, boxes, kind, frame_id=view.frame_id, step=view.step, geometry=view.geometry
     )

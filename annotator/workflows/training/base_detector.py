@@ -21,7 +21,7 @@ from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_ma
 from annotator.detection.progress import Report
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import train_detector
-from annotator.files import write_atomic
+from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.formats.json_file import read_model
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
 from annotator.rcv.recursion import held_direction
@@ -135,7 +135,7 @@ def install_base(folder: Path, target: Path | None = None) -> BaseManifest:
         OSError: the files cannot be written.
     """
     trained, views, plan = read_trained(folder / RUN), read_manifest(folder / VIEWS), _read_plan(folder)
-    content = trained.weights.read_bytes()
+    content = read_file(trained.weights, NETWORK_BYTES)
     manifest = BaseManifest(
         frames=plan.frames,
         seed=plan.seed,

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.held_out import is_held_out
 from annotator.detection.trained import read_trained
-from annotator.files import write_atomic
+from annotator.files import read_file, write_atomic
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
@@ -94,7 +94,7 @@ def read_decision(folder: Path) -> Decision | None:
     if not path.is_file():
         return None
     try:
-        return Decision.model_validate_json(path.read_bytes())
+        return Decision.model_validate_json(read_file(path))
     except (OSError, ValidationError) as error:
         raise FormatError(path, f"not a measurement on held-out frames ({error})") from error
 

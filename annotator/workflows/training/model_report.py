@@ -11,6 +11,7 @@ from pathlib import Path
 
 from annotator.detection.dataset import GENERATED
 from annotator.detection.manifest import MANIFEST_NAME, read_manifest
+from annotator.files import DOCUMENT_BYTES, open_text_file
 from annotator.project import StoredModel
 from annotator.types.errors import FormatError
 from annotator.workflows.training.held_out import Decision, read_decision
@@ -90,7 +91,7 @@ def _curves(path: Path) -> tuple[Epoch, ...]:
     if not path.is_file():
         return ()
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with open_text_file(path, DOCUMENT_BYTES, newline="") as file:
             return tuple(_epoch(row) for row in csv.DictReader(file))
     # a short row lacks values (TypeError), a damaged header lacks column names (KeyError)
     except (OSError, ValueError, TypeError, KeyError, csv.Error) as error:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.detection.manifest import DatasetManifest
+from annotator.image_bytes import read_image
 from annotator.types import Box2D, Detector
 from annotator.types.errors import DetectionError
 
@@ -70,9 +71,10 @@ def _chosen(manifest: DatasetManifest) -> list[str]:
 def _read(path: Path) -> _Picture:
     import cv2
 
-    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise DetectionError(f"{path}: the image cannot be read; train again")
+    try:
+        bgr = read_image(path, cv2.IMREAD_COLOR)
+    except (OSError, ValueError) as error:
+        raise DetectionError(f"{path}: the image cannot be read ({error}); train again") from error
     return _Picture(np.ascontiguousarray(bgr[..., ::-1]))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from annotator.files import TABLE_BYTES, read_file
 from annotator.formats.json_file import write_text
 from annotator.project import ViewBoxes, ViewGeometry
 from annotator.types import Box2D, PseudoView
@@ -59,7 +60,7 @@ def read_places(pictures: Path) -> dict[str, ViewPlace]:
     if not file.is_file():
         return {}
     try:
-        return {place.file_name: place for place in _PLACES.validate_json(file.read_bytes())}
+        return {place.file_name: place for place in _PLACES.validate_json(read_file(file, TABLE_BYTES))}
     except OSError as error:
         raise FormatError(file, f"cannot be read ({error.strerror})") from error
     except ValidationError as error:

@@ -139,7 +139,7 @@ def test_errors_of_labels_and_of_a_missing_extra(tmp_path: Path, monkeypatch: py
     with pytest.raises(FormatError, match=r"annotations\.feather: row 1: box sizes must be positive"):
         read_argoverse(path)
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(FormatError, match="is not a Feather file, or damaged"):
+    with pytest.raises(FormatError, match="is not a Feather file of version 2, or damaged"):
         read_argoverse(path)
     imported = builtins.__import__
 

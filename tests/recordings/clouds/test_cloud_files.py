@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.recordings.clouds import numpy_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, PARSERS, read_cloud
 from annotator.recordings.clouds.lzf import lzf_decompress
 from annotator.types.errors import FrameError
@@ -267,8 +266,8 @@ def test_an_archive_that_unpacks_to_too_many_bytes_is_an_error(tmp_path: Path, m
     np.savez_compressed(tmp_path / "a.npz", points=np.zeros((100_000, 3)))
     assert (tmp_path / "a.npz").stat().st_size < 10_000
     assert len(read_cloud(tmp_path / "a.npz").xyz_m) == 100_000
-    monkeypatch.setattr(numpy_file, "MOST_BYTES", 1_000_000)
-    with pytest.raises(FrameError, match=r"its array points\.npy has 2400128 bytes; at most 1000000 are supported"):
+    monkeypatch.setenv("ANNOTATOR_FRAME_MEMORY", "10")
+    with pytest.raises(FrameError, match=r"too large: 100000 points take about 15 MiB .* limit is 10 MiB"):
         read_cloud(tmp_path / "a.npz")
 
 

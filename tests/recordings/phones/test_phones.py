@@ -236,7 +236,7 @@ R3D_DAMAGES = [
     pytest.param(metadata(K=[1, 0, 5, 0, 1, 5, 0, 0, 1], perFrameIntrinsicCoeffs=[]), "column by column", id="rows"),
     pytest.param(metadata(h=400), "the image is 320 x 240 pixels, but the metadata has 320 x 400", id="size"),
     pytest.param(metadata(dw=81), "it has 19200 bytes instead of 19440", id="depth-size"),
-    pytest.param(metadata(dw=60_000, dh=60_000), "declares 60000 x 60000 pixels; the limit", id="huge-size"),
+    pytest.param(metadata(dw=60_000, dh=60_000), "image of 60000 x 60000 pixels is too large", id="huge-size"),
     pytest.param(write("rgbd/0.depth", b"bvx2 nothing"), "compression .LZFSE. is damaged", id="depth"),
     pytest.param(write("rgbd/0.depth", bytes(100_000)), "too many for an image of 19200", id="huge-depth"),
     pytest.param(lambda path: (path / "rgbd/0.depth").unlink(), "0.depth: missing", id="no-depth"),

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 from annotator.detection.config import Backend
 from annotator.detection.trained import MODEL_NAME
-from annotator.files import write_atomic
+from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.project.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import DetectionError
@@ -95,7 +95,8 @@ class _Files:
     def of(cls, weights: Path) -> _Files:
         try:
             return cls(
-                weights.name, tuple((name, (weights.parent / name).read_bytes()) for name in (weights.name, MODEL_NAME))
+                weights.name,
+                tuple((name, read_file(weights.parent / name, NETWORK_BYTES)) for name in (weights.name, MODEL_NAME)),
             )
         except OSError as error:
             raise DetectionError(

@@ -1,0 +1,156 @@
+"""One small recording of each format."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+import phone_samples as made
+from argoverse_samples import write_log
+from cloud_samples import SCAN, camera_file, put_image
+from kitti_samples import CAMERAS, LIDAR, OBJECT_CALIB, TIMES, TRACKING_CALIB
+from nuscenes_samples import small
+from scipy.io import savemat
+from sunrgbd_samples import IMAGE as SUN_IMAGE
+from sunrgbd_samples import RTILT, K, png, upright_points, write_scene
+
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.openlabel import write_openlabel
+from annotator.formats.rcv import RcvInfo, RcvOptions, export_rcv
+from annotator.recordings import open_recording
+from annotator.types import Label, OrientedBox, ReviewState, Source
+
+
+def put(path: Path, content: bytes | str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def kitti_object(folder: Path) -> None:
+    put_image(folder / "image_2" / "0.png", 1)
+    put(folder / "velodyne" / "0.bin", SCAN.tobytes())
+    put(folder / "calib" / "0.txt", OBJECT_CALIB)
+
+
+def kitti_tracking(folder: Path) -> None:
+    put_image(folder / "image_02" / "0.png", 1)
+    put(folder / "velodyne" / "0.bin", SCAN.tobytes())
+    put(folder / "calib.txt", TRACKING_CALIB)
+
+
+def kitti_raw(folder: Path) -> None:
+    (folder / "image_02").mkdir()
+    (folder / "image_02" / "data").mkdir()
+    put_image(folder / "image_02" / "data" / "0.png", 1)
+    put(folder / "velodyne_points" / "data" / "0.bin", SCAN.tobytes())
+    put(folder / "calib_cam_to_cam.txt", CAMERAS)
+    put(folder / "calib_velo_to_cam.txt", LIDAR)
+    put(folder / "image_02" / "timestamps.txt", TIMES)
+
+
+def sunrgbd_extracted(folder: Path) -> None:
+    xyz, rgb = upright_points()
+    put(folder / "image" / "0.png", png(SUN_IMAGE))
+    text = "\n".join(" ".join(f"{value:.9g}" for value in matrix.T.ravel()) for matrix in (RTILT, K))
+    put(folder / "calib" / "0.txt", text)
+    (folder / "depth").mkdir()
+    savemat(folder / "depth" / "0.mat", {"instance": np.c_[xyz, rgb / 255][:200]}, do_compression=True)
+
+
+def sunrgbd_scene(folder: Path) -> None:
+    write_scene(folder)
+
+
+def rgbd_folder(folder: Path) -> None:
+    put_image(folder / "color" / "0.png", 1)
+    height, width = cv2.imread(str(folder / "color" / "0.png")).shape[:2]
+    put(folder / "depth" / "0.png", png(np.full((height, width), 1500, np.uint16)))
+    put(folder / "camera_intrinsic.json", camera_file(depth_scale=500.0, distortion=[0.1, 0.01, 0, 0]))
+    put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
+
+
+def rgbd_folder_of_two_cameras(folder: Path) -> None:
+    rgbd_folder(folder)
+    put(folder / "depth" / "0.png", png(np.full((30, 50), 1500, np.uint16)))
+    K = [40.0, 0, 0, 0, 40.0, 0, 25.0, 15.0, 1]
+    pose = [[1, 0, 0, 0.05], [0, 1, 0, 0.01], [0, 0, 1, -0.02], [0, 0, 0, 1]]
+    camera = {"width": 50, "height": 30, "intrinsic_matrix": K, "depth_scale": 500.0, "depth_to_color": pose}
+    put(folder / "depth_intrinsic.json", json.dumps(camera))
+
+
+def nuscenes(folder: Path) -> None:
+    small(folder, scenes=1, samples=1, sweeps=0)
+
+
+def argoverse2(folder: Path) -> None:
+    write_log(folder, sweeps=1)
+
+
+def cloud_folder(folder: Path) -> None:
+    put(folder / "0.bin", SCAN.tobytes())
+    pose = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
+    put(folder / "camera_intrinsic.json", camera_file(cloud_to_camera=pose))
+    put(folder / "gravity.json", '{"up": [0.1, -1, 0.2]}')
+
+
+def exported_items(folder: Path) -> list[DatasetItem]:
+    """One frame of an RGB-D folder, with a box."""
+    with TemporaryDirectory() as place:
+        rgbd_folder(Path(place))
+        frame = open_recording(Path(place)).frame(0)
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.5]), np.eye(3), np.array([0.5, 0.4, 0.3]))
+    label = Label("a", "cup", box, None, Source.MANUAL, ReviewState.ACCEPTED, "me", 0)
+    return [DatasetItem("take", replace(frame, timestamp_ns=1_500_000_001), [label])]
+
+
+def rcv(folder: Path) -> None:
+    folder.rmdir()
+    export_rcv(folder, exported_items(folder), RcvInfo(("cup",), (), "annotator", RcvOptions()))
+
+
+def openlabel(folder: Path) -> None:
+    folder.rmdir()
+    write_openlabel(folder, exported_items(folder), "annotator")
+
+
+def record3d(folder: Path) -> None:
+    folder.rmdir()
+    made.write_record3d(folder, made.frames(2))
+
+
+def stray_scanner(folder: Path) -> None:
+    made.write_stray_scanner(folder, made.frames(3))
+
+
+def tum_rgbd(folder: Path) -> None:
+    for number, name in enumerate(("rgb", "depth")):
+        content = np.full((48, 64, 3), 90, np.uint8) if name == "rgb" else np.full((48, 64), 7500, np.uint16)
+        put(folder / name / "1.5.png", png(content))
+        put(folder / f"{name}.txt", f"# comment\n1305031102.0{number} {name}/1.5.png\n")
+    put(folder / "groundtruth.txt", "1305031102.01 1.3563 0.6305 1.6380 0.6132 0.5962 -0.3311 -0.3986\n")
+    K = [50.0, 0, 0, 0, 50.0, 0, 32.0, 24.0, 1]
+    put(folder / "camera_intrinsic.json", json.dumps({"width": 64, "height": 48, "intrinsic_matrix": K}))
+
+
+BUILDERS: list[Callable[[Path], None]] = [
+    kitti_object,
+    kitti_tracking,
+    kitti_raw,
+    sunrgbd_extracted,
+    sunrgbd_scene,
+    rgbd_folder,
+    rgbd_folder_of_two_cameras,
+    nuscenes,
+    argoverse2,
+    cloud_folder,
+    rcv,
+    openlabel,
+    tum_rgbd,
+    record3d,
+    stray_scanner,
+]
