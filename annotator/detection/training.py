@@ -27,7 +27,7 @@ from annotator.types.errors import ConfigError, DetectionError
 # Approximate number of validations per run, without `measure_every`.
 MEASUREMENTS = 12
 DETECTOR = "detector.safetensors"
-ODD = (LookupError, TypeError, AttributeError)
+FAILURES: tuple[type[Exception], ...] = (RuntimeError, ValueError, OSError, AssertionError)
 
 __all__ = ["TrainingProgress", "TrainingStoppedError", "train_detector", "trainer_settings"]
 
@@ -128,11 +128,12 @@ def _run(
         _trim_curves(out / "results.csv", epochs_done(checkpoint))
     # The trainer checks that this file exists before it calls get_dataset.
     settings["data"] = str(dataset.resolve() / "data.yaml")
+    # a checkpoint that somebody else wrote may lack settings, or have others
+    failures = FAILURES if checkpoint is None else (*FAILURES, LookupError, TypeError, AttributeError)
     with _unchanged_torch():
         try:
             make_trainer(settings, hooks).train()
-        # a checkpoint that somebody else wrote may lack settings, or have others
-        except (RuntimeError, ValueError, OSError, AssertionError, *(() if checkpoint is None else ODD)) as error:
+        except failures as error:
             raise DetectionError(f"training in {out} failed: {error}") from error
 
 
