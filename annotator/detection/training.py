@@ -27,7 +27,6 @@ from annotator.types.errors import ConfigError, DetectionError
 # Approximate number of validations per run, without `measure_every`.
 MEASUREMENTS = 12
 DETECTOR = "detector.safetensors"
-FAILURES: tuple[type[Exception], ...] = (RuntimeError, ValueError, OSError, AssertionError)
 
 __all__ = ["TrainingProgress", "TrainingStoppedError", "train_detector", "trainer_settings"]
 
@@ -129,7 +128,9 @@ def _run(
     # The trainer checks that this file exists before it calls get_dataset.
     settings["data"] = str(dataset.resolve() / "data.yaml")
     # a checkpoint that somebody else wrote may lack settings, or have others
-    failures = FAILURES if checkpoint is None else (*FAILURES, LookupError, TypeError, AttributeError)
+    failures: tuple[type[Exception], ...] = (RuntimeError, ValueError, OSError, AssertionError)
+    if checkpoint is not None:
+        failures += (LookupError, TypeError, AttributeError)
     with _unchanged_torch():
         try:
             make_trainer(settings, hooks).train()

@@ -112,9 +112,9 @@ def read_config(folder: Path) -> ProjectConfig:
         ProjectError: no project, an unreadable file, or one of a newer version.
     """
     path = folder / CONFIG_FILE
-    if path.is_symlink() and not is_within(folder, CONFIG_FILE):
-        raise ProjectError(f"{path}: is a link that leads out of the project; put the file in its place")
     try:
+        if path.is_symlink() and not is_within(folder, CONFIG_FILE):
+            raise ProjectError(f"{path}: is a link that leads out of the project; put the file in its place")
         content = read_file(path)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         message = f"{folder} is not a project: it has no {CONFIG_FILE}; create one with `annotator new`"
