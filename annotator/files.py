@@ -35,7 +35,7 @@ DOCUMENT_BYTES = 2**24
 # Tables with a line for each frame: 64 bytes for each of a million.
 TABLE_BYTES = 2**26
 # Weights of a detector, and what they were converted to.
-NETWORK_BYTES = 2**31
+NETWORK_BYTES = 2**30
 # Limit of an archive's list of files, each of which becomes a Python object.
 MOST_DIRECTORY_BYTES = 2**25
 # The record at the end of an archive, with the longest comment, after the records of large archives.
@@ -82,6 +82,29 @@ def is_within(folder: Path, name: str | Path) -> bool:
     except (OSError, RuntimeError, ValueError):
         # too long, a circular link, a null byte
         return False
+
+
+def link_out(folder: Path, unvisited: str = "") -> Path | None:
+    """The first link below a folder that leads out of it, also a broken one; None if there is none.
+
+    Args:
+        unvisited: name of a subfolder that is not searched.
+
+    Raises:
+        OSError: a subfolder cannot be read.
+    """
+    left = [str(folder)]
+    while left:
+        place = left.pop()
+        # another process may remove temporary files meanwhile
+        with suppress(FileNotFoundError), os.scandir(place) as entries:
+            for entry in entries:
+                if entry.is_symlink():
+                    if not is_within(folder, Path(entry.path).relative_to(folder)):
+                        return Path(entry.path)
+                elif entry.is_dir() and (place != str(folder) or entry.name != unvisited):
+                    left.append(entry.path)
+    return None
 
 
 def write_atomic(path: Path, content: bytes, *, private: bool = False) -> None:

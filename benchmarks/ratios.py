@@ -24,6 +24,7 @@ import numpy as np
 import tyro
 
 from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.network_file import NetworkDescription, build, write_network
 from annotator.detection.ultralytics_api import api
 from annotator.detection.yolo import YoloDetector
 from annotator.geometry.oriented_box import box_corners
@@ -135,10 +136,9 @@ def _measured_intervals(box: OrientedBox, axes: list[np.ndarray], rng: np.random
 
 def detector_ratios(folder: Path) -> list[Ratio]:
     """The default backend of this machine, compared with torch, on an untrained network."""
-    weights = folder / "untrained.pt"
-    parts = api()
-    parts.torch.manual_seed(0)
-    parts.torch.save({"model": parts.DetectionModel("yolo11n.yaml", nc=1, verbose=False)}, weights)
+    weights = folder / "untrained.safetensors"
+    api().torch.manual_seed(0)
+    write_network(weights, build(NetworkDescription(architecture="yolo11n", labels=("object",))))
     views = _views()
 
     def detection(backend: Backend) -> Callable[[], object]:

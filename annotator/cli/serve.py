@@ -26,7 +26,8 @@ def run(
 
     Args:
         project: name of the project to open; default: the start page.
-        folder: folders from which the page may add recordings; it shows no other folder.
+        folder: folders from which the page may add recordings; it shows no other folder. With --host, recordings of the
+            projects are only read there, too.
         open: open the page in the browser.
         window: open the page in a window of its own.
     """

@@ -121,7 +121,7 @@ class DetectorConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     image_size_px: int = Field(
-        ge=32, description="input size of the network, longer side, pixels; the training size works best"
+        ge=32, le=4096, description="input size of the network, longer side, pixels; the training size works best"
     )
     confidence: float = Field(
         0.05,

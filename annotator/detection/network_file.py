@@ -6,18 +6,24 @@ tensor must fit it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.detection.ultralytics_api import api
-from annotator.files import open_file, write_atomic
+from annotator.files import NETWORK_BYTES, check_file, open_file, write_atomic
 from annotator.types.errors import DetectionError
 
 FORMAT = "annotator network 1"
 # Key of the description in the file's metadata, which holds strings only.
 DESCRIPTION = "description"
+# Largest header; the largest network of ultralytics has one of some 200 kB.
+MOST_HEADER_BYTES = 2**23
+# Last layers of ultralytics' detection models. Models for segmentation or poses have others.
+DETECTING_LAYERS = {"Detect", "v10Detect"}
 
 
 class NetworkDescription(BaseModel):
@@ -33,8 +39,9 @@ class NetworkDescription(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: str = Field(FORMAT, pattern=f"^{FORMAT}$")
-    architecture: str = Field(pattern="^yolo[a-z0-9]+$")
-    labels: tuple[str, ...] = Field(min_length=1)
+    architecture: str = Field(pattern="^yolo[a-z0-9]+(-[a-z0-9]+)*$", max_length=64)
+    # bounded, because the network that is built grows with their number
+    labels: tuple[Annotated[str, Field(max_length=1000)], ...] = Field(min_length=1, max_length=10_000)
     end2end: bool | None = None
 
 
@@ -47,7 +54,8 @@ def is_network_file(path: Path) -> bool:
     with open_file(path) as file:
         begin = file.read(9)
     # the length of the header, and the header, which is JSON
-    return begin[8:] == b"{" and int.from_bytes(begin[:8], "little") <= path.stat().st_size
+    length = min(path.stat().st_size, MOST_HEADER_BYTES)
+    return begin[8:] == b"{" and int.from_bytes(begin[:8], "little") <= length
 
 
 def describe(model: Any) -> NetworkDescription:
@@ -76,6 +84,9 @@ def build(description: NetworkDescription) -> Any:
             model.end2end = description.end2end
     except Exception as error:  # ultralytics raises many types for an unknown name
         raise DetectionError(f"{description.architecture!r} is not a detection model of ultralytics") from error
+    head = type(model.model[-1]).__name__
+    if head not in DETECTING_LAYERS:
+        raise DetectionError(f"{description.architecture!r} has the last layer {head}, which does not detect boxes")
     model.names = dict(enumerate(description.labels))
     return model
 
@@ -138,28 +149,33 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Any], dict[str, str
     """The tensors of a file by name, and its text.
 
     Raises:
-        DetectionError: the file is missing or damaged.
+        DetectionError: the file is missing, damaged or too large.
     """
-    from safetensors import SafetensorError, safe_open
-
     api()
-    try:
-        with safe_open(path, framework="pt", device="cpu") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata() or {})  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise DetectionError(f"{path}: cannot be read as detector weights ({error}); {remedy}") from error
+    with _opened(path, "pt", remedy) as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata() or {})  # noqa: SIM118
 
 
 def read_facts(path: Path) -> dict[str, str]:
     """The text of a file, without its tensors.
 
     Raises:
-        DetectionError: the file is missing or damaged.
+        DetectionError: as `read_tensors`.
     """
+    with _opened(path, "numpy", "train the detector again") as file:
+        return dict(file.metadata() or {})
+
+
+@contextmanager
+def _opened(path: Path, framework: str, remedy: str) -> Iterator[Any]:
     from safetensors import SafetensorError, safe_open
 
     try:
-        with safe_open(path, framework="numpy") as file:
-            return dict(file.metadata() or {})
-    except (SafetensorError, OSError) as error:
-        raise DetectionError(f"{path}: cannot be read ({error})") from error
+        check_file(path, NETWORK_BYTES)
+        if not is_network_file(path):
+            raise SafetensorError(f"not a network file, or its header has more than {MOST_HEADER_BYTES >> 20} MiB")
+        with safe_open(path, framework=framework, device="cpu") as file:
+            yield file
+    # safetensors raises others for number formats that torch lacks
+    except (SafetensorError, OSError, AttributeError, TypeError, ValueError) as error:
+        raise DetectionError(f"{path}: cannot be read as detector weights ({error}); {remedy}") from error

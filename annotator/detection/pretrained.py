@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.ultralytics_api import api, cache_dir, load_weights
+from annotator.detection.network_file import DETECTING_LAYERS
+from annotator.detection.ultralytics_api import api, cache_dir
+from annotator.detection.weights import load_weights
 from annotator.types.errors import ConfigError, DetectionError
-
-# Last layers of ultralytics' detection models. Models for segmentation or poses have others.
-DETECTING_LAYERS = {"Detect", "v10Detect"}
 
 
 @dataclass(frozen=True)
@@ -89,12 +88,9 @@ def check_weights(path: Path, remedy: str = "replace or remove it") -> None:
     try:
         if not path.is_file():
             raise ConfigError(f"{path}: no such weights file; {remedy}")
-        model = load_weights(path, "cpu", remedy)
+        load_weights(path, "cpu", remedy)
     except (DetectionError, OSError) as error:
         raise ConfigError(str(error)) from error
-    head = type(model.model[-1]).__name__
-    if head not in DETECTING_LAYERS:
-        raise ConfigError(f"{path}: holds a model with the last layer {head}, which does not detect boxes; {remedy}")
 
 
 def check_model_name(name: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from annotator.detection.network_file import write_network
 from annotator.detection.ultralytics_api import api
 
 # Factor on the random weights of the last layers. Without it, they would predict distances of hundreds of pixels, and
@@ -48,4 +49,4 @@ def write_seeded_network(
             # One pass in training mode sets the statistics of batch normalisation, as training would.
             model.train()(torch.rand(PICTURES))
     path.parent.mkdir(parents=True, exist_ok=True)
-    torch.save({"model": model.eval()}, path)
+    write_network(path, model)

@@ -113,6 +113,8 @@ def read_trained(folder: Path) -> TrainedModel:
         raise FormatError(path, "no such file; the detector is not trained, or its training was interrupted") from error
     except (OSError, ValidationError) as error:
         raise FormatError(path, f"not a trained model ({error}); train the detector again") from error
+    if stored.weights.name != str(stored.weights):
+        raise FormatError(path, f"names weights outside its folder ({stored.weights}); train the detector again")
     return stored.model_copy(update={"weights": folder / stored.weights})
 
 

@@ -21,7 +21,8 @@ import numpy as np
 from annotator.detection.checkpoint import BEST, LAST, read_checkpoint, write_checkpoint
 from annotator.detection.manifest import DatasetManifest
 from annotator.detection.muon import MuonSgd
-from annotator.detection.ultralytics_api import api, load_weights
+from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import load_weights
 
 _API = api()
 _Dataset: Any = _API.YOLODataset

@@ -127,10 +127,14 @@ def _run(
         _trim_curves(out / "results.csv", epochs_done(checkpoint))
     # The trainer checks that this file exists before it calls get_dataset.
     settings["data"] = str(dataset.resolve() / "data.yaml")
+    # a checkpoint that somebody else wrote may lack settings, or have others
+    failures: tuple[type[Exception], ...] = (RuntimeError, ValueError, OSError, AssertionError)
+    if checkpoint is not None:
+        failures += (LookupError, TypeError, AttributeError)
     with _unchanged_torch():
         try:
             make_trainer(settings, hooks).train()
-        except (RuntimeError, ValueError, OSError, AssertionError) as error:
+        except failures as error:
             raise DetectionError(f"training in {out} failed: {error}") from error
 
 

@@ -22,7 +22,7 @@ SWITCHES = {
     "YOLO_OFFLINE": "true",  # no network access, usage events or update check
     "YOLO_AUTOINSTALL": "false",  # a missing package is an error, not a pip run
     "YOLO_VERBOSE": "false",
-    "ULTRALYTICS_SAFE_LOAD": "true",  # unpickle known classes only
+    "ULTRALYTICS_SAFE_LOAD": "true",  # networks are built without eval
 }
 # Environment variables that the OpenMP library reads when torch loads it: waiting threads sleep. By default they spin,
 # and training beside another program then takes up to twenty times as long (docs/detector_training.md).
@@ -41,9 +41,9 @@ def cache_dir() -> Path:
 def api() -> SimpleNamespace:
     """The parts of ultralytics and torch that are used here, loaded on the first call.
 
-    Attributes: `torch`, `load_checkpoint`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`, `downloads`,
-    `weights_dir`, `version`; `loads_safely`, whether weights files are read without running their code; `threads`,
-    torch's default number of threads; and `user_offline`, whether the user had set YOLO_OFFLINE.
+    Attributes: `torch`, `DetectionModel`, `DetectionTrainer`, `YOLODataset`, `downloads`, `weights_dir`, `version`;
+    `threads`, torch's default number of threads; and `user_offline`, whether the user had set YOLO_OFFLINE. There is
+    nothing that reads weights: that is `weights.load_weights`.
 
     Raises:
         DetectionError: a package is missing or broken.
@@ -74,22 +74,21 @@ def _load() -> SimpleNamespace:
     # SETTINGS.update would write the user's settings file
     dict.update(utils.SETTINGS, dict.fromkeys(SERVICES, False))
     utils.LOGGER.setLevel("ERROR")
-    from ultralytics.data.dataset import YOLODataset
+    from ultralytics.data import dataset
     from ultralytics.engine import trainer
     from ultralytics.models.yolo.detect import DetectionTrainer
     from ultralytics.nn import tasks
-    from ultralytics.nn.tasks import DetectionModel, load_checkpoint
-    from ultralytics.utils import downloads
+    from ultralytics.utils import checks, downloads
 
     _hide_repository(trainer)
     _take_paths_as_they_are(downloads)
+    _find_architectures_in_the_package(tasks, checks, Path(ultralytics.__file__).parent / "cfg" / "models")
+    dataset.load_dataset_cache_file = _unread
     return SimpleNamespace(
         torch=torch,
-        load_checkpoint=load_checkpoint,
-        DetectionModel=DetectionModel,
+        DetectionModel=tasks.DetectionModel,
         DetectionTrainer=DetectionTrainer,
-        YOLODataset=YOLODataset,
-        loads_safely=bool(getattr(tasks, "SAFE_LOAD", False) and tasks._SafeLoad.SUPPORTED),
+        YOLODataset=dataset.YOLODataset,
         downloads=downloads,
         threads=threads,
         weights_dir=Path(utils.SETTINGS["weights_dir"]),
@@ -113,6 +112,25 @@ def _take_paths_as_they_are(downloads: ModuleType) -> None:
         return str(file) if Path(file).is_file() else search(file, *args, **kwargs)
 
     downloads.attempt_download_asset = attempt_download_asset  # type: ignore[attr-defined]
+
+
+def _find_architectures_in_the_package(tasks: ModuleType, checks: ModuleType, folder: Path) -> None:
+    """Makes ultralytics read its own descriptions of networks only.
+
+    Its own search begins in the working folder, which may be somebody else's, and downloads URLs. A description names
+    classes and has expressions that are evaluated.
+    """
+
+    def check_yaml(file: str | Path, suffix: Any = (), hard: bool = True) -> str:
+        name = checks.check_yolov5u_filename(str(file))
+        return next((str(path) for path in sorted(folder.rglob("*.yaml")) if path.name == name), "")
+
+    tasks.check_yaml = check_yaml  # type: ignore[attr-defined]
+
+
+def _unread(path: Path) -> Any:
+    """In place of reading ultralytics' cache of a training set, which is a pickle: it is made anew."""
+    raise FileNotFoundError(path)
 
 
 @contextmanager
@@ -149,33 +167,3 @@ def pick_device(device: str) -> Any:
         reason = str(error).splitlines()[0]
         raise DetectionError(f"device {device!r} cannot be used ({reason}); use auto or cpu") from error
     return picked
-
-
-def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
-    """Loads a detection model in eval mode.
-
-    Args:
-        remedy: advice at the end of the error message.
-
-    Raises:
-        DetectionError: the file is missing, unreadable or not a detection model.
-    """
-    parts = api()
-    if not path.is_file():
-        raise DetectionError(f"{path}: no such weights file; train a detector first")
-    from annotator.detection.network_file import is_network_file, read_network
-
-    if is_network_file(path):
-        return read_network(path, device, remedy)
-    if not parts.loads_safely:
-        raise DetectionError(
-            f"{path}: ultralytics {parts.version} cannot read it without running its code; update ultralytics"
-        )
-    try:
-        model, _ = parts.load_checkpoint(str(path.resolve()), device=device)
-    except Exception as error:  # torch and ultralytics raise many types for a damaged file
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise DetectionError(f"{path}: cannot be read as detector weights ({reason}); {remedy}") from error
-    if not isinstance(model, parts.DetectionModel):
-        raise DetectionError(f"{path}: holds a {type(model).__name__}, not a detection model; {remedy}")
-    return model

@@ -42,7 +42,7 @@ class YoloDetector:
     def __init__(self, weights: Path, config: DetectorConfig) -> None:
         """
         Args:
-            weights: `detector.pt` of a training run, or any ultralytics detection weights.
+            weights: the file of a training run, or ultralytics' own detection weights.
             config: settings.
 
         Raises:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from annotator.files import read_file, write_atomic
+from annotator.files import is_within, read_file, write_atomic
 from annotator.types.errors import ConfigError, ProjectError
 
 CONFIG_FILE = "project.json"
@@ -113,6 +113,8 @@ def read_config(folder: Path) -> ProjectConfig:
     """
     path = folder / CONFIG_FILE
     try:
+        if path.is_symlink() and not is_within(folder, CONFIG_FILE):
+            raise ProjectError(f"{path}: is a link that leads out of the project; put the file in its place")
         content = read_file(path)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         message = f"{folder} is not a project: it has no {CONFIG_FILE}; create one with `annotator new`"

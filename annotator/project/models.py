@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from pydantic import TypeAdapter
 from sqlalchemy import Connection, insert, select, update
@@ -54,7 +54,7 @@ class Models:
 
     Attributes:
         store: the database.
-        folder: the project's folder; paths inside it are stored relative to it, so that the project can be moved.
+        folder: the project's folder; paths are stored relative to it, so that the project can be moved.
     """
 
     store: Store
@@ -75,7 +75,7 @@ class Models:
         """Adds a trained model; by default it becomes the active one of its role.
 
         Raises:
-            ProjectError: a file is missing.
+            ProjectError: a file is missing, or lies outside the project's folder.
         """
         for file in (path, manifest):
             if file is not None and not file.exists():
@@ -135,8 +135,10 @@ class Models:
         return next((model for model in self.all(role) if model.active), None)
 
     def _stored_path(self, path: Path) -> str:
-        path, folder = path.resolve(), self.folder.resolve()
-        return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
+        inside, folder = path.resolve(), self.folder.resolve()
+        if not inside.is_relative_to(folder):
+            raise ProjectError(f"{path}: lies outside {folder}; copy it there to register it")
+        return inside.relative_to(folder).as_posix()
 
     def _read(self, connection: Connection, model_id: int) -> StoredModel:
         row = connection.execute(select(models).where(models.c.id == model_id)).first()
@@ -146,6 +148,12 @@ class Models:
 
     def _stored(self, row: AnyRow) -> StoredModel:
         folder = self.folder.resolve()
+        for path in map(PurePath, filter(None, (row.path, row.manifest))):
+            if path.is_absolute() or ".." in path.parts:
+                raise ProjectError(
+                    f"{self.folder}: its {row.role} model {row.id} lies outside its folder, at {path}; a project has "
+                    "its models inside, so ask whoever made this one"
+                )
         return StoredModel(
             row.id,
             DetectorKind(row.role),

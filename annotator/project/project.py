@@ -13,7 +13,7 @@ from types import TracebackType
 
 from sqlalchemy import Connection, select
 
-from annotator.files import private_folder, sync_folder
+from annotator.files import link_out, private_folder, sync_folder
 from annotator.project.adjusting.adjustments import Adjustments
 from annotator.project.boxes import Boxes
 from annotator.project.config import (
@@ -63,12 +63,12 @@ class Project:
         history: undo and redo.
     """
 
-    def __init__(self, path: Path, store: Store) -> None:
+    def __init__(self, path: Path, store: Store, readable: Sequence[Path] | None = None) -> None:
         writer = Writer(store, path)
         self.path = path
         self.store = store
         self.views = Views(path / VIEWS_FOLDER)
-        self.recordings = Recordings(store)
+        self.recordings = Recordings(store, None if readable is None else tuple(readable))
         self.adjustments = Adjustments(writer)
         self.frames = Frames(writer)
         self.labels = Labels(writer)
@@ -181,17 +181,26 @@ def create_project(
     return open_project(path, clock=clock)
 
 
-def open_project(path: Path, *, busy_timeout_s: float = BUSY_TIMEOUT_S, clock: Clock = time.time_ns) -> Project:
+def open_project(
+    path: Path,
+    *,
+    busy_timeout_s: float = BUSY_TIMEOUT_S,
+    clock: Clock = time.time_ns,
+    readable: Sequence[Path] | None = None,
+) -> Project:
     """Opens the project in the folder `path`; an older database is upgraded to the newest version.
 
     Args:
+        readable: folders in which its recordings may lie; None = anywhere.
         busy_timeout_s: how long to wait while another process writes, seconds.
         clock: returns the current time, UTC nanoseconds since the epoch.
 
     Raises:
-        ProjectError: no project, a damaged one, one of a newer version, or one that stays locked.
+        ProjectError: no project, a damaged one, one of a newer version, one that stays locked, or one with a link or a
+            model that leads out of its folder.
     """
     read_config(path)
+    _require_own_files(path)
     store = open_store(path / DATABASE_FILE, busy_timeout_s=busy_timeout_s, clock=clock)
     try:
         # a project on a read-only disk can be read without them
@@ -200,7 +209,27 @@ def open_project(path: Path, *, busy_timeout_s: float = BUSY_TIMEOUT_S, clock: C
     except OSError as error:
         store.close()
         raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
-    return Project(path, store)
+    project = Project(path, store, readable)
+    try:
+        project.models.all()  # refuses paths of other folders
+    except BaseException:
+        project.close()
+        raise
+    return project
+
+
+def _require_own_files(path: Path) -> None:
+    """Refuses a project with links that lead out of it: somebody may have sent it, to read or replace other files."""
+    try:
+        # images of views are many; `Views` refuses links
+        link = link_out(path, VIEWS_FOLDER)
+    except OSError as error:
+        raise ProjectError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    if link is not None:
+        raise ProjectError(
+            f"{link}: is a link that leads out of the project, which has all its files in its own folder; remove the "
+            "link, or put what it leads to in its place"
+        )
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:

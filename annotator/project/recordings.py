@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
+from annotator.files import is_within
 from annotator.project.adjusting.adjustment import adjustment_in
 from annotator.project.schema import AnyRow, adjustments, frames, moves, recordings
 from annotator.project.store import Store
 from annotator.types import NO_CORRECTION, Correction
-from annotator.types.errors import NotFoundError, ProjectError
+from annotator.types.errors import NotFoundError, ProjectError, RecordingError
 
 # Maximum number of frame keys listed in an error message.
 MOST_NAMED = 5
@@ -62,9 +63,14 @@ class Rescan:
 
 @dataclass(frozen=True, eq=False)
 class Recordings:
-    """Registers recordings; never changes their files."""
+    """Registers recordings; never changes their files.
+
+    Attributes:
+        readable: folders in which recordings may lie; None = anywhere. A project that somebody sent may name any path.
+    """
 
     store: Store
+    readable: tuple[Path, ...] | None = None
 
     def add(
         self,
@@ -176,6 +182,18 @@ class Recordings:
         """
         with self.store.read() as connection:
             return _recording(connection, recording_id)
+
+    def require_readable(self, recording: StoredRecording) -> None:
+        """Checks the place of a recording before it is opened.
+
+        Raises:
+            RecordingError: it lies outside the readable folders.
+        """
+        if self.readable is not None and not any(is_within(folder, recording.path) for folder in self.readable):
+            raise RecordingError(
+                f"recording {recording.name} lies outside the folders that this server offers to other computers; "
+                "whoever runs it can offer its folder with --folder"
+            )
 
     def at(self, path: Path) -> tuple[StoredRecording, ...]:
         """The recordings of a path, which differ in their options, in the order of their addition."""

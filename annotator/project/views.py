@@ -42,7 +42,7 @@ class Views:
             raise ProjectError(f"{self.folder}: only PNG images can be stored; convert the image first")
         view_id = hashlib.sha256(content).hexdigest()
         path = self._file(view_id)
-        if not path.exists():
+        if path.is_symlink() or not path.exists():
             try:
                 write_atomic(path, content)
             except OSError as error:
@@ -58,7 +58,8 @@ class Views:
         if not _ID.fullmatch(view_id):
             raise NotFoundError(f"{view_id!r} is not the id of a view; ids have 64 hexadecimal digits")
         path = self._file(view_id)
-        if not path.is_file():
+        # a link in a project that somebody sent could lead to any file
+        if path.is_symlink() or not path.is_file():
             raise NotFoundError(
                 f"view {view_id[:12]}: the image is missing; store it first, or restore it from a backup"
             )

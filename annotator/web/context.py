@@ -30,6 +30,7 @@ from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
+from annotator.web.security import is_loopback
 from annotator.web.server_lock import JOBS_FOLDER
 from annotator.web.settings import ServerSettings
 from annotator.web.uploads import as_sent
@@ -57,7 +58,9 @@ class Context:
         self.folders = Folders(settings.folders)
         self.hub = Hub()
         self._temporary: Path | None = None
-        self.jobs = JobRunner(self._jobs_folder(), self._send_job, self.public_message)
+        # other people must not see more recordings than those they could add, whatever a project names
+        self._readable = None if is_loopback(settings.host) else tuple(path.resolve() for path in settings.folders)
+        self.jobs = JobRunner(self._jobs_folder(), self._send_job, self.public_message, readable=self._readable)
         self.follow_runs = FollowRuns(self.hub, self.public_message)
         self.caches = Caches()
         self._lock = threading.Lock()
@@ -84,7 +87,7 @@ class Context:
             if project is not None:
                 self._drop(name)
             _require(folder)
-            project = open_project(folder)
+            project = open_project(folder, readable=self._readable)
             with self._lock:
                 self._projects[name] = project
             return project

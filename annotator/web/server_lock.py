@@ -11,6 +11,7 @@ from pathlib import Path
 
 from annotator.files import private_folder
 from annotator.types.errors import ConfigError
+from annotator.web.jobs.journal import require_own_files
 
 LOG = logging.getLogger("annotator.web")
 
@@ -26,7 +27,7 @@ def hold_server_lock(projects_root: Path) -> Iterator[None]:
     On a file system without locks, or for a folder that cannot be written, it logs a warning instead.
 
     Raises:
-        ConfigError: another server holds the lock, or the lock file cannot be written.
+        ConfigError: another server holds the lock, or the lock file cannot be written or is reached by a link.
     """
     try:
         import fcntl
@@ -34,6 +35,7 @@ def hold_server_lock(projects_root: Path) -> Iterator[None]:
         yield
         return
     path = projects_root / LOCK
+    require_own_files(path.parent)
     if projects_root.is_dir() and not os.access(projects_root, os.W_OK):
         LOG.warning("%s: cannot be written: its projects can be read and exported, but not changed", projects_root)
         yield

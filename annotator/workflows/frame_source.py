@@ -148,6 +148,7 @@ class FrameSource:
     def _open(self, recording_id: int) -> OpenedRecording:
         if recording_id not in self._opened:
             stored = self.stored(recording_id)
+            self._project.recordings.require_readable(stored)
             self._opened[recording_id] = open_stored(
                 stored.path, stored.name, self._project.path.name, stored.up, stored.options, stored.correction
             )

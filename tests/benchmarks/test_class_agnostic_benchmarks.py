@@ -83,7 +83,7 @@ def test_cold_start_teaches_the_first_half_and_tries_the_second(
         labels = project.labels.select(states=REVIEWED)
         places = [(project.frames.get(stored.frame_id).key, stored.label.box.center_m.tolist()) for stored in labels]
         taught[len(labels)] = {(key, round(x, 3)) for key, (x, _, _) in places}
-        weights = tmp_path / "weights"
+        weights = project.models_folder / "weights"
         weights.touch()
         project.models.register(
             DetectorKind.VIEW, weights, labels=("whole", "seen"), box_kind=BoxKind.BOX, metrics={}, fingerprint="f"

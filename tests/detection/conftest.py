@@ -72,8 +72,9 @@ def tiny_model(tiny_dataset: Path, quick_config: TrainingConfig, made_once: Call
 
 
 @pytest.fixture
-def own_weights(tiny_model: TrainedModel, tmp_path: Path) -> Path:
-    """A copy of the small detector's weights."""
+def own_weights(tiny_model: TrainedModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the small detector's weights, which has not been exported."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path = tmp_path / "model" / "detector.safetensors"
     path.parent.mkdir()
     path.write_bytes(tiny_model.weights.read_bytes())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,8 @@ from annotator.detection.backends.network import Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.edge_errors import EdgeErrors
 from annotator.detection.selection import candidates
-from annotator.detection.ultralytics_api import api, load_weights
+from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
 from annotator.types import Box2D
 
@@ -35,7 +37,8 @@ def make(weights: Path, **settings: Any) -> YoloDetector:
     return YoloDetector(weights, DetectorConfig(**{"image_size_px": 96, "device": "cpu", **settings}))
 
 
-def opened(weights: Path, backend: Backend, digest: str = "digest", **settings: Any) -> Network:
+def opened(weights: Path, backend: Backend, **settings: Any) -> Network:
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
     return open_network(weights, digest, DetectorConfig(image_size_px=96, device="cpu", backend=backend, **settings))
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -17,7 +19,7 @@ from annotator.detection.backends import choose, export_cache
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.export_cache import Export, export_key, find_export, keep_export
-from annotator.detection.backends.network import ExportKind, Network
+from annotator.detection.backends.network import ExportKind, Network, NetworkFacts
 from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.types.errors import FormatError
@@ -31,6 +33,10 @@ PICTURE = np.random.default_rng(0).integers(0, 256, (1, 64, 96, 3), np.uint8)
 def opened(weights: Path, digest: str = "digest") -> Network:
     config = DetectorConfig(image_size_px=96, device="cpu", backend="onnxruntime", threads=1)
     return open_network(weights, digest, config)
+
+
+def exports_folder(tmp_path: Path) -> Path:
+    return tmp_path / "cache" / "annotator" / "exports"
 
 
 @pytest.fixture
@@ -49,7 +55,11 @@ def exports(tiny_model: TrainedModel, monkeypatch: pytest.MonkeyPatch, tmp_path:
 
 
 def test_an_export_is_reused_unless_damaged_or_stale(
-    own_weights: Path, exports: list[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    own_weights: Path,
+    exports: list[str],
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def answer(digest: str = "a") -> np.ndarray:
         return opened(own_weights, digest).predict([PICTURE])[0]
@@ -57,7 +67,7 @@ def test_an_export_is_reused_unless_damaged_or_stale(
     first = answer()
     np.testing.assert_array_equal(answer(), first)
     assert len(exports) == 1
-    (folder,) = (path for path in own_weights.parent.iterdir() if path.is_dir())
+    (folder,) = exports_folder(tmp_path).iterdir()
     stored = {path.name: path.read_bytes() for path in folder.iterdir()}
     record = json.loads(stored["export.json"])
     damages = {
@@ -77,34 +87,44 @@ def test_an_export_is_reused_unless_damaged_or_stale(
     monkeypatch.setattr(export_cache, "REVISIONS", {"onnxruntime": export_cache.REVISIONS["onnxruntime"] + 1})
     answer()
     assert len(exports) == expected + 2
-    assert not [path for path in own_weights.parent.iterdir() if path.name.startswith(".")]
+    assert not [path for path in exports_folder(tmp_path).iterdir() if path.name.startswith(".")]
 
 
-def test_an_export_goes_to_the_users_cache_if_the_folder_is_not_writable(
-    own_weights: Path,
-    exports: list[str],
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+def test_an_export_beside_the_weights_is_never_used(own_weights: Path, exports: list[str], tmp_path: Path) -> None:
+    """In a project that somebody else sent, it could be any network, and read other files."""
+    opened(own_weights)
+    (kept,) = exports_folder(tmp_path).iterdir()
+    sent = own_weights.parent / f"{own_weights.stem}-onnxruntime-{kept.name.partition('-')[2][:12]}"
+    shutil.move(kept, sent)
+    opened(own_weights)
+    assert len(exports) == 2
+    assert {path.name for path in own_weights.parent.iterdir()} == {own_weights.name, sent.name}
+
+
+def test_without_a_writable_cache_an_export_is_repeated(
+    own_weights: Path, exports: list[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, closed = export_cache.new_folder, [own_weights.parent]
-
     def refuse(out: Path, may_replace: Callable[[Path], bool]) -> Any:
         # Permissions of folders do not apply to the superuser, so the refusal is simulated.
-        if any(out.is_relative_to(folder) for folder in closed):
-            raise FormatError(out, "cannot be requested (Permission denied)")
-        return real(out, may_replace)
+        raise FormatError(out, "cannot be requested (Permission denied)")
 
     monkeypatch.setattr(export_cache, "new_folder", refuse)
     for _ in range(2):
         opened(own_weights)
-    assert exports == ["onnxruntime"]
-    assert [path.name for path in (tmp_path / "cache" / "annotator" / "exports").iterdir()]
-    assert caplog.text == ""
-    closed.append(tmp_path)
-    opened(own_weights, "others")
     assert len(exports) == 2
     assert "Permission denied" in caplog.text
+
+
+def test_the_least_recently_used_exports_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(export_cache, "MOST_KEPT", 2)
+    export = Export(NetworkFacts(labels=("cat",), stride=32, end2end=False, edge_spread=False), {"network.onnx": b""})
+    for number, key in enumerate("abc"):
+        keep_export("onnxruntime", key, export)
+        os.utime(exports_folder(tmp_path) / f"onnxruntime-{key}", (number, number))
+        find_export("onnxruntime", "a")
+    assert find_export("onnxruntime", "b") is None
+    assert find_export("onnxruntime", "a") is not None
 
 
 def test_only_one_of_several_workers_exports(
@@ -114,8 +134,8 @@ def test_only_one_of_several_workers_exports(
     real, together = find_export, Barrier(3)
     first = local()
 
-    def looked_at_once(weights: Path, kind: ExportKind, key: str) -> Export | None:
-        cached = real(weights, kind, key)
+    def looked_at_once(kind: ExportKind, key: str) -> Export | None:
+        cached = real(kind, key)
         if not hasattr(first, "looked"):
             first.looked = True
             together.wait(60)
@@ -127,14 +147,14 @@ def test_only_one_of_several_workers_exports(
     assert exports == ["onnxruntime"]
 
 
-def test_two_processes_may_export_at_once(own_weights: Path, exports: list[str]) -> None:
+def test_two_processes_may_export_at_once(own_weights: Path, exports: list[str], tmp_path: Path) -> None:
     """The second process finds the export of the first one when it stores its own, and does not replace it."""
     opened(own_weights)
-    (folder,) = (path for path in own_weights.parent.iterdir() if path.is_dir())
+    (folder,) = exports_folder(tmp_path).iterdir()
     before = (folder / "export.json").stat().st_ino
     key = export_key("onnxruntime", "digest")
-    cached = find_export(own_weights, "onnxruntime", key)
+    cached = find_export("onnxruntime", key)
     assert cached is not None
-    keep_export(own_weights, "onnxruntime", key, Export(cached.facts, cached.parts))
+    keep_export("onnxruntime", key, Export(cached.facts, cached.parts))
     assert (folder / "export.json").stat().st_ino == before
-    assert len(list(own_weights.parent.iterdir())) == 2
+    assert len(list(exports_folder(tmp_path).iterdir())) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -41,7 +42,7 @@ def config(backend: Backend, **settings: Any) -> DetectorConfig:
 
 
 def opened(weights: Path, backend: Backend, threads: int | None = None) -> Network:
-    return open_network(weights, "digest", config(backend, threads=threads))
+    return open_network(weights, hashlib.sha256(weights.read_bytes()).hexdigest(), config(backend, threads=threads))
 
 
 @pytest.mark.usefixtures("bfloat16")

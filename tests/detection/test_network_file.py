@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from annotator.detection import weights
 from annotator.detection.network_file import (
     DESCRIPTION,
     NetworkDescription,
@@ -20,7 +21,8 @@ from annotator.detection.network_file import (
     write_network,
     write_tensors,
 )
-from annotator.detection.ultralytics_api import api, load_weights
+from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import load_weights
 from annotator.types.errors import DetectionError
 
 
@@ -112,11 +114,70 @@ def test_no_code_of_a_weights_file_is_run(tmp_path: Path, name: str) -> None:
     assert not trap.exists()
 
 
-def test_weights_are_not_read_without_safe_loading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    api().torch.save({"model": {}}, tmp_path / "detector.pt")
-    monkeypatch.setattr(api(), "loads_safely", False)
-    with pytest.raises(DetectionError, match=r"detector\.pt: ultralytics .* cannot read it without running its code"):
-        load_weights(tmp_path / "detector.pt", "cpu")
+def test_no_pickle_is_read_by_a_reader_that_runs_code(
+    model: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    api().torch.save({"model": model}, tmp_path / "detector.pt")
+    trap = tmp_path / "ran"
+    api().torch.save({"model": Touch(trap)}, tmp_path / "evil.pt")
+    monkeypatch.setattr(weights, "_Reader", pickle.Unpickler)
+    monkeypatch.setattr(weights, "_SUNG", [])
+    for name in ("detector.pt", "evil.pt"):
+        with pytest.raises(DetectionError, match="pickles would run their code here"):
+            load_weights(tmp_path / name, "cpu")
+    assert not trap.exists()
+
+
+@pytest.mark.parametrize("name", ["yolo11n", "yolo26n", "yolov5n6"])
+def test_an_old_file_is_converted_once_and_stays_the_same(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    torch, old = api().torch, tmp_path / "detector.pt"
+    written = api().DetectionModel(f"{name}.yaml", nc=2, verbose=False)
+    written.names = {1: "dog", 0: "cat"}
+    torch.save({"model": None, "ema": written.half(), "train_args": {"data": Path("/set")}}, old)
+    first = load_weights(old, "cpu")
+    monkeypatch.setattr(weights, "_network", None)  # reading the pickle again would fail
+    for read in (first, load_weights(old, "cpu")):
+        assert read.names == {0: "cat", 1: "dog"}
+        assert bool(read.end2end) == bool(written.end2end)
+        for key, tensor in written.state_dict().items():
+            assert torch.equal(read.state_dict()[key], tensor.float() if tensor.is_floating_point() else tensor), key
+    assert [path.suffix for path in (tmp_path / "cache" / "annotator" / "converted").iterdir()] == [".safetensors"]
+
+
+class Made:
+    """Pickled as a call of a class, with arguments."""
+
+    def __init__(self, kind: Any, *args: Any) -> None:
+        self._call = kind, args
+
+    def __reduce__(self) -> Any:
+        return self._call
+
+
+def test_no_layer_of_a_weights_file_is_constructed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ultralytics' safe loading would allocate any amount of memory, and read and download any description."""
+    made: list[str] = []
+    torch = api().torch
+    for kind in (torch.nn.Linear, api().DetectionModel):
+        monkeypatch.setattr(kind, "__init__", lambda self, *_, **__: made.append(type(self).__name__))
+        torch.save({"model": Made(kind, 10**6, 10**6)}, tmp_path / "detector.pt")
+        made.clear()
+        with pytest.raises(DetectionError, match="holds no network"):
+            load_weights(tmp_path / "detector.pt", "cpu")
+    assert made == []
+
+
+def test_no_description_in_the_working_folder_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trap = tmp_path / "ran"
+    for name in ("yolo11n.yaml", "yolo11.yaml"):
+        code = f"activation: __import__('pathlib').Path({str(trap)!r}).touch()\n"
+        (tmp_path / name).write_text(f"nc: 1\n{code}backbone: []\nhead: []\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert len(build(NetworkDescription(architecture="yolo11n", labels=("cat",))).model) == 24
+    assert not trap.exists()
 
 
 def test_files_are_told_apart_by_their_content(file: Path, tmp_path: Path) -> None:

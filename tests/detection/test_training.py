@@ -31,7 +31,7 @@ def epochs_of(folder: Path) -> list[int]:
 
 def files_of_run(model: TrainedModel) -> list[str]:
     """The files of a training's folder, without the exports that other tests store there."""
-    return sorted(path.name for path in model.weights.parent.iterdir() if not path.name.startswith("detector-"))
+    return sorted(path.name for path in model.weights.parent.iterdir())
 
 
 @pytest.mark.slow

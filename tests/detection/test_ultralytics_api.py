@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from annotator.detection.ultralytics_api import load_weights, pick_device
+from annotator.detection.ultralytics_api import pick_device
+from annotator.detection.weights import load_weights
 from annotator.types.errors import DetectionError
 
 ROOT = Path(__file__).resolve().parents[2]

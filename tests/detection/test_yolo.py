@@ -13,7 +13,8 @@ from pydantic import ValidationError
 
 from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
-from annotator.detection.ultralytics_api import api, load_weights
+from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
 from annotator.types import Detector, PseudoView, Region
 from annotator.types.errors import DetectionError

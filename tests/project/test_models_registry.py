@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -62,15 +65,28 @@ def test_each_role_has_its_own_active_model(project: Project) -> None:
 
 def test_paths_of_models_inside_the_project_move_with_it(project: Project, tmp_path: Path) -> None:
     _register(project, DetectorKind.VIEW, "a")
-    outside = tmp_path / "outside.pt"
-    outside.write_bytes(b"w")
-    project.models.register(DetectorKind.IMAGE, outside, labels=[], box_kind=BoxKind.BOX, metrics={}, fingerprint="f")
     project.close()
     moved = project.path.rename(tmp_path / "moved")
     with open_project(moved) as reopened:
         paths = [model.path for model in reopened.models.all()]
-    assert paths == [moved / "models" / "a" / "best.pt", outside]
-    assert all(path.is_file() for path in paths)
+    assert paths == [moved / "models" / "a" / "best.pt"]
+    assert paths[0].is_file()
+
+
+def test_models_lie_inside_the_project(project: Project, tmp_path: Path) -> None:
+    outside = tmp_path / "outside.pt"
+    outside.write_bytes(b"w")
+    facts: dict[str, Any] = {"labels": [], "box_kind": BoxKind.BOX, "metrics": {}, "fingerprint": "f"}
+    with pytest.raises(ProjectError, match=r"outside\.pt: lies outside .* copy it there"):
+        project.models.register(DetectorKind.IMAGE, outside, **facts)
+    _register(project, DetectorKind.VIEW, "a")
+    project.close()
+    for column, path in (("path", str(outside)), ("path", "../outside.pt"), ("manifest", "models/../../outside.pt")):
+        with closing(sqlite3.connect(project.path / "project.db")) as database, database:
+            database.execute("UPDATE models SET path = 'models/a/best.pt', manifest = NULL")
+            database.execute(f"UPDATE models SET {column} = ?", [path])
+        with pytest.raises(ProjectError, match=f"its view model 1 lies outside its folder, at {path}"):
+            open_project(project.path)
 
 
 def test_missing_files_and_models_are_named(project: Project, tmp_path: Path) -> None:

@@ -96,10 +96,10 @@ def test_axes_must_be_those_of_a_view(live: Live, generated: Path) -> None:
 
 
 def test_a_failed_detector_is_reported_with_its_problem(live: Live, generated: Path, tmp_path: Path) -> None:
-    weights = tmp_path / "broken" / "best.pt"
+    project = live.context.project("room")
+    weights = project.models_folder / "broken" / "best.pt"
     weights.parent.mkdir()
     weights.write_bytes(b"no weights")
-    project = live.context.project("room")
     for role in DetectorKind:
         project.models.register(
             role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=f"broken {role.value}"

@@ -179,9 +179,9 @@ def test_every_command_that_renders_views_refuses_invalid_settings(
 
 
 def test_pseudo_views_have_the_detectors_training_size_unless_set(
-    project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    project: Project, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    weights = tmp_path / "detector.pt"
+    weights = project.models_folder / "detector.pt"
     weights.write_bytes(b"weights")
     assert rcv_config(project).view.size_px == ViewConfig().size_px
     assert rcv_config(project, view_px=96).view.size_px == 96

@@ -74,18 +74,18 @@ def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: B
 
 def _exported(weights: Path, weights_sha256: str, kind: ExportKind) -> Export:
     key = export_key(kind, weights_sha256)
-    cached = find_export(weights, kind, key)
+    cached = find_export(kind, key)
     if cached is not None:
         return cached
     with one_at_a_time():
-        cached = find_export(weights, kind, key)  # another process may have finished it meanwhile
+        cached = find_export(kind, key)  # another process may have finished it meanwhile
         if cached is None:
             from annotator.detection.backends.export import export
 
             LOG.info("%s: converting for %s; the result is reused", weights, kind)
             facts, parts = export(weights, kind)
             cached = Export(facts, parts)
-            keep_export(weights, kind, key, cached)
+            keep_export(kind, key, cached)
     return cached
 
 

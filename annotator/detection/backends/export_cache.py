@@ -1,10 +1,12 @@
-"""Cache of exported networks: each trained model is converted once."""
+"""Cache of exported networks in the user's cache folder: each trained model is converted once."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
+import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -21,6 +23,8 @@ from annotator.types.errors import FormatError
 LOG = logging.getLogger("annotator.detectors")
 
 RECORD, LOCK = "export.json", "exports.lock"
+# Number of exports kept, some 10 to 20 MB each for a nano model.
+MOST_KEPT = 32
 # Increase when the export code changes its output for the same weights and packages.
 REVISIONS: Mapping[ExportKind, int] = {"openvino": 3, "onnxruntime": 2}
 # An export is repeated when the version of one of these packages changes.
@@ -82,40 +86,42 @@ def one_at_a_time() -> Iterator[None]:
         yield
 
 
-def find_export(weights: Path, kind: ExportKind, key: str) -> Export | None:
-    """Reads the export from the folder beside the weights or the user's cache; None if neither has a valid copy."""
-    for folder in _places(weights, kind, key):
-        export = _read(folder, key)
-        if export is not None:
-            return export
-    return None
+def find_export(kind: ExportKind, key: str) -> Export | None:
+    """Reads an export from the user's cache; None if it has no valid copy."""
+    folder = _place(kind, key)
+    export = _read(folder, key)
+    if export is not None:
+        with suppress(OSError):
+            os.utime(folder)  # the least recently used exports are removed
+    return export
 
 
-def keep_export(weights: Path, kind: ExportKind, key: str, export: Export) -> None:
-    """Stores an export beside the weights, or in the user's cache if that folder is not writable.
+def keep_export(kind: ExportKind, key: str, export: Export) -> None:
+    """Stores an export in the user's cache, and removes the least recently used ones.
 
-    If both fail, a warning is logged, and the export is repeated each time. If two processes store the same export at
-    once, the first result is kept.
+    Never beside the weights: those may lie in a project that somebody else made, and an export found there could be
+    anything. If the cache is not writable, a warning is logged, and the export is repeated each time. If two processes
+    store the same export at once, the first result is kept.
     """
-    problems = []
-    for folder in _places(weights, kind, key):
-        try:
-            _write(folder, key, export)
-            return
-        except (FormatError, OSError) as error:
-            if _read(folder, key) is not None:  # another process was faster
-                return
-            problems.append(str(error))
-    LOG.warning(
-        "%s: cannot store its export for %s, so it is repeated each time: %s", weights, kind, "; ".join(problems)
-    )
+    folder = _place(kind, key)
+    try:
+        _write(folder, key, export)
+    except (FormatError, OSError) as error:
+        if _read(folder, key) is None:  # else another process was faster
+            LOG.warning("an export for %s cannot be stored, so it is repeated each time: %s", kind, error)
+        return
+    forget_oldest(folder.parent, MOST_KEPT)
 
 
-def _places(weights: Path, kind: ExportKind, key: str) -> tuple[Path, Path]:
-    return (
-        weights.parent / f"{weights.stem}-{kind}-{key[:12]}",
-        cache_dir() / "exports" / f"{kind}-{key}",
-    )
+def forget_oldest(folder: Path, kept: int) -> None:
+    """Removes the least recently used entries of a cache folder, except the `kept` newest; the others may be in use."""
+    with suppress(OSError):  # another process may do the same
+        for old in sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime_ns)[:-kept]:
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+
+
+def _place(kind: ExportKind, key: str) -> Path:
+    return cache_dir() / "exports" / f"{kind}-{key}"
 
 
 def _read(folder: Path, key: str) -> Export | None:

@@ -11,9 +11,8 @@ from typing import Any
 
 from annotator.detection.backends.edge_spread import give_edge_spread
 from annotator.detection.backends.network import NetworkFacts
-from annotator.detection.pretrained import DETECTING_LAYERS
-from annotator.detection.ultralytics_api import api, load_weights
-from annotator.types.errors import DetectionError
+from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import load_weights
 
 
 def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
@@ -26,10 +25,6 @@ def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:
     """
     model = load_weights(weights, device)
     head = model.model[-1]
-    if type(head).__name__ not in DETECTING_LAYERS:
-        raise DetectionError(
-            f"{weights}: not a box detector (its last layer is {type(head).__name__}); train the detector again"
-        )
     model = model.fuse(verbose=False).eval().requires_grad_(False)
     end2end = bool(head.end2end)
     head.export = True  # returns the prediction only, without the tensors for training

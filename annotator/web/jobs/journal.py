@@ -8,7 +8,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.files import TABLE_BYTES, private_folder, read_file, write_atomic
+from annotator.files import TABLE_BYTES, link_out, private_folder, read_file, write_atomic
+from annotator.types.errors import ConfigError
 from annotator.web.jobs.records import Job, JobState
 
 LOG = logging.getLogger("annotator.web")
@@ -21,6 +22,20 @@ class _Journal(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     jobs: tuple[Job, ...]
+
+
+def require_own_files(folder: Path) -> None:
+    """Refuses a folder of jobs with links that lead out of it: somebody may have sent it, together with projects.
+
+    Raises:
+        ConfigError: the folder is a link, or has one that leads out of it.
+    """
+    try:
+        link = folder if folder.is_symlink() else link_out(folder) if folder.exists() else None
+    except OSError as error:
+        raise ConfigError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    if link is not None:
+        raise ConfigError(f"{link}: is a link that leads out of the projects' folder of jobs; remove it")
 
 
 def read_journal(folder: Path) -> list[Job]:

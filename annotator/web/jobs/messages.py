@@ -25,6 +25,7 @@ class Order(_Message):
         project: the project's folder.
         folder: an empty folder for the results.
         operator: who started it.
+        readable: as for `open_project`.
     """
 
     target: str
@@ -32,6 +33,7 @@ class Order(_Message):
     folder: Path
     operator: str
     request: JobRequest
+    readable: tuple[Path, ...] | None = None
 
 
 class Progress(_Message):

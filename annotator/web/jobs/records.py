@@ -197,7 +197,7 @@ class Job(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    id: str
+    id: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
     project: str
     kind: Literal["train", "propose", "lift", "boxes", "export", "import"]
     state: JobState = JobState.QUEUED

@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from annotator.files import end_of_file, private_folder
+from annotator.files import end_of_file, is_within, private_folder
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.web.errors import INTERNAL
-from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, write_journal
+from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, require_own_files, write_journal
 from annotator.web.jobs.messages import Failed, Finished, Measured, Order, Progress, Stopped, WorkerMessage
 from annotator.web.jobs.process import GRACE_S, WorkerProcess
 from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, Job, JobRequest, JobState, in_background
@@ -47,10 +47,24 @@ class JobRunner:
     """
 
     def __init__(
-        self, folder: Path, on_change: OnChange, public_message: PublicMessage, grace_s: float = GRACE_S
+        self,
+        folder: Path,
+        on_change: OnChange,
+        public_message: PublicMessage,
+        grace_s: float = GRACE_S,
+        readable: tuple[Path, ...] | None = None,
     ) -> None:
+        """
+        Args:
+            readable: as for `open_project`.
+
+        Raises:
+            ConfigError: a link leads out of the folder.
+        """
+        require_own_files(folder)
         self.folder = folder
         self._on_change, self._public_message, self._grace_s = on_change, public_message, grace_s
+        self._readable = readable
         self._lock = threading.Condition()
         self._jobs: dict[str, Job] = {job.id: job for job in read_journal(folder)}
         self._waiting: list[tuple[str, Path, JobRequest]] = []
@@ -203,7 +217,11 @@ class JobRunner:
 
     def _export_file(self, job: Job) -> Path | None:
         name = (job.result or {}).get("file")
-        return None if job.state is not JobState.DONE or name is None else self.folder / job.id / str(name)
+        if job.state is not JobState.DONE or name is None:
+            return None
+        # the journal may have come with projects of somebody else
+        folder = self.folder / job.id
+        return folder / Path(str(name)).name if is_within(folder, Path(str(name)).name) else None
 
     def close(self) -> None:
         """Ends the thread: stops the running job, and fails the waiting ones."""
@@ -254,6 +272,7 @@ class JobRunner:
             target=WORK[request.kind],
             project=path.resolve(),
             folder=folder.resolve(),
+            readable=self._readable,
             operator=self.get(job_id).operator,
             request=request,
         )

@@ -97,7 +97,7 @@ class Orders:
 def _work(order: Order, writer: MessageWriter, orders: Orders) -> Outcome:
     module, _, function = order.target.partition(":")
     work = getattr(import_module(module), function)
-    with open_project(order.project) as project:
+    with open_project(order.project, readable=order.readable) as project:
         outcome: Outcome = work(
             JobContext(project, order.folder, order.operator, writer.send, orders.stopped), order.request
         )

@@ -7,8 +7,6 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 from fastapi.responses import Response
 
-from annotator.files import read_file
-from annotator.types.errors import ProjectError
 from annotator.web.context import Ctx
 from annotator.web.schemas import RowId
 
@@ -33,9 +31,5 @@ def view(ctx: Ctx, name: str, view_id: ViewId) -> Response:
     project = ctx.project(name)
     content = ctx.caches.view_images.get(view_id)
     if content is None:
-        path = project.views.path(view_id)
-        try:
-            content = read_file(path)
-        except OSError as error:
-            raise ProjectError(f"{path}: cannot be read: {error}") from error
+        content = project.views.content(view_id)
     return Response(content, media_type="image/png", headers={"Cache-Control": CACHE_FOREVER, "ETag": f'"{view_id}"'})

@@ -57,7 +57,7 @@ def backends(_: Path) -> Iterator[Line]:
     rgb, (rows, columns) = generated_frame().rgb, PICTURE_PX
     pictures = np.stack([rgb[:rows, :columns], rgb[-rows:, -columns:]])
     with TemporaryDirectory() as folder:
-        weights = Path(folder) / "network.pt"
+        weights = Path(folder) / "network.safetensors"
         try:
             write_seeded_network(weights)
             agreements = Agreements(weights, pictures)

@@ -101,6 +101,7 @@ class Batch:
         """Returns a recording as a worker needs it."""
         if recording_id not in self.specs:
             stored = self.project.recordings.get(recording_id)
+            self.project.recordings.require_readable(stored)
             self.specs[recording_id] = RecordingSpec(
                 stored.path, stored.name, self.project.path.name, stored.up, stored.options, stored.correction
             )

@@ -56,7 +56,8 @@ def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector
 
 def validation_pictures(model: Path) -> list[Path]:
     """Returns the validation images beside a model, in order; older models have none."""
-    return sorted((model / FOLDER).glob("*.jpg"), key=lambda path: int(path.stem))
+    pictures = (path for path in (model / FOLDER).glob("*.jpg") if path.stem.isdecimal() and not path.is_symlink())
+    return sorted(pictures, key=lambda path: int(path.stem))
 
 
 def _chosen(manifest: DatasetManifest) -> list[str]:

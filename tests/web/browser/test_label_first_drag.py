@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
@@ -227,8 +226,8 @@ def test_a_deleted_view_box_is_suggested_again(
     bench.saved()
 
 
-def test_a_detector_that_cannot_be_loaded_is_reported_once(bench: Bench, tmp_path: Path) -> None:
-    weights = tmp_path / "broken" / "best.pt"
+def test_a_detector_that_cannot_be_loaded_is_reported_once(bench: Bench) -> None:
+    weights = bench.project.models_folder / "broken" / "best.pt"
     weights.parent.mkdir()
     weights.write_bytes(b"no weights")
     bench.project.models.register(

@@ -23,7 +23,7 @@ from annotator.workflows.doctor import Line, State, self_test
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("seeded") / "network.pt"
+    path = tmp_path_factory.mktemp("seeded") / "network.safetensors"
     write_seeded_network(path)
     return path
 
@@ -58,13 +58,13 @@ def moved(by_px: float) -> Callable[[Answer], Answer]:
 def test_equal_seeds_give_equal_networks_and_keep_torchs_random_state(weights: Path, tmp_path: Path) -> None:
     torch = api().torch
     state = torch.random.get_rng_state()
-    write_seeded_network(tmp_path / "new" / "again.pt")
-    write_seeded_network(tmp_path / "other.pt", seed=1)
+    write_seeded_network(tmp_path / "new" / "again.safetensors")
+    write_seeded_network(tmp_path / "other.safetensors", seed=1)
     assert torch.equal(state, torch.random.get_rng_state())
     picture = np.random.default_rng(0).integers(0, 256, (1, 64, 64, 3), np.uint8)
     same, again, other = (
         TorchNetwork(path, pick_device("cpu")).predict([picture])[0]
-        for path in (weights, tmp_path / "new" / "again.pt", tmp_path / "other.pt")
+        for path in (weights, tmp_path / "new" / "again.safetensors", tmp_path / "other.safetensors")
     )
     np.testing.assert_array_equal(same, again)
     assert np.abs(same - other).max() > 1

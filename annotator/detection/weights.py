@@ -1,0 +1,233 @@
+"""The one door for weights: network files, and the pickles that ultralytics writes, of which nothing is run.
+
+A pickle is a program that names functions and calls them. Ultralytics' own "safe loading" still calls the constructors
+of all layers, with the file's arguments: they allocate any amount of memory, read files and download. Here every name
+becomes an inert object that only keeps what it is given. The class names, the name of the architecture and the tensors
+are taken from there; the network is built anew from its name, and every tensor must fit. The result is kept in the
+user's cache as a network file, so each pickle is read once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import pickle
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple
+
+from annotator.detection.backends.export_cache import MOST_KEPT, forget_oldest
+from annotator.detection.network_file import (
+    DESCRIPTION,
+    DETECTING_LAYERS,
+    NetworkDescription,
+    filled,
+    is_network_file,
+    read_network,
+    write_tensors,
+)
+from annotator.detection.ultralytics_api import api, cache_dir
+from annotator.files import NETWORK_BYTES, open_archive, read_file
+from annotator.types.errors import DetectionError
+
+LOG = logging.getLogger("annotator.detectors")
+CONVERTED = "converted"
+# Packages whose names a pickle of weights may contain. A name of any other package is refused.
+PACKAGES = {"torch", "ultralytics", "numpy", "pathlib"}
+# Names of further packages. `set` and `OrderedDict` are used as they are, they only hold what they are given.
+NAMES: dict[tuple[str, str], type | None] = {
+    ("collections", "OrderedDict"): OrderedDict,
+    ("builtins", "set"): set,
+    ("__builtin__", "set"): set,
+    ("builtins", "getattr"): None,
+    ("__builtin__", "getattr"): None,
+}
+# torch's storages -> number formats
+FORMATS = {
+    "FloatStorage": "float32",
+    "HalfStorage": "float16",
+    "DoubleStorage": "float64",
+    "BFloat16Storage": "bfloat16",
+    "LongStorage": "int64",
+    "IntStorage": "int32",
+    "ShortStorage": "int16",
+    "CharStorage": "int8",
+    "ByteStorage": "uint8",
+    "BoolStorage": "bool",
+}
+# Layers of a network; the largest one of ultralytics has some 1,500.
+MOST_LAYERS, DEEPEST = 20_000, 50
+
+
+def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
+    """Loads a detection model in eval mode, in single precision. No code of the file is run.
+
+    Args:
+        remedy: advice at the end of the error message.
+
+    Raises:
+        DetectionError: the file is missing, unreadable, too large or not a detection model of ultralytics.
+    """
+    if not path.is_file():
+        raise DetectionError(f"{path}: no such weights file; train a detector first")
+    if is_network_file(path):
+        return read_network(path, device, remedy)
+    return _converted(path, remedy).to(device)
+
+
+def _converted(path: Path, remedy: str) -> Any:
+    try:
+        content = read_file(path, NETWORK_BYTES)
+    except OSError as error:
+        raise DetectionError(f"{path}: cannot be read as detector weights ({error.strerror}); {remedy}") from error
+    copy = cache_dir() / CONVERTED / f"{hashlib.sha256(content).hexdigest()}.safetensors"
+    if copy.is_file():
+        try:
+            return read_network(copy, "cpu", remedy)
+        except DetectionError as error:
+            LOG.warning("converting %s again: %s", path, error)
+    require_refusal()
+    try:
+        described, tensors = _network(content)
+    except Exception as error:  # pickles and archives raise many types on a damaged file
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise DetectionError(f"{path}: cannot be read as detector weights ({reason}); {remedy}") from error
+    facts = {DESCRIPTION: described.model_dump_json()}
+    model = filled(path, tensors, facts, remedy)
+    try:
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        write_tensors(copy, {name: value.clone() for name, value in model.state_dict().items()}, facts)
+        forget_oldest(copy.parent, MOST_KEPT)
+    except OSError as error:
+        LOG.warning("%s: cannot be kept as a network file, so it is converted each time: %s", path, error)
+    return model
+
+
+def require_refusal() -> None:
+    """Gives the reader a pickle that calls a function.
+
+    Raises:
+        DetectionError: it was not refused, or the function was called. Then no other pickle is read.
+    """
+    try:
+        _Reader(io.BytesIO(pickle.dumps({"model": _Canary()}))).load()
+    except pickle.UnpicklingError:
+        if not _SUNG:
+            return
+    raise DetectionError("pickles would run their code here, so weights in ultralytics' format are refused")
+
+
+_SUNG: list[str] = []
+
+
+def _sing() -> None:
+    _SUNG.append("code of a pickle was run")
+
+
+class _Canary:
+    def __reduce__(self) -> tuple[Callable[[], None], tuple[()]]:
+        return _sing, ()
+
+
+class _Inert:
+    """What a pickle asked for: an object or the result of a call. It only keeps its arguments and its state."""
+
+    args: tuple[Any, ...]
+    state: Any = None
+
+    def __new__(cls, *args: Any) -> _Inert:
+        made = super().__new__(cls)
+        made.args = args
+        return made
+
+    def __init__(self, *args: Any) -> None:
+        """The arguments are kept by `__new__`, which pickles call alone."""
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+
+class _Reader(pickle.Unpickler):
+    """Reads a pickle without any of its functions and classes."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        known = NAMES.get((module, name))
+        if known is not None:
+            return known
+        if module.partition(".")[0] not in PACKAGES and (module, name) not in NAMES:
+            raise pickle.UnpicklingError(f"it asks for {module}.{name}, which no weights need")
+        return type(name, (_Inert,), {})
+
+    def persistent_load(self, pid: Any) -> Any:
+        return pid
+
+
+class _Tensors(NamedTuple):
+    """The tensors of an archive."""
+
+    archive: zipfile.ZipFile
+    folder: str
+
+    def read(self, value: Any) -> Any:
+        """A tensor as torch describes it: `_rebuild_tensor_v2` of a storage, possibly inside `_rebuild_parameter`."""
+        torch = api().torch
+        if type(value).__name__ == "_rebuild_parameter":
+            value = value.args[0]
+        if type(value).__name__ != "_rebuild_tensor_v2":
+            raise pickle.UnpicklingError(f"has a {type(value).__name__} in place of a tensor")
+        (_, storage, key, _, _), offset, size, stride = value.args[:4]
+        content = self.archive.read(f"{self.folder}/data/{key}")
+        numbers = torch.frombuffer(bytearray(content), dtype=getattr(torch, FORMATS[storage.__name__]))
+        last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
+        if min((offset, *stride, *(n - 1 for n in size))) < 0 or last >= len(numbers):
+            raise pickle.UnpicklingError("has a tensor that exceeds its storage")
+        return torch.as_strided(numbers, size, stride, offset)
+
+
+def _network(content: bytes) -> tuple[NetworkDescription, dict[str, Any]]:
+    """The description and the tensors of a checkpoint of ultralytics; raises exceptions of many types."""
+    if not zipfile.is_zipfile(io.BytesIO(content)):
+        raise pickle.UnpicklingError("neither a network file nor an archive of torch")
+    with open_archive(io.BytesIO(content)) as archive:
+        if sum(entry.file_size for entry in archive.infolist()) > NETWORK_BYTES:
+            raise pickle.UnpicklingError(f"has more than {NETWORK_BYTES >> 20} MiB")
+        (name,) = (name for name in archive.namelist() if name.endswith("/data.pkl") and name.count("/") == 1)
+        checkpoint = _Reader(io.BytesIO(archive.read(name))).load()
+        model = checkpoint.get("ema") or checkpoint.get("model")
+        state = _state(model)
+        head = list(_state(_state(model)["_modules"]["model"])["_modules"].values())[-1]
+        if type(head).__name__ not in DETECTING_LAYERS:
+            raise pickle.UnpicklingError(f"the last layer {type(head).__name__} does not detect boxes")
+        names = state["names"]
+        described = NetworkDescription(
+            architecture=PurePath(state["yaml"]["yaml_file"]).stem,
+            labels=tuple(names[number] for number in sorted(names)) if isinstance(names, dict) else tuple(names),
+            end2end=_state(head).get("_end2end"),
+        )
+        tensors: dict[str, Any] = {}
+        _collect(model, "", _Tensors(archive, name.partition("/")[0]), tensors, [MOST_LAYERS])
+        return described, tensors
+
+
+def _state(module: Any) -> dict[str, Any]:
+    if not isinstance(module, _Inert) or not isinstance(module.state, dict):
+        raise pickle.UnpicklingError("holds no network")
+    return module.state
+
+
+def _collect(module: Any, prefix: str, source: _Tensors, found: dict[str, Any], left: list[int]) -> None:
+    """Adds a module's tensors under the names of torch's `state_dict`."""
+    left[0] -= 1
+    if left[0] < 0 or prefix.count(".") > DEEPEST:
+        raise pickle.UnpicklingError("has too many layers")
+    state = _state(module)
+    for part in ("_parameters", "_buffers"):
+        for name, value in state[part].items():
+            if value is not None and name not in state.get("_non_persistent_buffers_set", ()):
+                found[prefix + name] = source.read(value)
+    for name, child in state["_modules"].items():
+        if child is not None:
+            _collect(child, f"{prefix}{name}.", source, found, left)
