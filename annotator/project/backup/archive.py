@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, BinaryIO, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -86,7 +86,7 @@ def add_file(archive: zipfile.ZipFile, name: str, path: Path, *, packed: bool = 
     info._compresslevel = 1  # type: ignore[attr-defined] # `ZipFile.open` has no argument for it
     info.external_attr = (stat.S_IFREG | 0o600) << 16
     with path.open("rb") as source, archive.open(info, "w", force_zip64=True) as target:
-        size, sha256 = _copy(source, target.write)
+        size, sha256 = _copy(source.read, target.write)
     return BackupFile(path=name, bytes=size, sha256=sha256)
 
 
@@ -138,7 +138,7 @@ def unpack(path: Path, archive: zipfile.ZipFile, manifest: BackupManifest, folde
         target = folder / file.path
         target.parent.mkdir(parents=True, exist_ok=True)
         with _reported(path), archive.open(file.path) as source, target.open("xb") as out:
-            size, sha256 = _copy(source, out.write, file.bytes)
+            size, sha256 = _copy(source.read, out.write, file.bytes)
             out.flush()
             os.fsync(out.fileno())
         if (size, sha256) != (file.bytes, file.sha256):
@@ -146,10 +146,10 @@ def unpack(path: Path, archive: zipfile.ZipFile, manifest: BackupManifest, folde
         progress(number, len(manifest.files))
 
 
-def _copy(source: BinaryIO, write: Callable[[bytes], object], limit: int | None = None) -> tuple[int, str]:
+def _copy(read: Callable[[int], bytes], write: Callable[[bytes], object], limit: int | None = None) -> tuple[int, str]:
     """Copies at most a little more than `limit` bytes; returns their number and hash."""
     size, digest = 0, hashlib.sha256()
-    while (limit is None or size <= limit) and (chunk := source.read(CHUNK_BYTES)):
+    while (limit is None or size <= limit) and (chunk := read(CHUNK_BYTES)):
         write(chunk)
         digest.update(chunk)
         size += len(chunk)

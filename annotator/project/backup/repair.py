@@ -15,7 +15,7 @@ from typing import Any
 from sqlalchemy import Connection, func, insert, select
 from sqlalchemy.exc import DBAPIError
 
-from annotator.project.backup.automatic import Reason, back_up_automatically
+from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.content import folder_files, is_regular, stored_files
 from annotator.project.backup.database_check import database_problems
 from annotator.project.backup.generation import has_foreign_wal, wal_of
@@ -30,7 +30,7 @@ from annotator.project.schema import PackedText, events, frames, image_labels, l
 from annotator.project.store import DATABASE_FILE, Store, create_store, explained, open_store
 from annotator.project.undo_state import FRAME, IMAGE, LABEL, VIEW, read_state, restoring
 from annotator.types import Source
-from annotator.types.errors import AnnotatorError, ProjectError
+from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
 AUTHOR = "annotator project repair"
 # Tables that no event changes, in the order of their references.
@@ -109,11 +109,14 @@ def _salvage(project: Path, name: str) -> Repaired:
         stack.callback(store.close)
         try:
             with reading(copy) as source:
+                source.execute("SELECT count(*) FROM sqlite_master").fetchone()
                 _copy_plain(source, store, repaired)
                 _replay(source, store, repaired)
                 config = _config(project, name, source)
         except sqlite3.Error as error:
-            raise ProjectError(f"{project / DATABASE_FILE}: nothing can be read ({error})") from error
+            raise ProjectError(
+                f"{project / DATABASE_FILE}: nothing can be read ({error}); {_advice(project)}"
+            ) from error
         if any(repaired.lost.values()):
             _restore_states(copy, store, repaired)
         write_config(place, config)
@@ -157,6 +160,12 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
                 _count_lost(repaired, "events")
             else:
                 repaired.events += 1
+
+
+def _advice(project: Path) -> str:
+    backups = automatic_backups(project)
+    newest = f"; the newest automatic one is {backups[-1]}" if backups else ""
+    return f"{RESTORE}{newest}"
 
 
 class _Attributes:
