@@ -139,11 +139,20 @@ def unpack(path: Path, archive: zipfile.ZipFile, manifest: BackupManifest, folde
         target.parent.mkdir(parents=True, exist_ok=True)
         with _reported(path), archive.open(file.path) as source, target.open("xb") as out:
             size, sha256 = _copy(source.read, out.write, file.bytes)
-            out.flush()
-            os.fsync(out.fileno())
         if (size, sha256) != (file.bytes, file.sha256):
             raise FormatError(path, f"{file.path} is damaged: its size or hash differs from the manifest")
         progress(number, len(manifest.files))
+
+
+def sync_files(folder: Path) -> None:
+    """Makes the new files in a folder durable: all at once, which is much faster for thousands of small files."""
+    if hasattr(os, "sync"):
+        os.sync()
+        return
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with path.open("rb+") as file:
+                os.fsync(file.fileno())
 
 
 def _copy(read: Callable[[int], bytes], write: Callable[[bytes], object], limit: int | None = None) -> tuple[int, str]:

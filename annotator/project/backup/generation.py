@@ -93,7 +93,8 @@ def _read_wal(path: Path) -> _Wal | None:
             if len(header) < _HEADER or int.from_bytes(header[:4], "big") not in _MAGIC:
                 return None
             (page_bytes,), salts = struct.unpack(">I", header[8:12]), header[16:24]
-            chain, has_commits = [], False
+            has_commits = False
+            chain: list[tuple[str, str]] = []
             while len(frame := file.read(_FRAME_HEADER + page_bytes)) == _FRAME_HEADER + page_bytes:
                 if frame[8:16] != salts:  # left from before the file was begun anew
                     break

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from annotator.files import CHUNK_BYTES, sync_folder
-from annotator.project.backup.archive import BackupManifest, Progress, open_backup, unpack
+from annotator.project.backup.archive import BackupManifest, Progress, open_backup, sync_files, unpack
 from annotator.project.backup.content import (
     MODELS_FOLDER,
     VIEWS_FOLDER,
@@ -102,9 +102,9 @@ def copy_project(
             (place / each).parent.mkdir(parents=True, exist_ok=True)
             copy_regular(folder / each, place / each)
             progress(number, len(names))
-        if problems := verify(place, deep=True).problems:
-            more = f" (and {len(problems) - 1} more problems: annotator project verify)" if len(problems) > 1 else ""
-            raise ProjectError(f"{folder}: {problems[0]}{more}; nothing was copied")
+        if found := verify(place, deep=True).problems:
+            more = f" (and {len(found) - 1} more problems)" if len(found) > 1 else ""
+            raise ProjectError(f"{folder}: {found[0]}{more}; nothing was copied")
     return root / name
 
 
@@ -124,7 +124,7 @@ def new_project(root: Path, name: str) -> Iterator[Path]:
             for folder in (MODELS_FOLDER, VIEWS_FOLDER):
                 (place / folder).mkdir(exist_ok=True)
             write_config(place, read_config(place).model_copy(update={"name": name}))
-            sync_folder(place)
+            sync_files(place)
             # never replaces a folder with content, which another process may have made meanwhile
             place.rename(path)
             sync_folder(root)
@@ -144,5 +144,3 @@ def copy_regular(source: Path, target: Path) -> None:
             raise OSError(f"{source} is not a regular file")
         with target.open("xb") as out:
             shutil.copyfileobj(file, out, CHUNK_BYTES)
-            out.flush()
-            os.fsync(out.fileno())
