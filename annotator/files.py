@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import glob
+import logging
 import lzma
 import os
 import shutil
@@ -16,6 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from annotator.types.errors import FormatError
+
+LOG = logging.getLogger("annotator.files")
 
 CHUNK_BYTES = 2**20
 # Errors that zipfile raises on archives that are damaged, encrypted (RuntimeError) or compressed with an unsupported
@@ -118,15 +122,18 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
             until the new one is complete.
         may_replace: decides on a folder that is not empty.
 
+    What a killed process left in this place is put right first, and logged.
+
     Raises:
         FormatError: `out` may not be replaced, or the folder cannot be created.
     """
     # resolved now, because the working directory may change; if `out` is a link, its target is replaced
     out = out.resolve()
-    _require_free(out, may_replace)
     try:
+        _clear_leftovers(out)
+        _require_free(out, may_replace)
         out.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=f".{out.name}.part-", dir=out.parent))
+        part, lock = _locked_folder(f".{out.name}.part-", out.parent)
     except OSError as error:
         raise FormatError(out, f"cannot be created ({error.strerror})") from error
     try:
@@ -136,6 +143,62 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
         _put_in_place(part, out)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def _clear_leftovers(out: Path) -> None:
+    """Puts right what a killed `new_folder` left: unfinished folders, and an old `out` that was moved aside.
+
+    Does nothing while another process fills a folder that is to become `out`.
+    """
+    # mkdtemp appends eight characters
+    parts, olds = ([*out.parent.glob(f".{glob.escape(out.name)}.{kind}-????????")] for kind in ("part", "old"))
+    locks = [_lock(part) for part in parts]
+    try:
+        if None in locks:
+            return
+        filled = [old for old in olds if any(old.iterdir())]
+        if filled and not out.exists():
+            newest = max(filled, key=lambda old: old.stat().st_mtime_ns)
+            newest.rename(out)
+            olds.remove(newest)
+            LOG.warning("%s: put back from %s, where an interrupted run had moved it", out, newest.name)
+        for path in (*parts, *olds):
+            shutil.rmtree(path)
+            LOG.warning("%s: removed, an interrupted run had left it", path)
+    finally:
+        for lock in filter(None, locks):
+            os.close(lock)
+
+
+def _locked_folder(prefix: str, parent: Path) -> tuple[Path, int | None]:
+    """A new temporary folder, and its lock, which the system releases when the process ends."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+        lock = _lock(folder)
+        # another process may have removed it before it was locked
+        if folder.exists():
+            return folder, lock
+        if lock is not None:
+            os.close(lock)
+
+
+def _lock(folder: Path) -> int | None:
+    """A descriptor that holds the lock of a folder; None if another one does, or if there are no locks here."""
+    try:
+        import fcntl
+    except ImportError:  # not a POSIX system
+        return None
+    descriptor = None
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        if descriptor is not None:
+            os.close(descriptor)
+        return None
+    return descriptor
 
 
 def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:

@@ -44,3 +44,53 @@ def test_a_folder_is_replaced_completely_or_not_at_all(tmp_path: Path) -> None:
         (part / "c").touch()
     assert [entry.name for entry in out.iterdir()] == ["c"]
     assert [entry.name for entry in out.parent.iterdir()] == ["out"]
+
+
+def test_what_a_killed_process_left_is_put_right(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    out = tmp_path / "out[1]"
+    # killed between the two renames: the new folder is complete, the old one moved aside
+    for name, content in (
+        (".out[1].old-abcdefgh", "old"),
+        (".out[1].part-01234567", "new"),
+        (".out[1].old-_______0", ""),
+    ):
+        (tmp_path / name).mkdir()
+        if content:
+            (tmp_path / name / content).touch()
+    others = (".out[1].part-mine", ".out1.part-01234567", ".other.old-01234567")
+    for name in others:
+        (tmp_path / name).mkdir()
+    with pytest.raises(FormatError, match="exists and is not empty"), new_folder(out, lambda _: False):
+        pytest.fail("the old dataset was lost")
+    assert [entry.name for entry in out.iterdir()] == ["old"]
+    assert {entry.name for entry in tmp_path.iterdir()} == {"out[1]", *others}
+    assert "put back from .out[1].old-abcdefgh" in caplog.text
+    assert "part-01234567: removed" in caplog.text
+    # killed after both renames
+    (tmp_path / ".out[1].old-abcdefgh").mkdir()
+    with new_folder(out, lambda _: True) as part:
+        (part / "newer").touch()
+        # a second process, before the first one has finished: nothing of it is touched
+        with pytest.raises(FormatError), new_folder(out, lambda _: False):
+            pytest.fail("the folder was replaced")
+        assert (part / "newer").exists()
+    assert [entry.name for entry in out.iterdir()] == ["newer"]
+    assert {entry.name for entry in tmp_path.iterdir()} == {"out[1]", *others}
+
+
+def test_a_folder_that_vanishes_before_it_is_locked_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock, removed = files._lock, list[Path]()
+
+    def late(folder: Path) -> int | None:
+        if not removed:
+            removed.append(folder)
+            folder.rmdir()
+        return lock(folder)
+
+    monkeypatch.setattr(files, "_lock", late)
+    with new_folder(tmp_path / "out", lambda _: False) as part:
+        (part / "a").touch()
+    assert (tmp_path / "out" / "a").exists()
+    assert part != removed[0]

@@ -18,6 +18,9 @@ from jaxtyping import UInt8
 from annotator.types import Box2D, Frame, Label
 from annotator.types.errors import FormatError
 
+# Bytes of UTF-8. File systems take 255, which must do for a number, a suffix and the name of a temporary file, too.
+LONGEST_STEM = 180
+
 
 @dataclass(frozen=True, eq=False)
 class DatasetItem:
@@ -43,8 +46,11 @@ class FileNames:
     _taken: set[str] = field(default_factory=set)
 
     def add(self, *parts: str) -> str:
-        """Adds a name: the parts joined by "-", with a number if that name is taken."""
+        """Adds a name: the parts joined by "-", shortened if it is too long, with a number if that name is taken."""
         stem = "-".join(re.sub(r"[^\w.]+", "_", part) for part in parts).lstrip(".") or "_"
+        if len(stem.encode()) > LONGEST_STEM:
+            # its end, which tells the frames of a recording apart
+            stem = stem.encode()[-LONGEST_STEM:].decode(errors="ignore").lstrip(".") or "_"
         candidate, number = stem, 1
         while candidate.casefold() in self._taken:
             number += 1

@@ -2,13 +2,14 @@
 
 One line per frame under the header `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem
 of its files, or its token), the recording's name, the frame's key in the recording, and its part of the dataset (may be
-empty).
+empty). A text that a spreadsheet would run as a formula begins with an apostrophe, which the reader removes.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,11 @@ from annotator.types.errors import FormatError
 
 FRAMES_CSV = "frames.csv"
 HEADER = ("id", "recording", "key", "split")
+
+# Apostrophes before such a beginning are doubled, so that every text is read back as it was.
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
+_ESCAPED = re.compile(r"^'(?='*[=+\-@\t\r\n])")
+_NUMBER = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,12 @@ def dump_frames(origins: Iterable[FrameOrigin]) -> str:
     # RFC 4180; with "\n" alone the csv module would not quote a "\r" in a name
     rows = csv.writer(stream, lineterminator="\r\n")
     rows.writerow(HEADER)
-    rows.writerows((o.id, o.recording, o.key, o.split or "") for o in origins)
+    rows.writerows(map(_escaped, (o.id, o.recording, o.key, o.split or "")) for o in origins)
     return stream.getvalue()
+
+
+def _escaped(cell: str) -> str:
+    return f"'{cell}" if _FORMULA.match(cell) and not _NUMBER.fullmatch(cell) else cell
 
 
 def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
@@ -64,7 +74,7 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
     try:
         if (header := tuple(next(rows, ()))) != HEADER:
             raise FormatError(path, f"must begin with {','.join(HEADER)}, not {','.join(header)}", 1)
-        for row in rows:
+        for row in ([_ESCAPED.sub("", cell) for cell in row] for row in rows):
             if len(row) != len(HEADER) or not row[0] or not row[2]:
                 raise FormatError(
                     path, f"needs the fields {', '.join(HEADER)}; id and key must not be empty", rows.line_num

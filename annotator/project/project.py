@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -114,6 +115,11 @@ class Project:
             write_config(self.path, new)
         return new
 
+    @property
+    def is_current(self) -> bool:
+        """False once the project's database was removed or replaced by another."""
+        return self.store.file.is_current()
+
     def statistics(self) -> Statistics:
         """Counts of frames, labels and boxes, and the results of the review."""
         return read_statistics(self.store)
@@ -183,25 +189,30 @@ def open_project(path: Path, *, busy_timeout_s: float = BUSY_TIMEOUT_S, clock: C
         ProjectError: no project, a damaged one, one of a newer version, or one that stays locked.
     """
     read_config(path)
-    try:
-        for folder in _FOLDERS:
-            (path / folder).mkdir(exist_ok=True)
-    except OSError as error:
-        raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
     store = open_store(
         path / DATABASE_FILE,
         busy_timeout_s=busy_timeout_s,
         clock=clock,
-        before_upgrade=lambda _: back_up_before_upgrade(path),
+        before_upgrade=lambda: back_up_before_upgrade(path),
     )
+    try:
+        # a project on a read-only disk can be read without them
+        for folder in _FOLDERS if os.access(path, os.W_OK) else ():
+            (path / folder).mkdir(exist_ok=True)
+    except OSError as error:
+        store.close()
+        raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
     return Project(path, store)
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:
     """The projects in a projects folder, sorted by name; a damaged one is listed with its problem."""
-    if not root.is_dir():
+    try:
+        return tuple(map(_listed, sorted(filter(_looks_like_project, root.iterdir()))))
+    except (FileNotFoundError, NotADirectoryError):
         return ()
-    return tuple(map(_listed, sorted(filter(_looks_like_project, root.iterdir()))))
+    except OSError as error:
+        raise ProjectError(f"{root}: cannot be read: {error.strerror}; check the permissions of the folder") from error
 
 
 def _looks_like_project(path: Path) -> bool:

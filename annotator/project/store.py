@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sqlite3
 import threading
 import time
@@ -9,13 +10,17 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import quote
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
 from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
+from annotator.project.database.file import DatabaseFile, database_file
+from annotator.project.database.patience import patience_s
+from annotator.project.database.replaced import keep_replaced, kept_copies
+from annotator.project.database.shape import MISFITS, require_tables
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
 from annotator.types.errors import RESTORE, ProjectError
 
@@ -26,14 +31,18 @@ THREADS = 20
 
 Clock = Callable[[], int]
 
-_BEGIN = "annotator_begin"
+LOG = logging.getLogger("annotator.project")
 
+_BEGIN, _WAITS_MS = "annotator_begin", "annotator_waits_ms"
+
+_LOCKED = "is locked by another process; close programs that use this project, or wait, and try again"
 _PROBLEMS = {
-    sqlite3.SQLITE_BUSY: "is locked by another process; close programs that use this project, or wait, and try again",
-    sqlite3.SQLITE_LOCKED: "is locked by another process; close programs that use this project, or wait, and try again",
+    sqlite3.SQLITE_BUSY: _LOCKED,
+    sqlite3.SQLITE_LOCKED: _LOCKED,
     sqlite3.SQLITE_CORRUPT: f"is damaged; {RESTORE}; `annotator project repair` saves what is still readable",
     sqlite3.SQLITE_NOTADB: f"is not a project database, or its beginning is damaged; {RESTORE}",
     sqlite3.SQLITE_READONLY: "cannot be written; check the permissions of the file and of its folder",
+    sqlite3.SQLITE_PERM: "cannot be opened; check the permissions of the file and of its folder",
     sqlite3.SQLITE_CANTOPEN: "cannot be opened; check the permissions of the file and of its folder",
     sqlite3.SQLITE_FULL: "cannot be written, because the disk is full; nothing was changed; free some space",
     sqlite3.SQLITE_IOERR: "cannot be read or written because of a disk error; nothing was changed; check the disk",
@@ -45,26 +54,41 @@ class Store:
     """One open database. Thread-safe, but not fork-safe: each process opens its own.
 
     Attributes:
-        path: the database file.
+        file: the database file, as it was when it was opened.
         engine: SQLAlchemy's pool of connections.
+        busy_timeout_s: how long to wait while another process has locked it, seconds.
         clock: returns the current time, UTC nanoseconds since the epoch.
         write_lock: held by the thread that writes.
     """
 
-    path: Path
+    file: DatabaseFile
     engine: Engine
+    busy_timeout_s: float = BUSY_TIMEOUT_S
     clock: Clock = time.time_ns
     write_lock: threading.Lock = field(default_factory=threading.Lock)
     _begun: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def path(self) -> Path:
+        """The database file."""
+        return self.file.path
+
+    @property
+    def pool(self) -> QueuePool:
+        """The open connections."""
+        pool = self.engine.pool
+        assert isinstance(pool, QueuePool)
+        return pool
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
         """A transaction that sees one snapshot of the database, unaffected by concurrent writes.
 
         Raises:
+            ReplacedError: the file was removed or replaced.
             ProjectError: the database is locked, damaged or cannot be read.
         """
-        with self._transaction("BEGIN") as connection:
+        with self._transaction("BEGIN", patience_s(self.busy_timeout_s)) as connection:
             yield connection
 
     @contextmanager
@@ -76,33 +100,62 @@ class Store:
         and occupy connections that readers need.
 
         Raises:
+            ReplacedError: the file was removed or replaced, so that the change would be lost.
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
+        self._require_writable()
+        ends_s = time.monotonic() + patience_s(self.busy_timeout_s)
         # after the timeout, SQLite itself reports the problem
-        has_lock = self.write_lock.acquire(timeout=BUSY_TIMEOUT_S)
+        has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
             if not self._begun.is_set():
-                self._begin_writing()
-            with self._transaction("BEGIN IMMEDIATE") as connection:
+                self._begin_writing(ends_s)
+            with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
+                # again: it may have waited long for the lock
+                self.file.require_current()
                 advance(connection)
                 yield connection
+            # the file may have been replaced since; only now it is sure that the change is in it
+            self.file.require_current()
         finally:
             if has_lock:
                 self.write_lock.release()
 
-    def _begin_writing(self) -> None:
+    def _require_writable(self) -> None:
+        if not self.file.is_writable:
+            raise ProjectError(
+                f"{self.path}: is on a read-only disk, or you have no right to write it, so nothing was saved; "
+                "to change this project, copy its folder to a place where you may write"
+            )
+
+    def upgrade(self, migrations: tuple[Migration, ...], *, is_new: bool = False) -> None:
+        """Runs the missing migrations.
+
+        Raises:
+            ProjectError: as `write`; or the database is newer.
+        """
+        self._require_writable()
+        with self._transaction("BEGIN IMMEDIATE", self.busy_timeout_s) as connection:
+            if is_new:
+                connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
+            upgrade(connection, self.path, migrations)
+
+    def _begin_writing(self, ends_s: float) -> None:
         """Changes the database file itself, so that it differs from every copy made before (`backup.generation`)."""
-        with self._transaction("BEGIN IMMEDIATE") as connection:
+        with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
+            self.file.require_current()
             advance(connection)
-        with explained(self.path), closing(self.engine.raw_connection()) as outside_transactions:
+        with explained(self.path, self.file), closing(self.engine.raw_connection()) as outside_transactions:
             _, logged, moved = outside_transactions.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
         # a reader of an older state can prevent it; the next write then tries again
         if logged == moved:
             self._begun.set()
 
     @contextmanager
-    def _transaction(self, begin: str) -> Iterator[Connection]:
-        with explained(self.path), self.engine.connect() as connection:
+    def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
+        with explained(self.path, self.file), self.engine.connect() as connection:
+            self.file.require_current()
+            _wait_at_most(connection, wait_s)
             connection = connection.execution_options(**{_BEGIN: begin})
             with connection.begin():
                 yield connection
@@ -121,8 +174,20 @@ class Store:
         ]
 
     def close(self) -> None:
-        """Closes all connections."""
+        """Closes all connections; what a replaced database held is kept first."""
+        # without a connection it is closed already; and who removes or replaces a whole project means it
+        if self.pool.checkedin() and self.file.is_same_folder() and not self.file.is_current():
+            self._keep()
         self.engine.dispose()
+
+    def _keep(self) -> None:
+        try:
+            # a connection of the pool, since a new one would open the other file
+            with closing(self.engine.raw_connection()) as connection:
+                assert isinstance(connection.driver_connection, sqlite3.Connection)
+                keep_replaced(connection.driver_connection, self.file)
+        except (ProjectError, DBAPIError, NoConnectionError) as error:
+            LOG.error("%s: was replaced, and what it held could not be kept: %s", self.path, error)
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
@@ -131,16 +196,16 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
     Raises:
         ProjectError: the file exists already, or cannot be written.
     """
-    if path.exists():
-        raise ProjectError(f"{path}: exists already")
-    store = _store(path, "rwc", BUSY_TIMEOUT_S, clock)
-    with _closed_on_error(store), explained(path):
+    try:
+        path.touch(exist_ok=False)
+    except FileExistsError as error:
+        raise ProjectError(f"{path}: exists already") from error
+    store = _store(database_file(path), BUSY_TIMEOUT_S, clock)
+    with _closed_on_error(store), explained(path, store.file):
         with closing(store.engine.raw_connection()) as outside_transactions:
             # stored in the file, so it applies to every later connection
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
-        with store._transaction("BEGIN IMMEDIATE") as connection:
-            connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
-            upgrade(connection, path, MIGRATIONS)
+        store.upgrade(MIGRATIONS, is_new=True)
     return store
 
 
@@ -150,22 +215,21 @@ def open_store(
     busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
     migrations: tuple[Migration, ...] = MIGRATIONS,
-    before_upgrade: Callable[[int], None] | None = None,
+    before_upgrade: Callable[[], None] | None = None,
 ) -> Store:
     """Opens the database at `path` and upgrades an older one to the newest version.
 
     Args:
-        before_upgrade: called with the version of a database that will be upgraded; may raise to prevent it.
+        before_upgrade: called before an older database is upgraded; may raise to prevent it.
 
     Raises:
         ProjectError: it is missing, not a project database, damaged, locked, or of a newer version; or the file
             `-wal` beside it belongs to another database.
     """
-    if not path.is_file():
-        raise ProjectError(f"{path}: is missing; {RESTORE}")
+    _require_file(path)
     if has_foreign_wal(path):
         raise ProjectError(foreign_wal(path))
-    store = _store(path, "rw", busy_timeout_s, clock)
+    store = _store(database_file(path), busy_timeout_s, clock)
     with _closed_on_error(store):
         with store.read() as connection:
             application_id = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
@@ -174,11 +238,16 @@ def open_store(
             connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
         if application_id != APPLICATION_ID:
             raise ProjectError(f"{path}: is an SQLite database, but not a project database; {RESTORE}")
+        if version < 1:
+            raise ProjectError(f"{path}: is damaged: its version is {version}; {RESTORE}")
         if version != migrations[-1].version:
-            if before_upgrade is not None:
-                before_upgrade(version)
-            with store._transaction("BEGIN IMMEDIATE") as connection:
-                upgrade(connection, path, migrations)
+            if before_upgrade is not None and version < migrations[-1].version and store.file.is_writable:
+                before_upgrade()
+            store.upgrade(migrations)
+        if migrations is MIGRATIONS:
+            with store.read() as connection:
+                require_tables(connection, path)
+        store.file.remember_beside()
     return store
 
 
@@ -191,23 +260,59 @@ def foreign_wal(path: Path) -> str:
     )
 
 
+def _require_file(path: Path) -> None:
+    try:
+        is_file = path.is_file()
+    except OSError as error:
+        raise ProjectError(f"{path}: cannot be read: {error.strerror}; check the permissions of its folder") from error
+    if not is_file:
+        kept = kept_copies(path.parent.absolute())
+        remedy = f"move {kept[-1]}, which was kept of it, to {path}, or " if kept else ""
+        raise ProjectError(f"{path}: is missing; {remedy}{RESTORE}")
+
+
 @contextmanager
-def explained(path: Path) -> Iterator[None]:
-    """Converts SQLite's errors about the file `path` into a ProjectError that says what to do.
+def explained(path: Path, file: DatabaseFile | None = None) -> Iterator[None]:
+    """Converts SQLite's errors about the database `path` into a ProjectError that says what to do.
+
+    Args:
+        file: of an open store; it may have been replaced.
 
     Raises:
+        ReplacedError: the file was removed or replaced, which explains the error.
         ProjectError: the database is locked, damaged, not writable or out of space.
     """
     try:
         yield
+    except NoConnectionError as error:
+        raise ProjectError(f"{path}: is in use by too many requests at once; try again") from error
     except (DBAPIError, sqlite3.Error) as error:
+        if file is not None:
+            file.require_current()
         cause = error.orig if isinstance(error, DBAPIError) else error
-        code = getattr(cause, "sqlite_errorcode", None)
-        # the low byte is the primary result code
-        problem = None if code is None else _PROBLEMS.get(code & 0xFF)
+        problem = _problem(cause)
         if problem is None:
             raise
         raise ProjectError(f"{path}: {problem} ({cause})") from error
+
+
+def _problem(cause: BaseException | None) -> str | None:
+    """What is wrong, and what to do; None for an error that a database cannot cause."""
+    code = getattr(cause, "sqlite_errorcode", None)
+    if code == sqlite3.SQLITE_ERROR and any(text in str(cause) for text in MISFITS):
+        return f"is damaged: its tables are not those of its version; {RESTORE}"
+    # the low byte is the primary result code
+    return None if code is None else _PROBLEMS.get(code & 0xFF)
+
+
+def _wait_at_most(connection: Connection, seconds: float) -> None:
+    """Sets how long the connection waits for locks, if it differs from before."""
+    milliseconds = round(seconds * 1000)
+    if connection.info.get(_WAITS_MS) != milliseconds:
+        driver = connection.connection.driver_connection
+        assert isinstance(driver, sqlite3.Connection)
+        driver.execute(f"PRAGMA busy_timeout = {milliseconds}")
+        connection.info[_WAITS_MS] = milliseconds
 
 
 @contextmanager
@@ -219,29 +324,41 @@ def _closed_on_error(store: Store) -> Iterator[None]:
         raise
 
 
-def _store(path: Path, mode: str, busy_timeout_s: float, clock: Clock) -> Store:
-    address = f"file:{quote(str(path.resolve()))}?mode={mode}"
-
+def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
     def connect() -> sqlite3.Connection:
+        file.require_current()
         connection = sqlite3.connect(
-            address,
+            file.address,
             uri=True,
-            timeout=busy_timeout_s,
+            timeout=patience_s(busy_timeout_s),
             isolation_level=None,  # the begin event below starts transactions, not the sqlite3 module
             check_same_thread=False,  # the pool hands a connection to one thread at a time
         )
-        connection.execute("PRAGMA foreign_keys = ON")
-        # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it is
-        # safe. NORMAL in WAL mode may lose the last commits in a power cut.
-        connection.execute("PRAGMA synchronous = FULL")
-        # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
-        connection.execute("PRAGMA recursive_triggers = ON")
+        try:
+            # the file may have been replaced before SQLite opened it
+            file.require_current()
+            connection.execute("PRAGMA foreign_keys = ON")
+            # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it
+            # is safe. NORMAL in WAL mode may lose the last commits in a power cut.
+            connection.execute("PRAGMA synchronous = FULL")
+            # without it, INSERT OR REPLACE removes rows without firing the append-only triggers
+            connection.execute("PRAGMA recursive_triggers = ON")
+        except BaseException:
+            connection.close()
+            raise
         return connection
 
-    engine = create_engine("sqlite://", creator=connect, poolclass=QueuePool, pool_size=THREADS, max_overflow=THREADS)
+    engine = create_engine(
+        "sqlite://",
+        creator=connect,
+        poolclass=QueuePool,
+        pool_size=THREADS,
+        max_overflow=THREADS,
+        pool_timeout=busy_timeout_s,
+    )
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         connection.exec_driver_sql(connection.get_execution_options().get(_BEGIN, "BEGIN"))
 
-    return Store(path, engine, clock)
+    return Store(file, engine, busy_timeout_s, clock)

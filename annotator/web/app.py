@@ -12,7 +12,9 @@ from annotator import __version__
 from annotator.web.automatic_backups import AutomaticBackups
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
+from annotator.web.fairness import Fair
 from annotator.web.learning import Learner, StepAside
+from annotator.web.leftovers import clear_leftovers
 from annotator.web.security import Guard, check_settings
 from annotator.web.settings import ServerSettings
 from annotator.web.static import add_static
@@ -51,6 +53,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        clear_leftovers(settings.projects_root)
         watch = Watch(context, Learner(context.jobs))
         watch.start()
         backups = AutomaticBackups(context)
@@ -76,6 +79,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
         app.include_router(import_module(f"annotator.web.routes.{name}").router)
     add_static(app)
     app.add_middleware(StepAside, jobs=context.jobs)
+    app.add_middleware(Fair)
     # added last, so that it is the first to see a request
     app.add_middleware(Guard, settings=settings)
     return app

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import logging
+import os
+import shutil
+import tempfile
 import threading
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import unquote
@@ -12,10 +16,12 @@ from urllib.parse import unquote
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from annotator.project import Project, open_project
+from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
+from annotator.project.database.patience import patience_s, waiting_at_most
+from annotator.project.store import BUSY_TIMEOUT_S
 from annotator.types import Frame
-from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError
+from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
 from annotator.web.caches import Caches
 from annotator.web.errors import NotSignedInError, hide_paths
 from annotator.web.folders import Folders
@@ -26,7 +32,10 @@ from annotator.web.jobs.runner import JobRunner
 from annotator.web.settings import ServerSettings
 from annotator.web.uploads import as_sent
 
+LOG = logging.getLogger("annotator.web")
+
 OPERATOR_COOKIE = "annotator_operator"
+LONGEST_NAME = 64
 # A hidden folder within the projects folder, thus not a project.
 JOBS_FOLDER = ".jobs"
 
@@ -47,31 +56,38 @@ class Context:
         self.settings = settings
         self.folders = Folders(settings.folders)
         self.hub = Hub()
-        self.jobs = JobRunner(settings.projects_root / JOBS_FOLDER, self._send_job, self.public_message)
+        self._temporary: Path | None = None
+        self.jobs = JobRunner(self._jobs_folder(), self._send_job, self.public_message)
         self.follow_runs = FollowRuns(self.hub, self.public_message)
         self.caches = Caches()
         self._lock = threading.Lock()
         self._projects: dict[str, Project] = {}
+        self._opens: dict[str, threading.Lock] = {}
 
     def project(self, name: str) -> Project:
-        """The project of that name; it stays open after the first call.
+        """The project of that name; it stays open after the first call, but is opened anew once it was replaced.
 
         Raises:
             NotFoundError: no such project.
-            ProjectError: it cannot be opened.
+            ProjectError: it cannot be opened, or another process has locked it.
         """
-        with self._lock:
+        project = self._projects.get(name)
+        if project is not None and project.is_current:
+            return project
+        folder = self._folder(name)
+        if project is None:
+            _require(folder)
+        with self._opening(name):
             project = self._projects.get(name)
-            if project is not None and project.path.is_dir():
+            if project is not None and project.is_current:
                 return project
-            folder = self._folder(name)
             if project is not None:
-                self._projects.pop(name).close()
-                self.hub.forget(name)
-            if not folder.is_dir():
-                raise NotFoundError(f"there is no project {name!r}; the start page lists the existing ones")
-            self._projects[name] = open_project(folder)
-            return self._projects[name]
+                self._drop(name)
+            _require(folder)
+            project = open_project(folder)
+            with self._lock:
+                self._projects[name] = project
+            return project
 
     def frame(self, project: Project, frame_id: int) -> Frame:
         """A frame with its image and cloud, from the cache if possible.
@@ -82,10 +98,9 @@ class Context:
         """
         return self.caches.frames.read(project, frame_id)
 
-    def open_projects(self, names: Iterable[str]) -> list[tuple[str, Project]]:
-        """The named projects that are open, with their names."""
-        with self._lock:
-            return [(name, self._projects[name]) for name in names if name in self._projects]
+    def is_open(self, name: str) -> bool:
+        """True if the project of that name has been opened."""
+        return name in self._projects
 
     def all_open_projects(self) -> list[tuple[str, Project]]:
         """All projects that are open, with their names."""
@@ -103,9 +118,11 @@ class Context:
         with self._lock:
             projects = list(self._projects.values())
         for project in projects:
-            # an unreadable project must not hide the original message
-            with suppress(AnnotatorError):
-                yield from [(recording.path, recording.name) for recording in project.recordings.all()]
+            # an unreadable or locked project must neither hide the original message nor delay it
+            recordings: tuple[StoredRecording, ...] = ()
+            with suppress(AnnotatorError), waiting_at_most(0.0):
+                recordings = project.recordings.all()
+            yield from ((recording.path, recording.name) for recording in recordings)
 
     def close(self) -> None:
         """Ends all threads and processes of the application, and closes its projects."""
@@ -117,6 +134,43 @@ class Context:
             for project in self._projects.values():
                 project.close()
             self._projects.clear()
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+
+    def _jobs_folder(self) -> Path:
+        """The folder of jobs; a temporary one if the projects folder cannot be written, so that exports work."""
+        root = self.settings.projects_root
+        if root.is_dir() and not os.access(root, os.W_OK):
+            self._temporary = Path(tempfile.mkdtemp(prefix="annotator-jobs-"))
+            return self._temporary
+        return root / JOBS_FOLDER
+
+    @contextmanager
+    def _opening(self, name: str) -> Iterator[None]:
+        """Held by the thread that opens a project: others wait for that project only.
+
+        Raises:
+            ProjectError: another thread waits for it, too, and for longer than this one may wait.
+        """
+        with self._lock:
+            lock = self._opens.setdefault(name, threading.Lock())
+        if not lock.acquire(timeout=patience_s(BUSY_TIMEOUT_S)):
+            raise ProjectError(f"project {name} is locked by another process; wait, and try again")
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def _drop(self, name: str) -> None:
+        """Closes a project that was removed or replaced."""
+        with self._lock:
+            project = self._projects.pop(name)
+        LOG.warning("%s: was removed or replaced while it was open; it is opened anew", project.path)
+        self.caches.frames.forget(project)
+        self.hub.forget(name)
+        # revisions that a page has seen may be newer than the stored ones
+        self.hub.send({"type": "replaced", "project": name})
+        project.close()
 
     def _send_job(self, job: Job) -> None:
         # no "project" key: the job indicator is on every page
@@ -128,6 +182,11 @@ class Context:
         except ConfigError as error:
             raise NotFoundError(f"there is no project {name!r}") from error
         return self.settings.projects_root / name
+
+
+def _require(folder: Path) -> None:
+    if not folder.is_dir():
+        raise NotFoundError(f"there is no project {folder.name!r}; the start page lists the existing ones")
 
 
 def context(connection: HTTPConnection) -> Context:
@@ -149,8 +208,23 @@ def operator(connection: HTTPConnection) -> str:
 
 
 def operator_or_none(connection: HTTPConnection) -> str | None:
-    """The signed-in operator's name, or None."""
-    return unquote(connection.cookies.get(OPERATOR_COOKIE, "")) or None
+    """The signed-in operator's name; None without one, or if the cookie holds what sign-in refuses."""
+    try:
+        return check_operator(unquote(connection.cookies.get(OPERATOR_COOKIE, ""), errors="strict"))
+    except ValueError:
+        return None
+
+
+def check_operator(name: str) -> str:
+    """Returns an operator's name without spaces around it.
+
+    Raises:
+        ValueError: it is empty, too long, or has characters that cannot be printed.
+    """
+    name = name.strip()
+    if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
+        raise ValueError(f"a name has 1 to {LONGEST_NAME} printable characters")
+    return name
 
 
 Ctx = Annotated[Context, Depends(context)]

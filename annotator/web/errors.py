@@ -11,10 +11,18 @@ from fastapi import FastAPI, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 
-from annotator.types.errors import AnnotatorError, FinalisedFrameError, HistoryError, NotFoundError, StaleRevisionError
+from annotator.types.errors import (
+    AnnotatorError,
+    FinalisedFrameError,
+    HistoryError,
+    NotFoundError,
+    ReplacedError,
+    StaleRevisionError,
+)
 
 LOG = logging.getLogger("annotator.web")
 
@@ -50,6 +58,7 @@ class ErrorAnswer(BaseModel):
 STATUS: list[tuple[type[AnnotatorError], int]] = [
     (NotFoundError, 404),
     (StaleRevisionError, 409),
+    (ReplacedError, 409),
     (HistoryError, 409),
     (FinalisedFrameError, 409),
     (NotSignedInError, 401),
@@ -109,7 +118,9 @@ def add_error_handlers(app: FastAPI) -> None:
 
 async def _annotator_error(connection: HTTPConnection, error: Exception) -> Response:
     assert isinstance(error, AnnotatorError)
-    status, message = status_of(error), connection.app.state.context.public_message(str(error))
+    # in a thread, since it reads the projects; the event loop must not wait for any of them
+    message = await run_in_threadpool(connection.app.state.context.public_message, str(error))
+    status = status_of(error)
     if isinstance(connection, WebSocket):
         # a close reason has at most 123 bytes
         await connection.close(4000 + status, message.encode()[:120].decode("utf-8", "ignore"))

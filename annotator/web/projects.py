@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
 from annotator.files import why_missing
 from annotator.project import ListedProject, Project, StoredModel, StoredRecording
+from annotator.project.database.patience import waiting_at_most
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
+from annotator.web.errors import INTERNAL
 from annotator.workflows.detectors import stand_in
+
+LOG = logging.getLogger("annotator.web")
+
+# For a locked project: those after it in the list wait meanwhile.
+LIST_WAIT_S = 0.2
 
 
 class MissingRecording(BaseModel):
@@ -79,14 +87,19 @@ class ProjectInfo(BaseModel):
 
 def summary(ctx: Context, listed: ListedProject) -> ProjectSummary:
     """The summary of a project in a projects folder; for one that cannot be opened, with its problem."""
-    name = listed.path.name
+    # a name that is not text in UTF-8 cannot be sent
+    name = listed.path.name.encode(errors="replace").decode()
     classes = [] if listed.config is None else list(listed.config.classes)
     try:
         if listed.problem is not None:
             return _broken(name, classes, ctx.public_message(listed.problem))
-        return summary_of(name, ctx.project(name))
+        with waiting_at_most(LIST_WAIT_S):
+            return summary_of(name, ctx.project(name))
     except AnnotatorError as error:
         return _broken(name, classes, ctx.public_message(str(error)))
+    except Exception:  # one project must not take the list of all down
+        LOG.exception("project %s cannot be listed", name)
+        return _broken(name, classes, f"the project cannot be read: {INTERNAL}")
 
 
 def summary_of(name: str, project: Project) -> ProjectSummary:

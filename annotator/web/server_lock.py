@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +20,7 @@ LOCK = Path(".jobs") / "lock"
 def hold_server_lock(projects_root: Path) -> Iterator[None]:
     """Holds the lock of a projects folder within the `with` block; the system releases it when the process ends.
 
-    On a file system without locks it logs a warning instead.
+    On a file system without locks, or for a folder that cannot be written, it logs a warning instead.
 
     Raises:
         ConfigError: another server holds the lock, or the lock file cannot be written.
@@ -30,6 +31,10 @@ def hold_server_lock(projects_root: Path) -> Iterator[None]:
         yield
         return
     path = projects_root / LOCK
+    if projects_root.is_dir() and not os.access(projects_root, os.W_OK):
+        LOG.warning("%s: cannot be written: its projects can be read and exported, but not changed", projects_root)
+        yield
+        return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("w")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 
+from annotator.project.database.patience import waiting_at_most
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context
 from annotator.web.learning import Learner
@@ -12,6 +13,8 @@ from annotator.web.learning import Learner
 LOG = logging.getLogger("annotator.web")
 
 EVERY_S = 0.5
+# For a locked project: the other projects wait meanwhile.
+WAIT_S = 0.1
 
 
 class Watch:
@@ -21,6 +24,7 @@ class Watch:
     def __init__(self, context: Context, learner: Learner, every_s: float = EVERY_S) -> None:
         self._context, self._learner, self._every_s = context, learner, every_s
         self._last_events: dict[str, int] = {}
+        self._problems: dict[str, str] = {}
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
 
@@ -39,22 +43,32 @@ class Watch:
         opened = self._context.hub.projects()
         for name in self._last_events.keys() - opened:
             del self._last_events[name]
-        for name, project in self._context.open_projects(opened):
+        for name in filter(self._context.is_open, opened):
             try:
-                before = self._last_events.get(name, opened[name])
-                self._last_events[name], changed = project.log.changed_frames(before)
-                adjusted = project.adjustments.since(before) if changed else ()
+                with waiting_at_most(WAIT_S):
+                    self._poll(name, opened[name])
             except AnnotatorError as error:
-                LOG.warning("%s: its log cannot be read: %s", name, error)
-                continue
-            for frame in changed:
-                self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
-            for recording, event, author in adjusted:
-                self._context.hub.recording_adjusted(name, recording, event, author)
-            try:
-                self._learner.look(name, project)
-            except AnnotatorError as error:
-                LOG.warning("%s: a round of training cannot be started: %s", name, error)
+                self._failed(name, str(error))
+            else:
+                self._problems.pop(name, None)
+
+    def _poll(self, name: str, since: int) -> None:
+        project = self._context.project(name)
+        before = self._last_events.get(name, since)
+        newest, changed = project.log.changed_frames(before)
+        adjusted = project.adjustments.since(before) if changed else ()
+        self._last_events[name] = newest
+        for frame in changed:
+            self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
+        for recording, event, author in adjusted:
+            self._context.hub.recording_adjusted(name, recording, event, author)
+        self._learner.look(name, project)
+
+    def _failed(self, name: str, problem: str) -> None:
+        """Logs a problem once, not twice a second."""
+        if self._problems.get(name) != problem:
+            LOG.warning("%s: it cannot be watched, or cannot learn: %s", name, problem)
+        self._problems[name] = problem
 
     def _run(self) -> None:
         while not self._ended.wait(self._every_s):

@@ -19,6 +19,7 @@ FRAMES_TRIED = 5
 NO_OPTIONS = ReaderOptions()
 
 
+LONGEST_NAME = 100
 # In place of the names of scenes or cameras.
 ALL = "all"
 
@@ -64,9 +65,12 @@ def add_recordings(
 
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
-        ConfigError: one name for several recordings, or another name or up direction for a known recording.
+        ConfigError: one name for several recordings, a name that is too long or cannot be printed, or another name or
+            up direction for a known recording.
         ProjectError: the store refuses a value, e.g. an `up` of length zero.
     """
+    if name is not None:
+        _check_name(name)
     opened = [each for path in paths for each in _chosen(path, options, tuple(scenes), tuple(cameras))]
     if name is not None and len(opened) > 1:
         raise ConfigError(f"{len(opened)} recordings cannot all be called {name!r}; add them one by one")
@@ -76,6 +80,14 @@ def add_recordings(
         _require_unchanged(project.path.name, _known(project, recording, options), name, up)
     added = [_add(project, recording, name, up, options) for recording, options in opened]
     return [_with_up_note(project, *each) for each in zip(added, frames, strict=True)]
+
+
+def _check_name(name: str) -> None:
+    if not 0 < len(name) <= LONGEST_NAME or not name.isprintable() or name != name.strip():
+        raise ConfigError(
+            f"{name[:80]!r} is not a valid name of a recording; use 1 to {LONGEST_NAME} printable characters, without "
+            "spaces at the ends"
+        )
 
 
 def register_recording(

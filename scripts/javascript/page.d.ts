@@ -64,6 +64,7 @@ interface Messages {
   follow: { run: Api.FollowRunJson };
   /** A recording has another up direction or calibration. */
   adjusted: { recording: number; adjusted: number; operator: string };
+  replaced: { project: string };
   viewport: ViewportMessage;
   /** Whether the socket is open. */
   connection: boolean;

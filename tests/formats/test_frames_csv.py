@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,27 @@ WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"
 @settings(deadline=None)
 def test_written_frames_read_back(origins: list[FrameOrigin]) -> None:
     assert list(parse_frames(Path("frames.csv"), dump_frames(origins)).values()) == origins
+
+
+# Texts that spreadsheets run as formulas, and those that look like escaped ones.
+FORMULAS = ["=1+1", "+a", "-a", "@a", "\t=a", "\ra", "\na", "'=a", "''@", "-1-1", "+1e", "'-5", '="x",y']
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_a_spreadsheet_runs_no_cell(name: str) -> None:
+    text = dump_frames([FrameOrigin("a", name, name, name)])
+    for cell in next(csv.reader(io.StringIO(text.partition("\r\n")[2], newline="")))[1:]:
+        assert cell == f"'{name}"
+    (read,) = parse_frames(Path("frames.csv"), text).values()
+    assert read == FrameOrigin("a", name, name, name)
+
+
+@pytest.mark.parametrize("name", ["-5", "+0.5e-3", "12", "a=b", "'a", "'", "''", "a-1"])
+def test_numbers_and_other_texts_stay_as_they_are(name: str) -> None:
+    text = dump_frames([FrameOrigin(name, name, name)])
+    assert text.endswith(f"{name},{name},{name},\r\n")
+    (read,) = parse_frames(Path("frames.csv"), text).values()
+    assert read == FrameOrigin(name, name, name)
 
 
 @pytest.mark.parametrize(

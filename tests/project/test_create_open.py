@@ -7,6 +7,7 @@ import json
 import sqlite3
 import threading
 from collections.abc import Callable
+from contextlib import closing
 from functools import partialmethod
 from pathlib import Path
 
@@ -36,7 +37,13 @@ def test_a_new_project_has_its_files(tmp_path: Path) -> None:
         "format_version": 1,
         "created_ns": 123,
         "classes": ["hand"],
-        "settings": {"rotation": "upright", "rcv": {}, "learn_every": None},
+        "settings": {
+            "rotation": "upright",
+            "rcv": {},
+            "learn_every": None,
+            "backup_hours": 4.0,
+            "backups_kept": 5,
+        },
     }
     with open_project(folder) as project:
         assert project.config.classes == ("hand",)
@@ -115,10 +122,17 @@ def _foreign(folder: Path) -> None:
     connection.close()
 
 
-def _newer(folder: Path) -> None:
-    connection = sqlite3.connect(folder / "project.db")
-    connection.execute("PRAGMA user_version = 99")
-    connection.close()
+def _run(statement: str) -> Callable[[Path], None]:
+    def run(folder: Path) -> None:
+        with closing(sqlite3.connect(folder / "project.db", isolation_level=None)) as connection:
+            connection.execute(statement)
+
+    return run
+
+
+def _a_folder(folder: Path) -> None:
+    (folder / "project.db").unlink()
+    (folder / "project.db").mkdir()
 
 
 @pytest.mark.parametrize(
@@ -134,7 +148,16 @@ def _newer(folder: Path) -> None:
         (_overwrite("project.db", b""), "not a project database"),
         (_truncate, "project.db: is damaged"),
         (_foreign, "not a project database"),
-        (_newer, r"newer annotator \(database version 99, this one supports up to \d+\); update annotator"),
+        (_a_folder, "project.db: is missing"),
+        (_run("DROP TABLE view_labels"), "is damaged: it lacks table view_labels; restore it"),
+        (_run("ALTER TABLE models DROP COLUMN metrics"), "is damaged: it lacks column metrics of table models"),
+        (_run("PRAGMA user_version = 0"), "is damaged: its version is 0"),
+        (_run("PRAGMA user_version = -5"), "is damaged: its version is -5"),
+        (_run("PRAGMA user_version = 1"), "its tables are not those of its version; restore it"),
+        (
+            _run("PRAGMA user_version = 99"),
+            r"newer annotator \(database version 99, this one supports up to \d+\); update annotator",
+        ),
     ],
 )
 def test_opening_a_damaged_project_raises_a_clear_error(

@@ -160,7 +160,8 @@ def test_a_round_that_cannot_start_loses_no_event(
     monkeypatch.setattr(Log, "changed_frames", lambda self, event_id: (event_id + 1, (ChangedFrame(7, 2, "Ada"),)))
     sent: list[int] = []
     hub = SimpleNamespace(projects=lambda: {"room": 0}, frame_changed=lambda name, frame_id, *_: sent.append(frame_id))
-    monkeypatch.setattr(Context, "open_projects", lambda self, names: [("room", project)])
+    monkeypatch.setattr(Context, "is_open", lambda self, name: True)
+    monkeypatch.setattr(Context, "project", lambda self, name: project)
     context = object.__new__(Context)
     vars(context)["hub"] = hub
     watch = Watch(context, Learner(jobs))

@@ -65,6 +65,9 @@ def test_names_and_up_directions_can_be_given(make_project: Callable[..., Projec
     project = make_project()
     with pytest.raises(ConfigError, match="2 recordings cannot all be called 'x'"):
         add_recordings(project, [generated / "people", generated / "hands"], name="x")
+    for name in ("a" * 300, "", " a", "a\nb"):
+        with pytest.raises(ConfigError, match="is not a valid name of a recording; use 1 to 100 printable"):
+            add_recordings(project, [generated / "people"], name=name)
     with pytest.raises(ProjectError, match="up direction must be"):
         add_recordings(project, [generated / "people"], up=(0.0, 0.0, 0.0))
     (added,) = add_recordings(project, [generated / "people"], name="room", up=(0.0, -2.0, 0.0))

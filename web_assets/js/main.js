@@ -308,6 +308,9 @@ async function start() {
     app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),
   );
   app.events.on("adjusted", (message) => void readjust(message));
+  app.events.on("replaced", () =>
+    toast("This project was replaced on the server. Reload the page: what it shows is no longer stored.", "error"),
+  );
   app.events.on("reconnected", () => void catchUp());
   app.events.on("connection", (connected) => app.state.set({ connected }));
   mountTopbar(topbar, app);

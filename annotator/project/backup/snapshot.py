@@ -7,9 +7,9 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from urllib.parse import quote
 
 from annotator.project.backup.generation import has_foreign_wal
+from annotator.project.database.file import database_file
 from annotator.project.store import BUSY_TIMEOUT_S, explained, foreign_wal
 from annotator.types.errors import RESTORE, ProjectError
 
@@ -43,8 +43,9 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
     Raises:
         sqlite3.Error: it cannot be opened or read.
     """
-    address = f"file:{quote(str(path.resolve()))}?mode=rw"
-    with closing(sqlite3.connect(address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)) as connection:
+    with closing(
+        sqlite3.connect(database_file(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
+    ) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA cell_size_check = ON")

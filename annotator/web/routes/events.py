@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, WebSocket, WebSocketDisconnect
 from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
+from annotator.project.database.patience import waiting_at_most
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.hub import Client
 from annotator.web.schemas import ClassName, RowId, Schema
@@ -17,6 +18,8 @@ router = APIRouter()
 
 # Time limit for sending an event to a page; after that the page is disconnected.
 SEND_WITHIN_S = 10.0
+# Time limit for reading a locked project; a page tries again by itself.
+CONNECT_WITHIN_S = 0.5
 BAD_MESSAGE, TOO_SLOW = 1007, 1013
 
 
@@ -49,7 +52,7 @@ async def events(
     socket: WebSocket, ctx: Ctx, operator: Operator, project: Annotated[str | None, Query(max_length=64)] = None
 ) -> None:
     """Sends events to a page, and receives which frame and viewport it shows."""
-    since = 0 if project is None else await run_in_threadpool(lambda: ctx.project(project).log.last())
+    since = 0 if project is None else await run_in_threadpool(_newest_event, ctx, project)
     # joined before the page knows that it is connected: what it reads from then on is followed by every later event
     client = Client(project, operator, since)
     ctx.hub.join(client)
@@ -63,6 +66,12 @@ async def events(
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _newest_event(ctx: Context, project: str) -> int:
+    # pages that connect again and again to a locked project must not occupy all threads
+    with waiting_at_most(CONNECT_WITHIN_S):
+        return ctx.project(project).log.last()
 
 
 async def _send(socket: WebSocket, client: Client) -> None:

@@ -9,18 +9,11 @@ from fastapi import APIRouter, Request, Response
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from annotator import __version__
-from annotator.web.context import OPERATOR_COOKIE, Ctx, operator_or_none
+from annotator.web.context import LONGEST_NAME, OPERATOR_COOKIE, Ctx, check_operator, operator_or_none
 
 router = APIRouter(prefix="/api/session", tags=["session"])
 
 A_YEAR_S = 365 * 24 * 3600
-
-
-def _check_name(name: str) -> str:
-    name = name.strip()
-    if not name or not name.isprintable():
-        raise ValueError("a name has 1 to 64 printable characters")
-    return name
 
 
 class SignIn(BaseModel):
@@ -28,7 +21,7 @@ class SignIn(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    operator: Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_check_name)]
+    operator: Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(check_operator)]
 
 
 class Session(BaseModel):

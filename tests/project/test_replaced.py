@@ -1,0 +1,176 @@
+"""A project whose folder or database is removed or replaced while it is open."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from store_samples import box_at, by_hand
+
+from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
+from annotator.project import store as store_module
+from annotator.types.errors import ProjectError, ReplacedError
+
+
+@pytest.fixture
+def backup(project: Project, frame: int, tmp_path: Path) -> Iterator[Path]:
+    """A copy of the project with one label; the project gets a second one later."""
+    _label(project, frame)
+    copy = tmp_path / "backup"
+    shutil.copytree(project.path, copy)
+    _label(project, frame)
+    yield copy
+
+
+def _label(project: Project, frame: int) -> None:
+    project.labels.create(frame, [NewLabel("hand", box_at())], by_hand(project.frames.get(frame).revision))
+
+
+def _folder(folder: Path, backup: Path) -> None:
+    shutil.rmtree(folder)
+    shutil.copytree(backup, folder)
+
+
+def _database(folder: Path, backup: Path) -> None:
+    (folder / "project.db").unlink()
+    with (
+        closing(sqlite3.connect(backup / "project.db")) as source,
+        closing(sqlite3.connect(folder / "new.db")) as target,
+    ):
+        source.backup(target)
+    (folder / "new.db").rename(folder / "project.db")
+
+
+def _link(folder: Path, backup: Path) -> None:
+    folder.rename(folder.with_name("moved"))
+    folder.symlink_to(backup)
+
+
+@pytest.mark.parametrize("replace", [_folder, _database, _link])
+def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
+    project: Project, frame: int, backup: Path, replace: Callable[[Path, Path], None]
+) -> None:
+    replace(project.path, backup)
+    assert not project.is_current
+    with pytest.raises(ReplacedError, match="was replaced by another file while it was open"):
+        _label(project, frame)
+    with pytest.raises(ReplacedError):
+        project.labels.of_frame(frame)
+    project.close()
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 1, "the backup's state, not mixed with what came after it"
+        _label(anew, frame)
+    with open_project(project.path) as again:
+        assert len(again.labels.of_frame(frame)) == 2
+
+
+def test_what_a_removed_database_held_is_kept(project: Project, frame: int, backup: Path) -> None:
+    (project.path / "project.db").unlink()
+    with pytest.raises(ReplacedError, match="was removed while it was open"):
+        _label(project, frame)
+    project.close()
+    kept = next(project.path.parent.glob(".replaced/hands.until-*.db"))
+    assert sorted(path.name for path in project.path.iterdir()) == ["models", "project.json", "views"]
+    with pytest.raises(
+        ProjectError, match=f"is missing; move .*{kept.name}, which was kept of it, to .*project.db, or"
+    ):
+        open_project(project.path)
+    kept.rename(project.path / "project.db")
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 2
+
+
+@pytest.mark.parametrize("suffix", ["-wal", "-shm"])
+def test_a_removed_file_beside_the_database_loses_nothing(
+    project: Project, frame: int, backup: Path, suffix: str
+) -> None:
+    (project.path / f"project.db{suffix}").unlink()
+    with pytest.raises(ReplacedError, match=f"project.db{suffix}: was removed while it was open"):
+        _label(project, frame)
+    project.close()
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 2
+
+
+def test_a_project_that_is_deleted_leaves_nothing(project: Project, backup: Path) -> None:
+    shutil.rmtree(project.path)
+    project.close()
+    assert [path.name for path in project.path.parent.iterdir()] == ["backup"]
+
+
+def test_a_disk_that_is_full_leaves_no_mixture(
+    project: Project, frame: int, backup: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError("No space left on device")
+
+    _database(project.path, backup)
+    monkeypatch.setattr("annotator.project.database.replaced._copied", full)
+    project.close()
+    assert "could not be kept" in caplog.text
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 1
+
+
+def test_a_replacement_during_a_write_is_noticed_before_it_is_acknowledged(
+    project: Project, frame: int, backup: Path
+) -> None:
+    with pytest.raises(ReplacedError), project.store.write():
+        _folder(project.path, backup)
+    # or between a connection's opening and its use
+    with open_project(project.path) as anew:
+        held = [anew.store.engine.connect() for _ in range(anew.store.pool.checkedin())]
+        _folder(project.path, backup)
+        with pytest.raises(ReplacedError):
+            anew.log.last()
+        for connection in held:
+            connection.close()
+
+
+def test_a_project_that_cannot_be_written_can_be_read(
+    project: Project, recording: StoredRecording, frame: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _label(project, frame)
+    project.close()
+    before = {path.name: path.stat().st_mtime_ns for path in project.path.iterdir()}
+    monkeypatch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+    with open_project(project.path) as reading:
+        assert len(reading.labels.of_frame(frame)) == 1
+        assert reading.statistics().frames == 5
+        with pytest.raises(ProjectError, match=r"read-only disk, .* so nothing was saved; .* copy its folder"):
+            _label(reading, frame)
+        assert {path.name: path.stat().st_mtime_ns for path in project.path.iterdir()} == before
+    monkeypatch.undo()
+    with open_project(project.path) as writing, monkeypatch.context() as patch:
+        # another user, with more rights, has it open: the latest changes are beside the database
+        _label(writing, frame)
+        patch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+        with open_project(project.path) as reading:
+            assert len(reading.labels.of_frame(frame)) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+        reading = open_project(project.path)
+    with reading, open_project(project.path) as writing:
+        # it was read without locks, and is written now
+        _label(writing, frame)
+        with pytest.raises(ReplacedError):
+            reading.labels.of_frame(frame)
+
+
+def test_an_older_project_that_cannot_be_written_is_not_upgraded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create_project(tmp_path, "old", ["hand"]).close()
+    with closing(sqlite3.connect(tmp_path / "old" / "project.db")) as database:
+        database.execute(f"PRAGMA user_version = {store_module.MIGRATIONS[-1].version - 1}")
+    monkeypatch.setattr("annotator.project.database.file.os.access", lambda *_: False)
+    with pytest.raises(ProjectError, match="read-only disk"):
+        open_project(tmp_path / "old")

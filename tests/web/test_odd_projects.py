@@ -1,0 +1,282 @@
+"""Projects that are replaced, damaged or locked under a running server; and the others, which must not notice."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import sqlite3
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from fastapi import FastAPI
+from in_process import HERE, ask
+from live_server import PATIENCE_S, wait_until
+
+from annotator.project import create_project
+from annotator.types.errors import NotFoundError
+from annotator.web import fairness, projects
+from annotator.web.app import create_app
+from annotator.web.fairness import Fair
+from annotator.web.learning import Learner
+from annotator.web.leftovers import clear_leftovers
+from annotator.web.server_lock import hold_server_lock
+from annotator.web.settings import ServerSettings
+from annotator.web.watch import Watch
+
+if TYPE_CHECKING:
+    import httpx
+
+    from annotator.web.context import Context
+
+ROOM = "/api/projects/room"
+BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}
+
+
+@pytest.fixture
+def app(web_settings: ServerSettings) -> FastAPI:
+    return create_app(web_settings)
+
+
+def send(app: FastAPI, method: str, path: str, **request: Any) -> httpx.Response:
+    return ask(app, method, path, cookies={"annotator_operator": "Ada"}, headers={"Origin": HERE}, **request)
+
+
+def draw(app: FastAPI, revision: int) -> httpx.Response:
+    change = {"kind": "create", "label": "person", "box": BOX}
+    return send(app, "POST", f"{ROOM}/frames/1/changes", json={"revision": revision, "changes": [change]})
+
+
+def labels(app: FastAPI) -> int:
+    return len(send(app, "GET", f"{ROOM}/frames/1").json()["labels"])
+
+
+def test_a_project_replaced_by_its_backup_is_opened_anew(app: FastAPI, web_settings: ServerSettings) -> None:
+    context: Context = app.state.context
+    room, backup = web_settings.projects_root / "room", web_settings.projects_root / "backup"
+    assert draw(app, 0).status_code == 200
+    shutil.copytree(room, backup)
+    assert draw(app, 1).status_code == 200
+    old = context.project("room")
+    shutil.rmtree(room)
+    shutil.copytree(backup, room)
+    # what had begun before is refused, what begins now is stored in the new one
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(context), "project", lambda *_: old)
+        refused = draw(app, 2)
+    assert (refused.status_code, refused.json()["error"]["kind"]) == (409, "ReplacedError")
+    assert refused.json()["error"]["message"].startswith("projects/room/project.db: was replaced by another file")
+    assert labels(app) == 1
+    assert draw(app, 1).status_code == 200
+    context.close()
+    assert labels(create_app(web_settings)) == 2
+
+
+def test_a_project_without_its_database_says_what_to_do(app: FastAPI, web_settings: ServerSettings) -> None:
+    assert draw(app, 0).status_code == 200
+    (web_settings.projects_root / "room" / "project.db").unlink()
+    missing = draw(app, 1)
+    assert missing.status_code == 400
+    assert "project.db: is missing; move projects/.replaced/room.until-" in missing.json()["error"]["message"]
+    shutil.rmtree(web_settings.projects_root / "room")
+    assert draw(app, 1).status_code == 404
+
+
+def test_the_watch_opens_a_replaced_project_anew_and_logs_a_problem_once(
+    app: FastAPI, web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    context: Context = app.state.context
+    monkeypatch.setattr(type(context.hub), "projects", lambda _: {"room": 0})
+    watch = Watch(context, Learner(context.jobs))
+    old = context.project("room")
+    shutil.copytree(old.path, old.path.with_name("backup"))
+    shutil.rmtree(old.path)
+    old.path.with_name("backup").rename(old.path)
+    watch.poll()
+    assert context.project("room") is not old
+    (old.path / "project.json").write_text("{")
+    for _ in range(5):
+        watch.poll()
+    assert caplog.text.count("it cannot be watched") == 1
+
+
+def _run(*statements: str) -> Callable[[Path], None]:
+    def run(folder: Path) -> None:
+        with closing(sqlite3.connect(folder / "project.db", isolation_level=None)) as connection:
+            for statement in statements:
+                connection.execute(statement)
+
+    return run
+
+
+def _as_a_table(folder: Path) -> None:
+    _run("DROP TABLE labels", "CREATE VIEW labels AS SELECT 1")(folder)
+
+
+NONSENSE = (
+    "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, event_id, track_linked, box_kind) "
+    "VALUES ('u', 1, 'person', '{', 'manual', 'bogus', 'Ada', 0, 1, 0, 'box')"
+)
+ODD: dict[str, Callable[[Path], object]] = {
+    "dropped": _run("DROP TABLE labels"),
+    "a-view": _as_a_table,
+    "version-0": _run("PRAGMA user_version = 0"),
+    "version-1": _run("PRAGMA user_version = 1"),
+    "version-minus": _run("PRAGMA user_version = -5"),
+    "too-new": _run("PRAGMA user_version = 1000"),
+    "not-one": lambda folder: (folder / "project.db").write_bytes(b"no database" * 1000),
+    "empty": lambda folder: (folder / "project.db").write_bytes(b""),
+    "json-folder": lambda folder: ((folder / "project.json").unlink(), (folder / "project.json").mkdir()),
+}
+
+
+def test_odd_projects_are_cards_that_say_what_to_do(
+    app: FastAPI, web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, harm in ODD.items():
+        create_project(web_settings.projects_root, name, ["person"]).close()
+        harm(web_settings.projects_root / name)
+    create_project(web_settings.projects_root, "nonsense", ["person"]).close()
+    _run("PRAGMA ignore_check_constraints = 1", NONSENSE)(web_settings.projects_root / "nonsense")
+    not_text = web_settings.projects_root / os.fsdecode(b"not-\xff-text")
+    shutil.copytree(web_settings.projects_root / "room", not_text)
+    answer = send(app, "GET", "/api/projects")
+    assert answer.status_code == 200
+    listed = {entry["name"]: entry["problem"] for entry in answer.json()["projects"]}
+    assert listed.keys() == {"room", *ODD, "nonsense", "not-?-text"}
+    assert listed.pop("room") is None
+    assert all(listed.values())
+    for name in ODD:
+        opened = send(app, "GET", f"/api/projects/{name}")
+        assert opened.status_code in (400, 404), (name, opened.text)
+        assert opened.json()["error"]["message"] == listed[name]
+    assert "check the permissions" not in str(listed)
+    monkeypatch.setattr(Path, "is_file", _refuse)
+    assert "check the permissions" in send(app, "GET", "/api/projects/dropped").json()["error"]["message"]
+
+
+def _refuse(path: Path) -> bool:
+    raise PermissionError(13, "Permission denied", str(path))
+
+
+def test_a_locked_project_delays_no_other(
+    app: FastAPI, web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(projects, "LIST_WAIT_S", 0.0)
+    create_project(web_settings.projects_root, "locked", ["person"]).close()
+    create_project(web_settings.projects_root, "other", ["person"]).close()
+    path = web_settings.projects_root / "locked" / "project.db"
+    statuses: list[int] = []
+    with closing(sqlite3.connect(path, isolation_level=None)) as holder:
+        holder.execute("PRAGMA locking_mode = EXCLUSIVE")
+        holder.execute("BEGIN EXCLUSIVE")
+        waiting = [
+            threading.Thread(target=lambda: statuses.append(send(app, "GET", "/api/projects/locked").status_code))
+            for _ in range(2)
+        ]
+        for thread in waiting:
+            thread.start()
+        wait_until(lambda: app.state.context._opens)
+        listed = {entry["name"]: entry["problem"] for entry in send(app, "GET", "/api/projects").json()["projects"]}
+        assert listed["room"] is None
+        assert listed["other"] is None
+        assert "is locked by another process" in listed["locked"]
+        wrong = send(app, "POST", f"{ROOM}/recordings", json={"path": "none"})
+        assert wrong.status_code == 404
+        assert all(thread.is_alive() for thread in waiting), "they wait for the lock, and nobody waits for them"
+        holder.execute("ROLLBACK")
+    for thread in waiting:
+        thread.join(PATIENCE_S)
+    assert statuses == [200, 200]
+
+
+def test_requests_to_one_project_leave_threads_to_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fairness, "AT_ONCE", 2)
+    begun: list[str] = []
+
+    async def passing() -> None:
+        end = asyncio.Event()
+
+        async def app(scope: Any, receive: Any, send: Any) -> None:
+            begun.append(scope["path"])
+            if "slow" in scope["path"]:
+                await end.wait()
+
+        async def call(path: str) -> None:
+            await fair({"type": "http", "path": path}, _nothing, _nothing)
+
+        fair = Fair(app)
+        slow = [asyncio.create_task(call(f"/api/projects/slow/{n}")) for n in range(5)]
+        while len(begun) < 2:
+            await asyncio.sleep(0)
+        await call("/api/projects/quick/1")
+        assert len(begun) == 3
+        end.set()
+        await asyncio.gather(*slow)
+        assert len(begun) == 6
+        assert fair._gates == {}
+
+    asyncio.run(passing())
+
+
+async def _nothing(*_: object) -> Any:
+    return None
+
+
+@pytest.mark.parametrize("name", ["", " ", "A%0AB", "A%00", "a" * 65, "a" * 6000, "%FF", "%E2%80%AE", "%ED%A0%80"])
+def test_a_cookie_is_checked_as_sign_in_is(app: FastAPI, name: str) -> None:
+    cookies = {"annotator_operator": name}
+    assert ask(app, "GET", "/api/session", cookies=cookies).json()["operator"] is None
+    assert ask(app, "GET", "/api/projects", cookies=cookies).status_code == 401
+
+
+def test_a_start_removes_what_killed_processes_left(
+    web_settings: ServerSettings, caplog: pytest.LogCaptureFixture
+) -> None:
+    root, mark = web_settings.projects_root, "0123456789abcdef" * 2
+    left = [root / f".new.{mark}.unfinished", root / "room" / f".project.json.{mark}.tmp"]
+    left.append(root / "room" / "views" / f".{mark}.png.{mark}.tmp")
+    young, others = root / f".young.{mark}.unfinished", root / "room" / "views" / f"{mark}.tmp"
+    for path in (*left, young, others):
+        path.mkdir()
+        if path is not young:
+            os.utime(path, (0, 0))
+    left.append(root / f".link.{mark}.tmp")
+    left[-1].symlink_to(root / "room")
+    os.utime(left[-1], (0, 0), follow_symlinks=False)
+    clear_leftovers(root)
+    assert not any(os.path.lexists(path) for path in left)
+    assert young.exists()
+    assert others.exists()
+    assert (root / "room" / "project.json").exists()
+    assert caplog.text.count("a process that was killed had left it") == len(left)
+
+
+def test_a_project_that_cannot_be_written_is_shown_and_refuses_changes(
+    web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in web_settings.projects_root.rglob("*")}
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode, **kind: mode != os.W_OK and access(path, mode, **kind))
+    app = create_app(web_settings)
+    with hold_server_lock(web_settings.projects_root):
+        assert labels(app) == 0
+        refused = draw(app, 0)
+        assert refused.status_code == 400
+        assert "read-only disk" in refused.json()["error"]["message"]
+        jobs = app.state.context.jobs.folder
+        assert jobs.is_dir()
+        assert not jobs.is_relative_to(web_settings.projects_root)
+    app.state.context.close()
+    assert not jobs.exists()
+    assert {path: path.stat().st_mtime_ns for path in web_settings.projects_root.rglob("*")} == before
+
+
+def test_a_removed_project_that_nobody_opened_leaves_no_trace(app: FastAPI) -> None:
+    with pytest.raises(NotFoundError):
+        app.state.context.project("none")
+    assert app.state.context._opens == {}
