@@ -24,7 +24,7 @@ from benchmarks.backup import fill
 pytestmark = pytest.mark.attack
 
 ROOT = Path(__file__).resolve().parents[2]
-KILLS = 20
+KILLS = 20  # of each command, unless `--attack-times` says otherwise
 
 
 @pytest.fixture(scope="module")
@@ -77,11 +77,11 @@ def run(words: list[str], root: Path, kill_after_s: float | None) -> float:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_kill_leaves_nothing_half(name: str, place: Path, tmp_path: Path) -> None:
+def test_a_kill_leaves_nothing_half(name: str, place: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     moments = random.Random(name)
     words, prepare = COMMANDS[name]
     whole_s = None
-    for number in range(KILLS + 1):
+    for number in range(request.config.getoption("attack_times", KILLS) + 1):
         root = Path(shutil.copytree(place, tmp_path / str(number)))
         if prepare is not None:
             prepare(root)

@@ -16,7 +16,7 @@ from sqlalchemy import Connection, func, insert, select
 from sqlalchemy.exc import DBAPIError
 
 from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.content import folder_files, is_regular, stored_files
+from annotator.project.backup.content import folder_files, is_content, is_regular, stored_files
 from annotator.project.backup.database_check import database_problems
 from annotator.project.backup.generation import has_foreign_wal, wal_of
 from annotator.project.backup.snapshot import reading
@@ -131,6 +131,9 @@ def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired) ->
             known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
             for row in _rows(source, table, repaired):
                 kept = {key: value for key, value in row.items() if key in known}
+                if table == "models" and not is_content(str(row.get("path"))):  # outside the project's folder
+                    _count_lost(repaired, table)
+                    continue
                 if table == "frames":
                     kept |= {"revision": 0, "finalised": 0}
                 columns = ", ".join(f'"{key}"' for key in kept)
