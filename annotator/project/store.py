@@ -22,7 +22,7 @@ from annotator.project.database.patience import patience_s
 from annotator.project.database.replaced import keep_replaced, kept_copies
 from annotator.project.database.shape import MISFITS, require_tables
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
-from annotator.types.errors import RESTORE, ProjectError
+from annotator.types.errors import RESTORE, ProjectError, ReplacedError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
@@ -223,8 +223,9 @@ def open_store(
         before_upgrade: called before an older database is upgraded; may raise to prevent it.
 
     Raises:
-        ProjectError: it is missing, not a project database, damaged, locked, or of a newer version; or the file
-            `-wal` beside it belongs to another database.
+        ReplacedError: it is missing.
+        ProjectError: it is not a project database, damaged, locked, or of a newer version; or the file `-wal` beside it
+            belongs to another database.
     """
     _require_file(path)
     if has_foreign_wal(path):
@@ -268,7 +269,7 @@ def _require_file(path: Path) -> None:
     if not is_file:
         kept = kept_copies(path.parent.absolute())
         remedy = f"move {kept[-1]}, which was kept of it, to {path}, or " if kept else ""
-        raise ProjectError(f"{path}: is missing; {remedy}{RESTORE}")
+        raise ReplacedError(f"{path}: is missing; {remedy}{RESTORE}")
 
 
 @contextmanager

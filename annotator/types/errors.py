@@ -14,7 +14,7 @@
     ├── DetectionError        training or running a 2D detector
     ├── ProjectError          the project store
     │   ├── NotFoundError         the project, recording, frame, label, view, model or job does not exist
-    │   ├── ReplacedError         the project's database was removed or replaced while it was open
+    │   ├── ReplacedError         the project's database was removed, or replaced while it was open
     │   ├── StaleRevisionError    the frame was changed by someone else first
     │   ├── HistoryError          nothing to undo or redo, or someone else has changed it since
     │   └── FinalisedFrameError   an automatic pass would change a finalised frame
@@ -114,7 +114,7 @@ class NotFoundError(ProjectError):
 
 
 class ReplacedError(ProjectError):
-    """The database that is open is no longer the one on disk, so a change of it would be lost."""
+    """A project's database was removed, or the one that is open is no longer the one on disk."""
 
 
 class StaleRevisionError(ProjectError):

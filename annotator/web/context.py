@@ -7,6 +7,7 @@ import os
 import shutil
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -154,10 +155,12 @@ class Context:
         """
         with self._lock:
             lock = self._opens.setdefault(name, threading.Lock())
+        ends_s = time.monotonic() + patience_s(BUSY_TIMEOUT_S)
         if not lock.acquire(timeout=patience_s(BUSY_TIMEOUT_S)):
             raise ProjectError(f"project {name} is locked by another process; wait, and try again")
         try:
-            yield
+            with waiting_at_most(max(0.0, ends_s - time.monotonic())):
+                yield
         finally:
             lock.release()
 

@@ -80,7 +80,7 @@ def test_a_project_without_its_database_says_what_to_do(app: FastAPI, web_settin
     assert draw(app, 0).status_code == 200
     (web_settings.projects_root / "room" / "project.db").unlink()
     missing = draw(app, 1)
-    assert missing.status_code == 400
+    assert missing.status_code == 409
     assert "project.db: is missing; move projects/.replaced/room.until-" in missing.json()["error"]["message"]
     shutil.rmtree(web_settings.projects_root / "room")
     assert draw(app, 1).status_code == 404
