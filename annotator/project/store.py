@@ -16,6 +16,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
+from annotator.files import make_private
 from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
 from annotator.project.database.file import DatabaseFile, database_file
 from annotator.project.database.patience import patience_s
@@ -191,15 +192,18 @@ class Store:
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
-    """Creates a database of the newest version at `path`.
+    """Creates a database of the newest version at `path`, which only its owner may read.
 
     Raises:
         ProjectError: the file exists already, or cannot be written.
+        OSError: the file cannot be created.
     """
     try:
-        path.touch(exist_ok=False)
+        path.touch(mode=0o600, exist_ok=False)
     except FileExistsError as error:
         raise ProjectError(f"{path}: exists already") from error
+    # SQLite gives the files beside it the same rights
+    make_private(path)
     store = _store(database_file(path), BUSY_TIMEOUT_S, clock)
     with _closed_on_error(store), explained(path, store.file):
         with closing(store.engine.raw_connection()) as outside_transactions:

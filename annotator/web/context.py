@@ -30,6 +30,7 @@ from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
+from annotator.web.server_lock import JOBS_FOLDER
 from annotator.web.settings import ServerSettings
 from annotator.web.uploads import as_sent
 
@@ -37,8 +38,6 @@ LOG = logging.getLogger("annotator.web")
 
 OPERATOR_COOKIE = "annotator_operator"
 LONGEST_NAME = 64
-# A hidden folder within the projects folder, thus not a project.
-JOBS_FOLDER = ".jobs"
 
 
 class Context:

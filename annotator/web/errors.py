@@ -6,10 +6,11 @@ import logging
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI, WebSocket
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse, Response
+from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
@@ -41,6 +42,10 @@ class TooLargeError(AnnotatorError):
     """The request's body exceeds the limit."""
 
 
+class TooManyError(AnnotatorError):
+    """Too many requests without the token, or too many wrong tokens."""
+
+
 class ErrorBody(BaseModel):
     """The kind of an error, for programs, and its message, for people."""
 
@@ -64,6 +69,7 @@ STATUS: list[tuple[type[AnnotatorError], int]] = [
     (NotSignedInError, 401),
     (ForbiddenError, 403),
     (TooLargeError, 413),
+    (TooManyError, 429),
     (AnnotatorError, 400),
 ]
 
@@ -116,7 +122,7 @@ def add_error_handlers(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _http)
 
 
-async def _annotator_error(connection: HTTPConnection, error: Exception) -> Response:
+async def _annotator_error(connection: HTTPConnection, error: Exception) -> Any:  # None for a WebSocket
     assert isinstance(error, AnnotatorError)
     # in a thread, since it reads the projects; the event loop must not wait for any of them
     message = await run_in_threadpool(connection.app.state.context.public_message, str(error))
@@ -124,7 +130,8 @@ async def _annotator_error(connection: HTTPConnection, error: Exception) -> Resp
     if isinstance(connection, WebSocket):
         # a close reason has at most 123 bytes
         await connection.close(4000 + status, message.encode()[:120].decode("utf-8", "ignore"))
-        return Response()  # required by Starlette, not sent
+        # Starlette sends any response, which a closed socket refuses
+        return None
     return error_response(type(error).__name__, message, status)
 
 

@@ -82,7 +82,8 @@ def _write(
         version, events, last, labels = _counts(connection)
     names = list(folder_files(project, stored))
     files = []
-    with part.open("xb") as target:
+    part.touch(mode=0o600, exist_ok=False)  # the database in it is for its owner only
+    with part.open("wb") as target:
         with zipfile.ZipFile(target, "w", allowZip64=True) as archive:
             files.append(add_file(archive, DATABASE_FILE, database, packed=True))
             for number, name in enumerate(names, 1):

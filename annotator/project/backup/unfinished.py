@@ -10,13 +10,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from annotator.files import private_folder
+
 # A folder without a lock is left alone for this long: it may be one whose process is about to lock it.
 YOUNG_S = 10.0
 
 
 @contextmanager
 def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
-    """Yields a new hidden folder in `root`, which is created if missing; it is removed at the end if it is still there.
+    """Yields a new hidden folder in `root`, for its owner only; it is removed at the end if still there.
 
     Also removes folders that killed processes have left for the same name.
 
@@ -28,7 +30,7 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
         if _is_abandoned(left):
             shutil.rmtree(left, ignore_errors=True)
     folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
-    folder.mkdir()
+    private_folder(folder)
     lock = _lock(folder)
     try:
         yield folder
