@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
 import time
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +11,11 @@ from types import TracebackType
 
 from sqlalchemy import Connection, select
 
-from annotator.files import link_out, private_folder, sync_folder
+from annotator.files import link_out, sync_folder
 from annotator.project.adjusting.adjustments import Adjustments
+from annotator.project.backup.automatic import back_up_before_upgrade
+from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER
+from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.boxes import Boxes
 from annotator.project.config import (
     CONFIG_FILE,
@@ -39,7 +40,6 @@ from annotator.project.views import Views
 from annotator.project.writing import Writer
 from annotator.types.errors import ProjectError
 
-MODELS_FOLDER, VIEWS_FOLDER = "models", "views"
 _FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER)
 
 
@@ -164,20 +164,17 @@ def create_project(
     taken = f"{path} exists already; open it, or choose another name"
     if path.exists():
         raise ProjectError(taken)
-    unfinished = root / f".{name}.{uuid.uuid4().hex}.unfinished"
     try:
-        private_folder(unfinished)
-        for folder in _FOLDERS:
-            (unfinished / folder).mkdir()
-        create_store(unfinished / DATABASE_FILE, clock=clock).close()
-        write_config(unfinished, config)
-        unfinished.rename(path)
-        sync_folder(root)
+        with unfinished_folder(root, name) as unfinished:
+            for folder in _FOLDERS:
+                (unfinished / folder).mkdir()
+            create_store(unfinished / DATABASE_FILE, clock=clock).close()
+            write_config(unfinished, config)
+            unfinished.rename(path)
+            sync_folder(root)
     except OSError as error:
         # `rename` never replaces a folder with content: another process may have created the project meanwhile
         raise ProjectError(taken if path.exists() else f"{path}: cannot be created: {error}") from error
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
     return open_project(path, clock=clock)
 
 
@@ -188,7 +185,7 @@ def open_project(
     clock: Clock = time.time_ns,
     readable: Sequence[Path] | None = None,
 ) -> Project:
-    """Opens the project in the folder `path`; an older database is upgraded to the newest version.
+    """Opens the project in the folder `path`; an older database is backed up, and upgraded to the newest version.
 
     Args:
         readable: folders in which its recordings may lie; None = anywhere.
@@ -201,7 +198,12 @@ def open_project(
     """
     read_config(path)
     _require_own_files(path)
-    store = open_store(path / DATABASE_FILE, busy_timeout_s=busy_timeout_s, clock=clock)
+    store = open_store(
+        path / DATABASE_FILE,
+        busy_timeout_s=busy_timeout_s,
+        clock=clock,
+        before_upgrade=lambda: back_up_before_upgrade(path),
+    )
     try:
         # a project on a read-only disk can be read without them
         for folder in _FOLDERS if os.access(path, os.W_OK) else ():

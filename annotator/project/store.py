@@ -16,12 +16,13 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
+from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
 from annotator.project.database.file import DatabaseFile, database_file
 from annotator.project.database.patience import patience_s
 from annotator.project.database.replaced import keep_replaced, kept_copies
 from annotator.project.database.shape import MISFITS, require_tables
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
-from annotator.types.errors import ProjectError, ReplacedError
+from annotator.types.errors import RESTORE, ProjectError, ReplacedError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
@@ -38,8 +39,8 @@ _LOCKED = "is locked by another process; close programs that use this project, o
 _PROBLEMS = {
     sqlite3.SQLITE_BUSY: _LOCKED,
     sqlite3.SQLITE_LOCKED: _LOCKED,
-    sqlite3.SQLITE_CORRUPT: "is damaged; restore it from a backup (`sqlite3 project.db .recover` may recover a part)",
-    sqlite3.SQLITE_NOTADB: "is not a project database, or its beginning is damaged; restore it from a backup",
+    sqlite3.SQLITE_CORRUPT: f"is damaged; {RESTORE}; `annotator project repair` saves what is still readable",
+    sqlite3.SQLITE_NOTADB: f"is not a project database, or its beginning is damaged; {RESTORE}",
     sqlite3.SQLITE_READONLY: "cannot be written; check the permissions of the file and of its folder",
     sqlite3.SQLITE_PERM: "cannot be opened; check the permissions of the file and of its folder",
     sqlite3.SQLITE_CANTOPEN: "cannot be opened; check the permissions of the file and of its folder",
@@ -65,6 +66,7 @@ class Store:
     busy_timeout_s: float = BUSY_TIMEOUT_S
     clock: Clock = time.time_ns
     write_lock: threading.Lock = field(default_factory=threading.Lock)
+    _begun: threading.Event = field(default_factory=threading.Event)
 
     @property
     def path(self) -> Path:
@@ -101,18 +103,17 @@ class Store:
             ReplacedError: the file was removed or replaced, so that the change would be lost.
             ProjectError: the database stays locked, is damaged, or cannot be written.
         """
-        if not self.file.is_writable:
-            raise ProjectError(
-                f"{self.path}: is on a read-only disk, or you have no right to write it, so nothing was saved; "
-                "to change this project, copy its folder to a place where you may write"
-            )
+        self._require_writable()
         ends_s = time.monotonic() + patience_s(self.busy_timeout_s)
         # after the timeout, SQLite itself reports the problem
         has_lock = self.write_lock.acquire(timeout=max(0.0, ends_s - time.monotonic()))
         try:
+            if not self._begun.is_set():
+                self._begin_writing(ends_s)
             with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
                 # again: it may have waited long for the lock
                 self.file.require_current()
+                advance(connection)
                 yield connection
             # the file may have been replaced since; only now it is sure that the change is in it
             self.file.require_current()
@@ -120,9 +121,39 @@ class Store:
             if has_lock:
                 self.write_lock.release()
 
+    def _require_writable(self) -> None:
+        if not self.file.is_writable:
+            raise ProjectError(
+                f"{self.path}: is on a read-only disk, or you have no right to write it, so nothing was saved; "
+                "to change this project, copy its folder to a place where you may write"
+            )
+
+    def upgrade(self, migrations: tuple[Migration, ...], *, is_new: bool = False) -> None:
+        """Runs the missing migrations.
+
+        Raises:
+            ProjectError: as `write`; or the database is newer.
+        """
+        self._require_writable()
+        with self._transaction("BEGIN IMMEDIATE", self.busy_timeout_s) as connection:
+            if is_new:
+                connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
+            upgrade(connection, self.path, migrations)
+
+    def _begin_writing(self, ends_s: float) -> None:
+        """Changes the database file itself, so that it differs from every copy made before (`backup.generation`)."""
+        with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
+            self.file.require_current()
+            advance(connection)
+        with explained(self.path, self.file), closing(self.engine.raw_connection()) as outside_transactions:
+            _, logged, moved = outside_transactions.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        # a reader of an older state can prevent it; the next write then tries again
+        if logged == moved:
+            self._begun.set()
+
     @contextmanager
     def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
-        with _explained(self.file), self.engine.connect() as connection:
+        with explained(self.path, self.file), self.engine.connect() as connection:
             self.file.require_current()
             _wait_at_most(connection, wait_s)
             connection = connection.execution_options(**{_BEGIN: begin})
@@ -172,13 +203,11 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
     except FileExistsError as error:
         raise ProjectError(f"{path}: exists already") from error
     store = _store(database_file(path), BUSY_TIMEOUT_S, clock)
-    with _closed_on_error(store), _explained(store.file):
+    with _closed_on_error(store), explained(path, store.file):
         with closing(store.engine.raw_connection()) as outside_transactions:
             # stored in the file, so it applies to every later connection
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
-        with store.write() as connection:
-            connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
-            upgrade(connection, path, MIGRATIONS)
+        store.upgrade(MIGRATIONS, is_new=True)
     return store
 
 
@@ -188,14 +217,21 @@ def open_store(
     busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
     migrations: tuple[Migration, ...] = MIGRATIONS,
+    before_upgrade: Callable[[], None] | None = None,
 ) -> Store:
     """Opens the database at `path` and upgrades an older one to the newest version.
 
+    Args:
+        before_upgrade: called before an older database is upgraded; may raise to prevent it.
+
     Raises:
         ReplacedError: it is missing.
-        ProjectError: it is not a project database, damaged, locked, or of a newer version.
+        ProjectError: it is not a project database, damaged, locked, or of a newer version; or the file `-wal` beside it
+            belongs to another database.
     """
     _require_file(path)
+    if has_foreign_wal(path):
+        raise ProjectError(foreign_wal(path))
     store = _store(database_file(path), busy_timeout_s, clock)
     with _closed_on_error(store):
         with store.read() as connection:
@@ -204,17 +240,27 @@ def open_store(
             # reading the schema detects a truncated or overwritten file at once
             connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
         if application_id != APPLICATION_ID:
-            raise ProjectError(f"{path}: is an SQLite database, but not a project database; restore it from a backup")
+            raise ProjectError(f"{path}: is an SQLite database, but not a project database; {RESTORE}")
         if version < 1:
-            raise ProjectError(f"{path}: is damaged: its version is {version}; restore it from a backup")
+            raise ProjectError(f"{path}: is damaged: its version is {version}; {RESTORE}")
         if version != migrations[-1].version:
-            with store.write() as connection:
-                upgrade(connection, path, migrations)
+            if before_upgrade is not None and version < migrations[-1].version and store.file.is_writable:
+                before_upgrade()
+            store.upgrade(migrations)
         if migrations is MIGRATIONS:
             with store.read() as connection:
                 require_tables(connection, path)
         store.file.remember_beside()
     return store
+
+
+def foreign_wal(path: Path) -> str:
+    """The problem that `has_foreign_wal` finds, in words."""
+    return (
+        f"{path}: does not belong to the file {wal_of(path).name} beside it; probably it is a copy that was put there "
+        "by hand, and the other file is left from a newer state; nothing was changed. `annotator project repair` makes "
+        "a new project of it without that file"
+    )
 
 
 def _require_file(path: Path) -> None:
@@ -225,12 +271,15 @@ def _require_file(path: Path) -> None:
     if not is_file:
         kept = kept_copies(path.parent.absolute())
         remedy = f"move {kept[-1]}, which was kept of it, to {path}, or " if kept else ""
-        raise ReplacedError(f"{path}: is missing; {remedy}restore it from a backup")
+        raise ReplacedError(f"{path}: is missing; {remedy}{RESTORE}")
 
 
 @contextmanager
-def _explained(file: DatabaseFile) -> Iterator[None]:
-    """Converts SQLite's errors about a database into a ProjectError that says what to do.
+def explained(path: Path, file: DatabaseFile | None = None) -> Iterator[None]:
+    """Converts SQLite's errors about the database `path` into a ProjectError that says what to do.
+
+    Args:
+        file: of an open store; it may have been replaced.
 
     Raises:
         ReplacedError: the file was removed or replaced, which explains the error.
@@ -239,21 +288,22 @@ def _explained(file: DatabaseFile) -> Iterator[None]:
     try:
         yield
     except NoConnectionError as error:
-        raise ProjectError(f"{file.path}: is in use by too many requests at once; try again") from error
+        raise ProjectError(f"{path}: is in use by too many requests at once; try again") from error
     except (DBAPIError, sqlite3.Error) as error:
-        file.require_current()
+        if file is not None:
+            file.require_current()
         cause = error.orig if isinstance(error, DBAPIError) else error
         problem = _problem(cause)
         if problem is None:
             raise
-        raise ProjectError(f"{file.path}: {problem} ({cause})") from error
+        raise ProjectError(f"{path}: {problem} ({cause})") from error
 
 
 def _problem(cause: BaseException | None) -> str | None:
     """What is wrong, and what to do; None for an error that a database cannot cause."""
     code = getattr(cause, "sqlite_errorcode", None)
     if code == sqlite3.SQLITE_ERROR and any(text in str(cause) for text in MISFITS):
-        return "is damaged: its tables are not those of its version; restore it from a backup"
+        return f"is damaged: its tables are not those of its version; {RESTORE}"
     # the low byte is the primary result code
     return None if code is None else _PROBLEMS.get(code & 0xFF)
 

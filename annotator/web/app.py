@@ -9,6 +9,7 @@ from importlib import import_module
 from fastapi import FastAPI
 
 from annotator import __version__
+from annotator.web.automatic_backups import AutomaticBackups
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.fairness import Fair
@@ -55,9 +56,12 @@ def create_app(settings: ServerSettings) -> FastAPI:
         clear_leftovers(settings.projects_root)
         watch = Watch(context, Learner(context.jobs))
         watch.start()
+        backups = AutomaticBackups(context)
+        backups.start()
         context.jobs.start()
         yield
         watch.close()
+        backups.close()
         context.close()
 
     app = FastAPI(

@@ -40,7 +40,13 @@ def test_a_new_project_has_its_files(tmp_path: Path) -> None:
         "format_version": 1,
         "created_ns": 123,
         "classes": ["hand"],
-        "settings": {"rotation": "upright", "rcv": {}, "learn_every": None},
+        "settings": {
+            "rotation": "upright",
+            "rcv": {},
+            "learn_every": None,
+            "backup_hours": 4.0,
+            "backups_kept": 5,
+        },
     }
     with open_project(folder) as project:
         assert project.config.classes == ("hand",)
@@ -150,7 +156,7 @@ def _a_folder(folder: Path) -> None:
         (_run("ALTER TABLE models DROP COLUMN metrics"), "is damaged: it lacks column metrics of table models"),
         (_run("PRAGMA user_version = 0"), "is damaged: its version is 0"),
         (_run("PRAGMA user_version = -5"), "is damaged: its version is -5"),
-        (_run("PRAGMA user_version = 1"), "its tables are not those of its version; restore it"),
+        (_run("PRAGMA user_version = 1"), "is not upgraded, because it cannot be backed up first: .*; restore it"),
         (
             _run("PRAGMA user_version = 99"),
             r"newer annotator \(database version 99, this one supports up to \d+\); update annotator",

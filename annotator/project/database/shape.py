@@ -7,7 +7,7 @@ from pathlib import Path
 from sqlalchemy import Connection
 
 from annotator.project.schema import METADATA
-from annotator.types.errors import ProjectError
+from annotator.types.errors import RESTORE, ProjectError
 
 # SQLite's messages about statements that do not fit the tables; all have the general code SQLITE_ERROR.
 MISFITS = ("no such table", "no such column", "has no column", "already exists", "duplicate column")
@@ -34,4 +34,4 @@ def require_tables(connection: Connection, path: Path) -> None:
         if table.name in tables and (table.name, column.name) not in found
     ]
     if missing:
-        raise ProjectError(f"{path}: is damaged: it lacks {', '.join(missing)}; restore it from a backup")
+        raise ProjectError(f"{path}: is damaged: it lacks {', '.join(missing)}; {RESTORE}")
