@@ -16,7 +16,6 @@ REBOUND = [
     "localhost.evil.example",
     "0.0.0.0",
     "[::ffff:127.0.0.1]",
-    "a@127.0.0.1",
 ]
 
 
