@@ -44,6 +44,11 @@ class Server:
         answered(session)
         return httpx.Client(base_url=self.url, headers=headers, cookies=session.cookies, timeout=60.0)
 
+    def memory_mb(self) -> float:
+        """Resident memory of the server's own process, MB (Linux)."""
+        fields = Path(f"/proc/{self._process.pid}/statm").read_text().split()
+        return int(fields[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
     def kill(self) -> None:
         """Kills the server like a crash (`kill -9`)."""
         self._process.send_signal(signal.SIGKILL)
