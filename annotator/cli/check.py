@@ -7,7 +7,8 @@ from pathlib import Path
 from annotator.cli.options import AsJson, Projects
 from annotator.cli.output import print_json, print_line
 from annotator.cli.progress import counted
-from annotator.cli.projects import open_named, projects_root
+from annotator.cli.project_verify import report_problems
+from annotator.cli.projects import named_folder, open_named, projects_root
 from annotator.project.config import CONFIG_FILE
 from annotator.types.errors import ConfigError
 
@@ -20,8 +21,8 @@ def run(
     """Find errors in a dataset, or suspicious labels in a project.
 
     A dataset is checked by the rules of docs/checks.md: files, labels, boxes, calibration; the exit code is 1 if there
-    are errors. The labels of a project are checked for odd sizes, empty boxes, heading jumps, duplicates and unknown
-    classes.
+    are errors. A project is verified first (as by `annotator project verify --deep`; 1 if it is not sound). Its labels
+    are then checked for odd sizes, empty boxes, heading jumps, duplicates and unknown classes.
 
     Args:
         what: path of a dataset, path of a folder of datasets, or name of a project.
@@ -32,8 +33,7 @@ def run(
         raise ConfigError("name one thing to check: annotator check PATH, or annotator check --project NAME")
     if project is None and _is_dataset(name, projects):
         return _check_dataset(Path(name), as_json)
-    _check_project(name, projects, as_json)
-    return 0
+    return _check_project(name, projects, as_json)
 
 
 def _is_dataset(what: str, projects: Path | None) -> bool:
@@ -53,19 +53,25 @@ def _is_dataset(what: str, projects: Path | None) -> bool:
     return path.exists() or (not is_name and not is_project)
 
 
-def _check_project(name: str, projects: Path | None, as_json: bool) -> None:
+def _check_project(name: str, projects: Path | None, as_json: bool) -> int:
+    from annotator.project.backup.verify import verify
     from annotator.workflows.checking.project_labels import check_project
 
+    verification = verify(named_folder(name, projects), deep=True)
+    if verification.problems:
+        report_problems(verification, as_json)
+        return FAULTY
     with open_named(name, projects) as opened:
         report = check_project(opened)
     if as_json:
         print_json(report)
-        return
+        return 0
     for warning in report.warnings:
         print_line(f"{warning.recording} {warning.key}: {warning.kind}: {warning.message}")
     for line in report.unreadable:
         print_line(f"unreadable: {line}")
     print_line(f"{len(report.warnings)} warnings about {report.labels} labels")
+    return 0
 
 
 def _check_dataset(path: Path, as_json: bool) -> int:

@@ -25,6 +25,7 @@ Projects = Annotated[
 AsJson = Annotated[bool, arg(name="json", help="print one JSON object.")]
 Seed = Annotated[int, arg(help="seed of the random choices, 0 or more.")]
 Clear = Annotated[bool, arg(help="remove what the project has set: the recording's files decide again.")]
+ModelsOption = Annotated[Value, arg(help="detectors to include: all, those in use (active), or none.")]
 Limit = Annotated[int | None, arg(help="stop after this many frames; default: no limit.")]
 
 BoxKindOption = Annotated[

@@ -26,11 +26,22 @@ def open_named(name: str, projects: Path | None) -> Project:
     """Opens the project of this name.
 
     Raises:
-        ConfigError: there is no such project (the message lists the existing ones), or the name is a path.
+        ConfigError: as `named_folder`.
         ProjectError: the project cannot be opened.
     """
     # imported here, so that `annotator doctor` runs without the database's package
-    from annotator.project import list_projects, open_project
+    from annotator.project import open_project
+
+    return open_project(named_folder(name, projects))
+
+
+def named_folder(name: str, projects: Path | None) -> Path:
+    """The folder of the project of this name, which may be damaged.
+
+    Raises:
+        ConfigError: there is no such project (the message lists the existing ones), or the name is a path.
+    """
+    from annotator.project import list_projects
     from annotator.project.config import check_name
 
     folder = projects_root(projects)
@@ -44,4 +55,4 @@ def open_named(name: str, projects: Path | None) -> Project:
             f"{folder} has no project {name!r} (it has: {known}); "
             f"create it with `annotator new {name} --classes ...`, or name another folder with --projects"
         )
-    return open_project(folder / name)
+    return folder / name

@@ -38,6 +38,11 @@ COMMANDS: dict[str, Command] = {
     "up": Command("annotator.cli.up:run", "show or set which way is up in a recording"),
     "calibrate": Command("annotator.cli.calibrate:run", "show or correct where clouds lie relative to images"),
     "project move": Command("annotator.cli.project_move:run", "set the new path of a moved recording"),
+    "project backup": Command("annotator.cli.project_backup:run", "write a backup, also while a server runs"),
+    "project restore": Command("annotator.cli.project_restore:run", "make a project of a backup"),
+    "project verify": Command("annotator.cli.project_verify:run", "check whether a project is sound"),
+    "project repair": Command("annotator.cli.project_repair:run", "repair a project, or save what is readable"),
+    "project copy": Command("annotator.cli.project_copy:run", "take in a project that somebody else has sent"),
     "generate": Command("annotator.cli.generate:run", "generate a synthetic recording with ground truth"),
     "doctor": Command(
         "annotator.cli.doctor:run", "report packages, devices and detector backends, and run a self-test"

@@ -10,7 +10,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from annotator.files import write_atomic
-from annotator.types.errors import ConfigError, ProjectError
+from annotator.types.errors import RESTORE, ConfigError, ProjectError
 
 CONFIG_FILE = "project.json"
 FORMAT_VERSION = 1
@@ -63,6 +63,9 @@ class ProjectSettings(BaseModel):
             the recursion is run (`annotator.workflows.settings`), not here.
         learn_every: while the page is open, a round of training in the background after so many more reviewed boxes;
             None: never.
+        backup_hours: while a server runs, an automatic backup so many hours after the first change since the last one;
+            None: never.
+        backups_kept: number of automatic backups that are kept.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -70,6 +73,8 @@ class ProjectSettings(BaseModel):
     rotation: BoxRotation = BoxRotation.AUTO
     rcv: dict[str, JsonValue] = Field(default_factory=dict)
     learn_every: int | None = Field(None, ge=1)
+    backup_hours: float | None = Field(4.0, gt=0.0)
+    backups_kept: int = Field(5, ge=1, le=1000)
 
 
 class ProjectConfig(BaseModel):
@@ -127,7 +132,7 @@ def read_config(folder: Path) -> ProjectConfig:
             )
         return ProjectConfig.model_validate_json(content)
     except ValidationError as error:
-        raise ProjectError(f"{path}: {_first_problem(error)}; repair it or restore it from a backup") from error
+        raise ProjectError(f"{path}: {_first_problem(error)}; repair it or {RESTORE}") from error
 
 
 def write_config(folder: Path, config: ProjectConfig) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
 import time
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,9 @@ from sqlalchemy import Connection, select
 
 from annotator.files import sync_folder
 from annotator.project.adjusting.adjustments import Adjustments
+from annotator.project.backup.automatic import back_up_before_upgrade
+from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER
+from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.boxes import Boxes
 from annotator.project.config import (
     CONFIG_FILE,
@@ -38,7 +39,6 @@ from annotator.project.views import Views
 from annotator.project.writing import Writer
 from annotator.types.errors import ProjectError
 
-MODELS_FOLDER, VIEWS_FOLDER = "models", "views"
 _FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER)
 
 
@@ -158,24 +158,22 @@ def create_project(
     taken = f"{path} exists already; open it, or choose another name"
     if path.exists():
         raise ProjectError(taken)
-    unfinished = root / f".{name}.{uuid.uuid4().hex}.unfinished"
     try:
-        for folder in _FOLDERS:
-            (unfinished / folder).mkdir(parents=True)
-        create_store(unfinished / DATABASE_FILE, clock=clock).close()
-        write_config(unfinished, config)
-        unfinished.rename(path)
-        sync_folder(root)
+        with unfinished_folder(root, name) as unfinished:
+            for folder in _FOLDERS:
+                (unfinished / folder).mkdir()
+            create_store(unfinished / DATABASE_FILE, clock=clock).close()
+            write_config(unfinished, config)
+            unfinished.rename(path)
+            sync_folder(root)
     except OSError as error:
         # `rename` never replaces a folder with content: another process may have created the project meanwhile
         raise ProjectError(taken if path.exists() else f"{path}: cannot be created: {error}") from error
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
     return open_project(path, clock=clock)
 
 
 def open_project(path: Path, *, busy_timeout_s: float = BUSY_TIMEOUT_S, clock: Clock = time.time_ns) -> Project:
-    """Opens the project in the folder `path`; an older database is upgraded to the newest version.
+    """Opens the project in the folder `path`; an older database is backed up, and upgraded to the newest version.
 
     Args:
         busy_timeout_s: how long to wait while another process writes, seconds.
@@ -190,7 +188,13 @@ def open_project(path: Path, *, busy_timeout_s: float = BUSY_TIMEOUT_S, clock: C
             (path / folder).mkdir(exist_ok=True)
     except OSError as error:
         raise ProjectError(f"{path}: a subfolder ({', '.join(_FOLDERS)}) cannot be created: {error}") from error
-    return Project(path, open_store(path / DATABASE_FILE, busy_timeout_s=busy_timeout_s, clock=clock))
+    store = open_store(
+        path / DATABASE_FILE,
+        busy_timeout_s=busy_timeout_s,
+        clock=clock,
+        before_upgrade=lambda _: back_up_before_upgrade(path),
+    )
+    return Project(path, store)
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:

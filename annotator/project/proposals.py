@@ -22,7 +22,7 @@ from annotator.project.records import BoxRecord, ProposalRecord, parsed, storabl
 from annotator.project.schema import events, frames, labels
 from annotator.project.writing import Receipt, WriteContext, Writer, require_writable
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
-from annotator.types.errors import ProjectError
+from annotator.types.errors import RESTORE, ProjectError
 
 # Minimum exact 3D IoU at which a proposal and a label of one class count as the same object.
 SAME_OBJECT_IOU = 0.5
@@ -205,9 +205,7 @@ def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Label]) -> list[st
 
 def _payload(event: Event) -> ProposalsReplaced:
     if not isinstance(event.payload, ProposalsReplaced):
-        raise ProjectError(
-            f"event {event.id} should hold proposals, not {event.payload.kind}; restore the project from a backup"
-        )
+        raise ProjectError(f"event {event.id} should hold proposals, not {event.payload.kind}; {RESTORE}")
     return event.payload
 
 

@@ -16,7 +16,7 @@ from pydantic_core import PydanticSerializationError
 from scipy.spatial.transform import RigidTransform
 
 from annotator.types import Box2D, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
-from annotator.types.errors import ProjectError
+from annotator.types.errors import RESTORE, ProjectError
 from annotator.types.proposal import Matrix3
 
 ROTATION_TOLERANCE = 1e-6
@@ -38,9 +38,7 @@ def parsed(read: Callable[[str], Stored], text: str) -> Stored:
         return read(text)
     except (ValueError, LookupError, TypeError) as error:
         reason = " ".join(str(error).split())[:100]
-        raise ProjectError(
-            f"a row of the project's database is damaged ({reason}); restore it from a backup"
-        ) from error
+        raise ProjectError(f"a row of the project's database is damaged ({reason}); {RESTORE}") from error
 
 
 def _rotation(matrix: Matrix3) -> Matrix3:

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Boolean, Column, Dialect, Float, ForeignKey, Integer, MetaData, Table, Text
 from sqlalchemy.types import TypeDecorator
 
-from annotator.types.errors import ProjectError
+from annotator.types.errors import RESTORE, ProjectError
 
 # Length in characters from which texts are compressed; shorter ones gain little and stay readable in SQLite tools.
 PACKED_FROM = 1000
@@ -38,7 +38,7 @@ class PackedText(TypeDecorator[str]):
         try:
             return zlib.decompress(value).decode()
         except (zlib.error, UnicodeDecodeError) as error:
-            raise ProjectError(f"an event of the project is damaged ({error}); restore it from a backup") from error
+            raise ProjectError(f"an event of the project is damaged ({error}); {RESTORE}") from error
 
 
 METADATA = MetaData()

@@ -15,8 +15,9 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import QueuePool
 
+from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
-from annotator.types.errors import ProjectError
+from annotator.types.errors import RESTORE, ProjectError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
@@ -30,8 +31,8 @@ _BEGIN = "annotator_begin"
 _PROBLEMS = {
     sqlite3.SQLITE_BUSY: "is locked by another process; close programs that use this project, or wait, and try again",
     sqlite3.SQLITE_LOCKED: "is locked by another process; close programs that use this project, or wait, and try again",
-    sqlite3.SQLITE_CORRUPT: "is damaged; restore it from a backup (`sqlite3 project.db .recover` may recover a part)",
-    sqlite3.SQLITE_NOTADB: "is not a project database, or its beginning is damaged; restore it from a backup",
+    sqlite3.SQLITE_CORRUPT: f"is damaged; {RESTORE}; `annotator project repair` saves what is still readable",
+    sqlite3.SQLITE_NOTADB: f"is not a project database, or its beginning is damaged; {RESTORE}",
     sqlite3.SQLITE_READONLY: "cannot be written; check the permissions of the file and of its folder",
     sqlite3.SQLITE_CANTOPEN: "cannot be opened; check the permissions of the file and of its folder",
     sqlite3.SQLITE_FULL: "cannot be written, because the disk is full; nothing was changed; free some space",
@@ -54,6 +55,7 @@ class Store:
     engine: Engine
     clock: Clock = time.time_ns
     write_lock: threading.Lock = field(default_factory=threading.Lock)
+    _begun: threading.Event = field(default_factory=threading.Event)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -79,15 +81,28 @@ class Store:
         # after the timeout, SQLite itself reports the problem
         has_lock = self.write_lock.acquire(timeout=BUSY_TIMEOUT_S)
         try:
+            if not self._begun.is_set():
+                self._begin_writing()
             with self._transaction("BEGIN IMMEDIATE") as connection:
+                advance(connection)
                 yield connection
         finally:
             if has_lock:
                 self.write_lock.release()
 
+    def _begin_writing(self) -> None:
+        """Changes the database file itself, so that it differs from every copy made before (`backup.generation`)."""
+        with self._transaction("BEGIN IMMEDIATE") as connection:
+            advance(connection)
+        with explained(self.path), closing(self.engine.raw_connection()) as outside_transactions:
+            _, logged, moved = outside_transactions.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        # a reader of an older state can prevent it; the next write then tries again
+        if logged == moved:
+            self._begun.set()
+
     @contextmanager
     def _transaction(self, begin: str) -> Iterator[Connection]:
-        with _explained(self.path), self.engine.connect() as connection:
+        with explained(self.path), self.engine.connect() as connection:
             connection = connection.execution_options(**{_BEGIN: begin})
             with connection.begin():
                 yield connection
@@ -119,11 +134,11 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
     if path.exists():
         raise ProjectError(f"{path}: exists already")
     store = _store(path, "rwc", BUSY_TIMEOUT_S, clock)
-    with _closed_on_error(store), _explained(path):
+    with _closed_on_error(store), explained(path):
         with closing(store.engine.raw_connection()) as outside_transactions:
             # stored in the file, so it applies to every later connection
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
-        with store.write() as connection:
+        with store._transaction("BEGIN IMMEDIATE") as connection:
             connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
             upgrade(connection, path, MIGRATIONS)
     return store
@@ -135,14 +150,21 @@ def open_store(
     busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
     migrations: tuple[Migration, ...] = MIGRATIONS,
+    before_upgrade: Callable[[int], None] | None = None,
 ) -> Store:
     """Opens the database at `path` and upgrades an older one to the newest version.
 
+    Args:
+        before_upgrade: called with the version of a database that will be upgraded; may raise to prevent it.
+
     Raises:
-        ProjectError: it is missing, not a project database, damaged, locked, or of a newer version.
+        ProjectError: it is missing, not a project database, damaged, locked, or of a newer version; or the file
+            `-wal` beside it belongs to another database.
     """
     if not path.is_file():
-        raise ProjectError(f"{path}: is missing; restore it from a backup")
+        raise ProjectError(f"{path}: is missing; {RESTORE}")
+    if has_foreign_wal(path):
+        raise ProjectError(foreign_wal(path))
     store = _store(path, "rw", busy_timeout_s, clock)
     with _closed_on_error(store):
         with store.read() as connection:
@@ -151,15 +173,26 @@ def open_store(
             # reading the schema detects a truncated or overwritten file at once
             connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
         if application_id != APPLICATION_ID:
-            raise ProjectError(f"{path}: is an SQLite database, but not a project database; restore it from a backup")
+            raise ProjectError(f"{path}: is an SQLite database, but not a project database; {RESTORE}")
         if version != migrations[-1].version:
-            with store.write() as connection:
+            if before_upgrade is not None:
+                before_upgrade(version)
+            with store._transaction("BEGIN IMMEDIATE") as connection:
                 upgrade(connection, path, migrations)
     return store
 
 
+def foreign_wal(path: Path) -> str:
+    """The problem that `has_foreign_wal` finds, in words."""
+    return (
+        f"{path}: does not belong to the file {wal_of(path).name} beside it; probably it is a copy that was put there "
+        "by hand, and the other file is left from a newer state; nothing was changed. `annotator project repair` makes "
+        "a new project of it without that file"
+    )
+
+
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
+def explained(path: Path) -> Iterator[None]:
     """Converts SQLite's errors about the file `path` into a ProjectError that says what to do.
 
     Raises:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.files import write_atomic
-from annotator.types.errors import NotFoundError, ProjectError
+from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _ID = re.compile(r"[0-9a-f]{64}")
@@ -59,9 +59,7 @@ class Views:
             raise NotFoundError(f"{view_id!r} is not the id of a view; ids have 64 hexadecimal digits")
         path = self._file(view_id)
         if not path.is_file():
-            raise NotFoundError(
-                f"view {view_id[:12]}: the image is missing; store it first, or restore it from a backup"
-            )
+            raise NotFoundError(f"view {view_id[:12]}: the image is missing; store it first, or {RESTORE}")
         return path
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:
@@ -84,7 +82,7 @@ class Views:
         except OSError as error:
             raise ProjectError(f"{path}: cannot be read: {error}") from error
         if hashlib.sha256(content).hexdigest() != view_id:
-            raise ProjectError(f"{path}: is damaged (its content does not match its name); restore it from a backup")
+            raise ProjectError(f"{path}: is damaged (its content does not match its name); {RESTORE}")
         return content
 
     def size(self, view_id: str) -> tuple[int, int]:
@@ -102,7 +100,7 @@ class Views:
             raise ProjectError(f"{path}: cannot be read: {error}") from error
         # the header chunk is the first one: its length and name, then width and height as big-endian words
         if not head.startswith(_PNG) or len(head) < 24:
-            raise ProjectError(f"{path}: is damaged; restore it from a backup")
+            raise ProjectError(f"{path}: is damaged; {RESTORE}")
         width, height = struct.unpack(">II", head[16:24])
         return width, height
 
@@ -125,5 +123,5 @@ def _decode(path: Path, content: bytes) -> np.ndarray:
 
     bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     if bgr is None:
-        raise ProjectError(f"{path}: cannot be decoded as an image; restore it from a backup")
+        raise ProjectError(f"{path}: cannot be decoded as an image; {RESTORE}")
     return np.ascontiguousarray(bgr[..., ::-1])

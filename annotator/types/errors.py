@@ -29,6 +29,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+RESTORE = "restore it from a backup (`annotator project restore`)"
+"""What to do about a damaged project, for messages."""
+
 
 class AnnotatorError(Exception):
     """Base of all errors that a user is meant to read."""

@@ -9,6 +9,7 @@ from importlib import import_module
 from fastapi import FastAPI
 
 from annotator import __version__
+from annotator.web.automatic_backups import AutomaticBackups
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.learning import Learner, StepAside
@@ -52,9 +53,12 @@ def create_app(settings: ServerSettings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         watch = Watch(context, Learner(context.jobs))
         watch.start()
+        backups = AutomaticBackups(context)
+        backups.start()
         context.jobs.start()
         yield
         watch.close()
+        backups.close()
         context.close()
 
     app = FastAPI(

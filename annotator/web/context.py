@@ -87,6 +87,11 @@ class Context:
         with self._lock:
             return [(name, self._projects[name]) for name in names if name in self._projects]
 
+    def all_open_projects(self) -> list[tuple[str, Project]]:
+        """All projects that are open, with their names."""
+        with self._lock:
+            return list(self._projects.items())
+
     def public_message(self, text: str) -> str:
         """A message for browsers: absolute paths are replaced, so that it names files but not their folders."""
         return as_sent(hide_paths(text, self._path_names()), self.settings.projects_root.absolute().name)

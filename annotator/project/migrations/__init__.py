@@ -27,6 +27,7 @@ from annotator.project.migrations import (
     m0012_labels_by_class,
     m0013_reader_options,
     m0014_adjustments,
+    m0015_generation,
 )
 from annotator.types.errors import ProjectError
 
@@ -61,6 +62,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(12, m0012_labels_by_class.STATEMENTS),
     Migration(13, m0013_reader_options.STATEMENTS),
     Migration(14, m0014_adjustments.STATEMENTS),
+    Migration(15, m0015_generation.STATEMENTS),
 )
 
 

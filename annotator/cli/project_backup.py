@@ -1,0 +1,38 @@
+"""`annotator project backup`"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from annotator.cli.options import ModelsOption, ProjectName, Projects
+from annotator.cli.output import print_line
+from annotator.cli.progress import counted
+from annotator.cli.projects import named_folder
+from annotator.project.backup.content import ModelChoice
+from annotator.project.backup.make import back_up
+
+
+def run(
+    project: ProjectName,
+    file: Path | None = None,
+    /,
+    *,
+    models: ModelsOption[ModelChoice] = ModelChoice.ALL,
+    projects: Projects = None,
+) -> None:
+    """Write a backup of a project, as of one moment, while a server or a job may go on writing.
+
+    The file holds settings, database, images of pseudo-views and detectors, with their hashes. It does not hold the
+    recordings.
+
+    Args:
+        file: the file to write; default: PROJECT-TIME.zip in this folder.
+    """
+    moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    out = Path(f"{project}-{moment}.zip") if file is None else file
+    with counted("copying files") as progress:
+        backup = back_up(named_folder(project, projects), out, models, progress=progress)
+    manifest = backup.manifest
+    print_line(f"{out}: {manifest.labels} labels, {manifest.events} events, {len(manifest.files)} files")
+    print_line(f"restore it with: annotator project restore {out} NAME")

@@ -1,0 +1,28 @@
+"""`annotator project repair`"""
+
+from __future__ import annotations
+
+from annotator.cli.options import ProjectName, Projects
+from annotator.cli.output import print_line
+from annotator.cli.projects import named_folder
+from annotator.project.backup.repair import repair
+
+
+def run(project: ProjectName, new_name: str | None = None, /, *, projects: Projects = None) -> None:
+    """Repair a project: make its present state anew from its events, after a backup.
+
+    If the database is damaged, all that can be read goes into a new project, and the damaged one stays as it is.
+
+    Args:
+        new_name: name of the new project, if one is needed; default: the old name with `-repaired`.
+    """
+    done = repair(named_folder(project, projects), new_name)
+    if not done.is_new:
+        print_line(f"{done.path}: its state was made anew from {done.events} events; backed up before: {done.backup}")
+        return
+    print_line(f"{done.path}: a new project with {done.events} events; the damaged project is unchanged")
+    if done.lost:
+        lost = ", ".join(f"{count} {table}" for table, count in sorted(done.lost.items()))
+        print_line(f"could not be read or used: {lost}; compare with the newest backup")
+    if done.restored:
+        print_line(f"taken from the damaged tables, because their events are lost: {done.restored} states")

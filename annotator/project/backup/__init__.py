@@ -1,0 +1,1 @@
+"""Backups: making, restoring, automatic ones; verifying and repairing projects, and copying foreign ones."""

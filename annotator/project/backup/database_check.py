@@ -1,0 +1,88 @@
+"""Whether a database is sound, and has exactly the tables of its version."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from functools import lru_cache
+from pathlib import Path
+
+from annotator.project.backup.snapshot import reading
+from annotator.project.migrations import APPLICATION_ID, MIGRATIONS
+
+# Tables that SQLite's ANALYZE makes.
+_STATISTICS = ("sqlite_stat1", "sqlite_stat4")
+_MOST_PROBLEMS = 20
+
+Schema = dict[tuple[str, str], tuple[str, str]]
+"""(type, name) -> (table, normalised SQL)"""
+
+
+def database_problems(path: Path) -> list[str]:
+    """The problems of the database `path`, of any version; empty for a sound one.
+
+    Nothing in the file is trusted: its schema is compared as text before any of its tables is read.
+    """
+    try:
+        with reading(path) as connection:
+            connection.execute("BEGIN")
+            return list(_problems(connection))
+    except sqlite3.Error as error:
+        return [f"cannot be read: {error}"]
+
+
+def _problems(connection: sqlite3.Connection) -> Iterator[str]:
+    if (found := connection.execute("PRAGMA application_id").fetchone()[0]) != APPLICATION_ID:
+        yield f"is not a project database (application id {found})"
+        return
+    version, newest = connection.execute("PRAGMA user_version").fetchone()[0], MIGRATIONS[-1].version
+    if not 1 <= version <= newest:
+        yield f"has database version {version}; this annotator knows versions 1 to {newest}"
+        return
+    differences = list(_schema_problems(_schema(connection), _expected(version)))
+    yield from differences
+    lines = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({_MOST_PROBLEMS})")]
+    yield from (line for line in lines if line != "ok")
+    if differences or lines != ["ok"]:
+        return
+    orphans = connection.execute("PRAGMA foreign_key_check").fetchmany(_MOST_PROBLEMS)
+    yield from (f"table {row[0]}, row {row[1]}: refers to a missing row of {row[2]}" for row in orphans)
+    yield from _event_problems(connection)
+
+
+def _schema_problems(found: Schema, expected: Schema) -> Iterator[str]:
+    for kind, name in sorted(expected.keys() - found.keys()):
+        yield f"lacks the {kind} {name}"
+    for kind, name in sorted(found.keys() - expected.keys()):
+        if name not in _STATISTICS:
+            yield f"has the {kind} {name!r}, which does not belong to a project"
+    for kind, name in sorted(found.keys() & expected.keys()):
+        if found[kind, name] != expected[kind, name]:
+            yield f"the {kind} {name} is not that of a project"
+
+
+def _event_problems(connection: sqlite3.Connection) -> Iterator[str]:
+    """Frames that have lost events, as far as revisions tell; `verify --deep` finds the rest."""
+    rows = connection.execute(
+        'SELECT frames."key", frames.revision, max(events.revision) AS last FROM events '
+        "JOIN frames ON frames.id = events.frame_id GROUP BY frames.id HAVING last > frames.revision"
+    )
+    for key, revision, last in rows.fetchmany(_MOST_PROBLEMS):
+        yield f"frame {key}: is at revision {revision}, but has an event of revision {last}"
+
+
+def _schema(connection: sqlite3.Connection) -> Schema:
+    rows = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
+    return {(kind, name): (table, " ".join((sql or "").split())) for kind, name, table, sql in rows}
+
+
+@lru_cache(maxsize=32)
+def _expected(version: int) -> Schema:
+    """The schema of a database version, made by its migrations."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        connection.execute("BEGIN")
+        for migration in MIGRATIONS[:version]:
+            for statement in migration.statements:
+                connection.execute(statement)
+        return _schema(connection)

@@ -1,0 +1,126 @@
+"""Whether a `-wal` file belongs to the database beside it.
+
+SQLite keeps the latest transactions in `project.db-wal`. If a process is killed, this file stays, and SQLite applies it
+to whatever `project.db` it finds when the database is opened next: also to an older copy that somebody has put there.
+The result is a newer state than that of the copy, or a damaged database. SQLite's own headers do not prevent this.
+
+So each write transaction stores a random token and the token of the transaction before it (table `generation`). The
+first write of a process is a transaction that is moved into `project.db` at once, so the file then differs from every
+earlier copy of it. A `-wal` belongs to a database if the token in `project.db` is one of those in the `-wal`, or the
+one before its first.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import struct
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from sqlalchemy import Connection
+
+NO_TOKEN = "0" * 32
+# Attempts to read both files while another process writes.
+_ATTEMPTS = 5
+_ADVANCE = (
+    "UPDATE generation SET chain = 'annotator-generation ' || substr(chain, -32) || ' ' || lower(hex(randomblob(16)))"
+)
+_CHAIN = re.compile(rb"annotator-generation ([0-9a-f]{32}) ([0-9a-f]{32})")
+# SQLite's file format, sections 4.1 and 4.2: sizes of the headers of a WAL and of its frames, the two magic numbers.
+_HEADER, _FRAME_HEADER, _MAGIC = 32, 24, (0x377F0682, 0x377F0683)
+_TABLE_LEAF = 0x0D
+
+
+def advance(connection: Connection) -> None:
+    """Stores a new token, within the caller's write transaction."""
+    connection.exec_driver_sql(_ADVANCE)
+
+
+def has_foreign_wal(path: Path) -> bool:
+    """True if the `-wal` file beside the database `path` belongs to another database, or to another state of it.
+
+    Databases before version 15 have no tokens; for them the answer is False.
+    """
+    wal = wal_of(path)
+    for _ in range(_ATTEMPTS):
+        before, token = _read_wal(wal), _stored(path)
+        after = _read_wal(wal)
+        # else another process has begun the file anew in the meantime
+        if after is not None and before is not None and before.salts == after.salts and token == _stored(path):
+            return not after.follows(token)
+        if before is None or after is None:
+            return False
+    return False  # in use, and thus not left over
+
+
+def wal_of(path: Path) -> Path:
+    """The `-wal` file of a database."""
+    return path.with_name(f"{path.name}-wal")
+
+
+@dataclass(frozen=True)
+class _Wal:
+    """What matters of a WAL.
+
+    Attributes:
+        salts: random numbers that identify its content.
+        chain: for each transaction, the token of the one before, and its own.
+        has_commits: True if it contains a complete transaction.
+    """
+
+    salts: bytes
+    chain: tuple[tuple[str, str], ...]
+    has_commits: bool
+
+    def follows(self, token: str | None) -> bool:
+        """Whether it can be applied to a database whose last transaction had that token; None = it has no tokens."""
+        if not self.has_commits:
+            return True
+        if not self.chain:
+            return token is None
+        return (token or NO_TOKEN) in {self.chain[0][0], *(own for _, own in self.chain)}
+
+
+def _read_wal(path: Path) -> _Wal | None:
+    """Reads a WAL; None if there is none, or if SQLite would ignore it."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(_HEADER)
+            if len(header) < _HEADER or int.from_bytes(header[:4], "big") not in _MAGIC:
+                return None
+            (page_bytes,), salts = struct.unpack(">I", header[8:12]), header[16:24]
+            chain, has_commits = [], False
+            while len(frame := file.read(_FRAME_HEADER + page_bytes)) == _FRAME_HEADER + page_bytes:
+                if frame[8:16] != salts:  # left from before the file was begun anew
+                    break
+                has_commits = has_commits or any(frame[4:8])
+                chain += _links(frame[_FRAME_HEADER:])
+    except FileNotFoundError:
+        return None
+    except OSError:  # SQLite reports it
+        return None
+    return _Wal(salts, tuple(chain), has_commits)
+
+
+def _links(page: bytes) -> Iterator[tuple[str, str]]:
+    """The tokens of the table's page; nothing for other pages."""
+    if page[0] == _TABLE_LEAF and page[3:5] == b"\0\1":  # one row
+        (cell,) = struct.unpack(">H", page[8:10])
+        if match := _CHAIN.search(page, cell, cell + 100):
+            yield match[1].decode(), match[2].decode()
+
+
+def _stored(path: Path) -> str | None:
+    """The last token in the database file itself; None if it has none or cannot be read, which SQLite reports later."""
+    # immutable: without the WAL; through SQLite, because closing an own file handle would release SQLite's locks
+    try:
+        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?immutable=1", uri=True)) as connection:
+            row = connection.execute("SELECT chain FROM generation").fetchone()
+    except sqlite3.Error:
+        return None
+    match = _CHAIN.fullmatch(str(row[0]).encode()) if row else None
+    return match[2].decode() if match else None

@@ -1,0 +1,320 @@
+"""Repair: the present state is made anew from the events; of a damaged database, all that is readable is salvaged."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from sqlalchemy import Connection, func, insert, select
+from sqlalchemy.exc import DBAPIError
+
+from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.content import folder_files, is_regular, stored_files
+from annotator.project.backup.database_check import database_problems
+from annotator.project.backup.generation import has_foreign_wal, wal_of
+from annotator.project.backup.snapshot import reading
+from annotator.project.backup.take_in import copy_regular, new_project
+from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
+from annotator.project.derived import apply_event, rebuild
+from annotator.project.event_types import LabelRestored
+from annotator.project.events import Event, event_of, insert_event
+from annotator.project.migrations import MIGRATIONS
+from annotator.project.schema import PackedText, events, frames, image_labels, labels, view_labels
+from annotator.project.store import DATABASE_FILE, Store, create_store, explained, open_store
+from annotator.project.undo_state import FRAME, IMAGE, LABEL, VIEW, read_state, restoring
+from annotator.types import Source
+from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
+
+AUTHOR = "annotator project repair"
+# Tables that no event changes, in the order of their references.
+_PLAIN = ("recordings", "moves", "runs", "frames", "frame_results", "models")
+_BATCH = 200
+
+Row = dict[str, Any]
+
+
+@dataclass
+class Repaired:
+    """The result of a repair.
+
+    Attributes:
+        path: the repaired project: the same, or a new one with what was readable.
+        is_new: True for a new one; the damaged project is unchanged.
+        backup: of the project before its repair; None for a new one.
+        events: number of events that were replayed.
+        lost: number of rows that could not be read or used, by table.
+        restored: number of states that were taken from the damaged project's tables, because their events are lost.
+    """
+
+    path: Path
+    is_new: bool
+    backup: Path | None = None
+    events: int = 0
+    lost: dict[str, int] = field(default_factory=dict)
+    restored: int = 0
+
+
+def repair(project: Path, new_name: str | None = None) -> Repaired:
+    """Repairs the project in a folder.
+
+    If its database is sound, the tables of the present state are made anew from the events, after a backup. Otherwise,
+    or if the events contradict each other, all that can be read goes into a new project beside it.
+
+    Args:
+        new_name: of the new project, if one is needed; default: the old name with `-repaired`.
+
+    Raises:
+        ConfigError: an invalid name.
+        ProjectError: nothing can be read, the new name is taken, or it cannot be written.
+    """
+    database = project / DATABASE_FILE
+    if not is_regular(project, DATABASE_FILE):
+        raise ProjectError(f"{database}: is missing, or no regular file; there is nothing to repair")
+    try:
+        read_config(project)
+        is_sound = not has_foreign_wal(database) and not database_problems(database)
+    except ProjectError:
+        is_sound = False
+    if is_sound:
+        backup = back_up_automatically(project, Reason.REPAIR)
+        with closing(open_store(database)) as store:
+            try:
+                with store.write() as connection:
+                    return Repaired(project, False, backup.path, rebuild(connection))
+            except ProjectError:
+                pass  # contradicting events: the salvage leaves them out
+    return _salvage(project, new_name or f"{project.resolve().name}-repaired")
+
+
+def _salvage(project: Path, name: str) -> Repaired:
+    root = project.resolve().parent
+    with ExitStack() as stack:
+        place = stack.enter_context(new_project(root, name))
+        # SQLite works on a copy: opening a damaged database may write to it
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="annotator-repair-")))
+        copy = folder / DATABASE_FILE
+        shutil.copyfile(project / DATABASE_FILE, copy)
+        wal = wal_of(Path(DATABASE_FILE)).name
+        if is_regular(project, wal) and not has_foreign_wal(project / DATABASE_FILE):
+            shutil.copyfile(project / wal, folder / wal)
+        repaired = Repaired(root / name, True)
+        store = create_store(place / DATABASE_FILE)
+        stack.callback(store.close)
+        try:
+            with reading(copy) as source:
+                source.execute("SELECT count(*) FROM sqlite_master").fetchone()
+                _copy_plain(source, store, repaired)
+                _replay(source, store, repaired)
+                config = _config(project, name, source)
+        except sqlite3.Error as error:
+            raise ProjectError(
+                f"{project / DATABASE_FILE}: nothing can be read ({error}); {_advice(project)}"
+            ) from error
+        if any(repaired.lost.values()):
+            _restore_states(copy, store, repaired)
+        write_config(place, config)
+        store.close()
+        _copy_files(project, place)
+    return repaired
+
+
+def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
+    with store.write() as connection:
+        for table in _PLAIN:
+            known = {row[1] for row in connection.exec_driver_sql(f"PRAGMA table_info({table})")}
+            for row in _rows(source, table, repaired):
+                kept = {key: value for key, value in row.items() if key in known}
+                if table == "frames":
+                    kept |= {"revision": 0, "finalised": 0}
+                columns = ", ".join(f'"{key}"' for key in kept)
+                marks = ", ".join("?" * len(kept))
+                try:
+                    with connection.begin_nested():
+                        connection.exec_driver_sql(
+                            f"INSERT INTO {table} ({columns}) VALUES ({marks})", tuple(kept.values())
+                        )
+                except DBAPIError:
+                    _count_lost(repaired, table)
+
+
+def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
+    """Appends all events that can be read and applied; the others are left out."""
+    unpack = PackedText()
+    with store.write() as connection:
+        for row in _rows(source, "events", repaired):
+            values: Row = {column.name: None for column in events.c} | row
+            try:
+                values["payload"] = unpack.process_result_value(values["payload"], connection.dialect)
+                values["revision"] = max(values["revision"], _revision(connection, values) + 1)
+                with connection.begin_nested():
+                    connection.execute(insert(events), values)
+                    apply_event(connection, event_of(_Attributes(values)))
+            except (AnnotatorError, DBAPIError, TypeError, ValueError):
+                _count_lost(repaired, "events")
+            else:
+                repaired.events += 1
+
+
+def _advice(project: Path) -> str:
+    backups = automatic_backups(project)
+    newest = f"; the newest automatic one is {backups[-1]}" if backups else ""
+    return f"{RESTORE}{newest}"
+
+
+class _Attributes:
+    """A row whose columns are attributes."""
+
+    def __init__(self, values: Row) -> None:
+        self.__dict__.update(values)
+
+
+def _revision(connection: Connection, values: Row) -> int:
+    """The present revision of an event's frame, or of its view where it has no frame."""
+    if values["frame_id"] is not None:
+        query = select(frames.c.revision).where(frames.c.id == values["frame_id"])
+    else:
+        same = (events.c.view_id == values["view_id"]) & events.c.frame_id.is_(None)
+        query = select(func.max(events.c.revision)).where(same)
+    return connection.execute(query).scalar() or 0
+
+
+def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
+    """Where events are lost, brings labels and 2D boxes to the state that the damaged database shows, if it does."""
+    try:
+        if database_version(copy) != MIGRATIONS[-1].version:
+            return
+        damaged = open_store(copy)
+    except (ProjectError, sqlite3.Error):
+        return
+    with closing(damaged), reading(copy) as source, store.write() as connection:
+        for frame_id, target in _targets(source):
+            try:
+                with damaged.read() as old:
+                    state = read_state(old, frame_id, target)
+                if state != read_state(connection, frame_id, target):
+                    _append(connection, store, frame_id, target, state)
+                    repaired.restored += 1
+            except (AnnotatorError, DBAPIError, ValueError):
+                _count_lost(repaired, "states")
+
+
+def database_version(path: Path) -> int:
+    """The version of a database.
+
+    Raises:
+        sqlite3.Error: it cannot be read.
+    """
+    with reading(path) as connection:
+        return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def _targets(source: sqlite3.Connection) -> Iterator[tuple[int | None, str]]:
+    """The frame and the target (as in `undo_state`) of each row of the present state that can be read."""
+    nobody = Repaired(Path(), True)
+    yield from ((row["frame_id"], f"{LABEL}:{row['uid']}") for row in _rows(source, labels.name, nobody))
+    yield from ((row["frame_id"], IMAGE) for row in _rows(source, image_labels.name, nobody, "frame_id"))
+    yield from ((row["frame_id"], f"{VIEW}:{row['view_id']}") for row in _rows(source, view_labels.name, nobody))
+    yield from ((row["id"], FRAME) for row in _rows(source, frames.name, nobody))
+
+
+def _append(connection: Connection, store: Store, frame_id: int | None, target: str, state: str | None) -> None:
+    """Appends the event that brings a target to a state."""
+    payload = restoring(target, state)
+    if isinstance(payload, LabelRestored):  # the events and runs that it refers to may be lost
+        former = payload.former.model_copy(update={"proposal_event_id": None, "run_id": None})
+        payload = payload.model_copy(update={"former": former})
+    revision = _revision(connection, {"frame_id": frame_id, "view_id": target.partition(":")[2]}) + 1
+    with connection.begin_nested():
+        event: Event = insert_event(
+            connection,
+            frame_id=frame_id,
+            revision=revision,
+            content=payload.model_dump_json(),
+            payload=payload,
+            author=AUTHOR,
+            time_ns=store.clock(),
+            source=Source.IMPORTED,
+        )
+        apply_event(connection, event)
+
+
+def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConfig:
+    """The project's settings; if they cannot be read, the classes of its labels."""
+    try:
+        return read_config(project)
+    except ProjectError:
+        rows = _rows(source, labels.name, Repaired(Path(), True))
+        classes = tuple(sorted({str(row["label"]) for row in rows})) or ("object",)
+        return new_config(name, classes, ProjectSettings(), time.time_ns())
+
+
+def _copy_files(project: Path, place: Path) -> None:
+    with explained(place), reading(place / DATABASE_FILE) as connection:
+        names = list(folder_files(project, stored_files(connection)))
+    for name in names:
+        if not (place / name).exists():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            copy_regular(project / name, place / name)
+
+
+def _rows(source: sqlite3.Connection, table: str, repaired: Repaired, key: str = "id") -> Iterator[Row]:
+    """Yields the readable rows of a table by their ids; pages that cannot be read are passed over row by row."""
+    try:
+        if not source.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", (table,)).fetchone():
+            return
+        last = _last_id(source, table, key)
+    except sqlite3.Error:
+        _count_lost(repaired, table)
+        return
+    after = -1
+    while after < last:
+        try:
+            cursor = source.execute(f"SELECT * FROM {table} WHERE {key} > ? ORDER BY {key} LIMIT {_BATCH}", (after,))
+            found = [_row(cursor, values) for values in cursor.fetchall()]
+            if not found:
+                return
+        except (sqlite3.Error, UnicodeDecodeError):
+            found = list(_one_by_one(source, table, key, after + 1, min(after + _BATCH, last), repaired))
+            yield from found
+            after = min(after + _BATCH, last)
+            continue
+        yield from found
+        after = found[-1][key]
+
+
+def _one_by_one(
+    source: sqlite3.Connection, table: str, key: str, first: int, last: int, repaired: Repaired
+) -> Iterator[Row]:
+    for number in range(first, last + 1):
+        try:
+            cursor = source.execute(f"SELECT * FROM {table} WHERE {key} = ?", (number,))
+            if (values := cursor.fetchone()) is not None:
+                yield _row(cursor, values)
+        except (sqlite3.Error, UnicodeDecodeError):
+            _count_lost(repaired, table)
+
+
+def _row(cursor: sqlite3.Cursor, values: tuple[Any, ...]) -> Row:
+    return dict(zip((column[0] for column in cursor.description), values, strict=True))
+
+
+def _last_id(source: sqlite3.Connection, table: str, key: str) -> int:
+    """The greatest id of a table; where its end cannot be read, the last one that it has given."""
+    try:
+        return int(source.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()[0])
+    except sqlite3.Error:
+        row = source.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (table,)).fetchone()
+        if row is None:
+            raise
+        return int(row[0])
+
+
+def _count_lost(repaired: Repaired, table: str) -> None:
+    repaired.lost[table] = repaired.lost.get(table, 0) + 1

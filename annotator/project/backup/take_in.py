@@ -1,0 +1,148 @@
+"""Making a new project of a backup, or of the folder of a project that somebody else has sent."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from annotator.files import CHUNK_BYTES, sync_folder
+from annotator.project.backup.archive import BackupManifest, Progress, open_backup, unpack
+from annotator.project.backup.content import (
+    MODELS_FOLDER,
+    VIEWS_FOLDER,
+    ModelChoice,
+    folder_files,
+    is_regular,
+    keep_models,
+    stored_files,
+)
+from annotator.project.backup.database_check import database_problems
+from annotator.project.backup.generation import wal_of
+from annotator.project.backup.snapshot import reading, write_snapshot
+from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.verify import verify
+from annotator.project.config import CONFIG_FILE, check_name, read_config, write_config
+from annotator.project.store import DATABASE_FILE, explained
+from annotator.types.errors import FormatError, ProjectError
+
+# Bound of a foreign project's settings, bytes.
+_MOST_CONFIG = 2**20
+
+
+def restore(
+    file: Path, root: Path, name: str | None = None, progress: Progress = lambda done, total: None
+) -> tuple[Path, BackupManifest]:
+    """Makes the project `root/name` of a backup; the folder appears complete and checked, or not at all.
+
+    Args:
+        name: of the new project; default: that of the backup.
+
+    Returns:
+        The project's folder, and the backup's manifest.
+
+    Raises:
+        ConfigError: an invalid name.
+        FormatError: the file is damaged, or not a backup.
+        ProjectError: the name is taken, the database is damaged, or the folder cannot be written.
+    """
+    with open_backup(file) as (archive, manifest):
+        name = check_name(manifest.project if name is None else name)
+        with new_project(root, name) as place:
+            unpack(file, archive, manifest, place, progress)
+            if problems := database_problems(place / DATABASE_FILE):
+                raise FormatError(file, f"{DATABASE_FILE}: {problems[0]}")
+    return root / name, manifest
+
+
+def copy_project(
+    folder: Path,
+    root: Path,
+    name: str,
+    models: ModelChoice = ModelChoice.ALL,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Makes the project `root/name` of the project in `folder`, which nobody needs to trust; returns its folder.
+
+    Only the regular files that a project consists of are copied: no links, caches or converted networks. The copy is
+    verified before it gets its name.
+
+    Raises:
+        ConfigError: an invalid name.
+        ProjectError: not a project, something is wrong with it, the name is taken, or the copy cannot be written.
+    """
+    check_name(name)
+    for required in (CONFIG_FILE, DATABASE_FILE):
+        if not is_regular(folder, required):
+            raise ProjectError(
+                f"{folder} is not a project that can be copied: {required} is missing or no regular file"
+            )
+    if (folder / CONFIG_FILE).stat().st_size > _MOST_CONFIG:
+        raise ProjectError(f"{folder / CONFIG_FILE}: is larger than {_MOST_CONFIG >> 20} MiB")
+    with new_project(root, name) as place:
+        copied = place / "copied"
+        copied.mkdir()
+        # copied before SQLite sees it: opening a database can write to its folder
+        for part in (DATABASE_FILE, wal_of(Path(DATABASE_FILE)).name):
+            if is_regular(folder, part):
+                copy_regular(folder / part, copied / part)
+        database = place / DATABASE_FILE
+        write_snapshot(copied / DATABASE_FILE, database)
+        shutil.rmtree(copied)
+        if problems := database_problems(database):
+            raise ProjectError(f"{folder / DATABASE_FILE}: {problems[0]}")
+        with explained(database):
+            keep_models(database, models)
+            with reading(database) as connection:
+                names = list(folder_files(folder, stored_files(connection)))
+        for number, each in enumerate(names, 1):
+            (place / each).parent.mkdir(parents=True, exist_ok=True)
+            copy_regular(folder / each, place / each)
+            progress(number, len(names))
+        if problems := verify(place, deep=True).problems:
+            more = f" (and {len(problems) - 1} more problems: annotator project verify)" if len(problems) > 1 else ""
+            raise ProjectError(f"{folder}: {problems[0]}{more}; nothing was copied")
+    return root / name
+
+
+@contextmanager
+def new_project(root: Path, name: str) -> Iterator[Path]:
+    """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
+
+    Raises:
+        ProjectError: the name is taken, or the folder cannot be written.
+    """
+    path = root / name
+    if os.path.lexists(path):
+        raise ProjectError(f"{path} exists already; choose another name")
+    try:
+        with unfinished_folder(root, name) as place:
+            yield place
+            for folder in (MODELS_FOLDER, VIEWS_FOLDER):
+                (place / folder).mkdir(exist_ok=True)
+            write_config(place, read_config(place).model_copy(update={"name": name}))
+            sync_folder(place)
+            # never replaces a folder with content, which another process may have made meanwhile
+            place.rename(path)
+            sync_folder(root)
+    except OSError as error:
+        raise ProjectError(f"{path}: cannot be created: {error}") from error
+
+
+def copy_regular(source: Path, target: Path) -> None:
+    """Copies a regular file.
+
+    Raises:
+        OSError: it is a link or no regular file, or cannot be read or written.
+    """
+    # O_NOFOLLOW and O_NONBLOCK: it may have been replaced by a link or a pipe since it was listed
+    with os.fdopen(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(f"{source} is not a regular file")
+        with target.open("xb") as out:
+            shutil.copyfileobj(file, out, CHUNK_BYTES)
+            out.flush()
+            os.fsync(out.fileno())

@@ -1,0 +1,192 @@
+"""Whether a project is sound: its database, and with `deep` also what follows from its events, and its files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+from sqlalchemy import Connection, Table, select
+
+from annotator.files import CHUNK_BYTES
+from annotator.project.backup.content import VIEW_FILE, is_regular, stored_files
+from annotator.project.backup.database_check import database_problems
+from annotator.project.backup.generation import has_foreign_wal
+from annotator.project.backup.snapshot import reading, write_snapshot
+from annotator.project.config import CONFIG_FILE, read_config
+from annotator.project.derived import rebuild
+from annotator.project.schema import AnyRow, adjustments, frames, image_labels, labels, revertible, view_labels
+from annotator.project.store import DATABASE_FILE, explained, foreign_wal, open_store
+from annotator.types.errors import ProjectError
+
+MOST_NAMED = 3
+# The columns that identify a row of a derived table, and those that a rebuild may number anew.
+_KEYS: dict[Table, tuple[str, ...]] = {
+    frames: ("id",),
+    labels: ("uid",),
+    image_labels: ("frame_id",),
+    view_labels: ("view_id", "frame_id"),
+    revertible: ("event_id",),
+    adjustments: ("recording_id",),
+}
+_NUMBERED = (labels, view_labels)
+
+Rows = dict[tuple[object, ...], tuple[object, ...]]
+
+
+class Verification(BaseModel):
+    """The result of a verification; `problems` is empty for a sound project."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    project: str
+    deep: bool
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """The tables of the present state; `order` has the labels' uids by row id."""
+
+    tables: dict[str, Rows]
+    order: tuple[str, ...]
+
+
+def verify(project: Path, *, deep: bool = False) -> Verification:
+    """Checks the project in a folder; changes nothing, and other processes may write meanwhile.
+
+    Args:
+        deep: replays all events in a copy and compares the result with the stored state; reads all files.
+    """
+    problems = _checked(project, deep)
+    return Verification(project=project.name, deep=deep, problems=tuple(problems))
+
+
+def _checked(project: Path, deep: bool) -> list[str]:
+    try:
+        if not is_regular(project, CONFIG_FILE):
+            return [f"{CONFIG_FILE} is missing, or no regular file"]
+        read_config(project)
+        if not is_regular(project, DATABASE_FILE):
+            return [f"{DATABASE_FILE} is missing, or no regular file"]
+        database = project / DATABASE_FILE
+        if has_foreign_wal(database):
+            return [foreign_wal(database)]
+        if not deep:
+            return [f"{DATABASE_FILE}: {problem}" for problem in database_problems(database)]
+        with TemporaryDirectory(prefix="annotator-verify-") as folder:
+            copy = Path(folder) / DATABASE_FILE
+            write_snapshot(database, copy)
+            if problems := database_problems(copy):
+                return [f"{DATABASE_FILE}: {problem}" for problem in problems]
+            return [*_state_problems(copy), *_file_problems(project, copy)]
+    except ProjectError as error:
+        return [str(error)]
+
+
+def _state_problems(copy: Path) -> Iterator[str]:
+    """Differences between the stored state and that which follows from the events; changes the copy."""
+    store = open_store(copy)
+    try:
+        with store.write() as connection:
+            before = _state(connection)
+            rebuild(connection)
+            after = _state(connection)
+    except ProjectError as error:
+        yield f"the events contradict each other: {error}"
+        return
+    finally:
+        store.close()
+    for name, rows in after.tables.items():
+        stored = before.tables[name]
+        for what, keys in (
+            ("lacks rows that the events give", [key for key in rows if key not in stored]),
+            ("has rows that the events do not give", [key for key in stored if key not in rows]),
+            (
+                "has other values than the events give",
+                [key for key in rows if key in stored and not _same(stored[key], rows[key])],
+            ),
+        ):
+            if keys:
+                yield f"the table {name} {what}: {_named(keys)}"
+    if before.order != after.order and set(before.order) == set(after.order):
+        yield "the labels have another order than the events give"
+
+
+def _state(connection: Connection) -> _Stored:
+    tables = {}
+    for table, keys in _KEYS.items():
+        rows = connection.execute(select(table))
+        tables[table.name] = {_key(row, keys): _values(table, row) for row in rows}
+    order = tuple(connection.execute(select(labels.c.uid).order_by(labels.c.id)).scalars())
+    return _Stored(tables, order)
+
+
+def _key(row: AnyRow, keys: Sequence[str]) -> tuple[object, ...]:
+    return tuple(getattr(row, key) for key in keys)
+
+
+def _values(table: Table, row: AnyRow) -> tuple[object, ...]:
+    return tuple(
+        value for column, value in zip(table.c, row, strict=True) if table not in _NUMBERED or column.name != "id"
+    )
+
+
+def _same(stored: Sequence[object], rebuilt: Sequence[object]) -> bool:
+    """Equal values; JSON is compared by content, and an older annotator may have written fewer fields."""
+    return all(old == new or _same_json(_json(old), _json(new)) for old, new in zip(stored, rebuilt, strict=True))
+
+
+def _same_json(old: Any, new: Any) -> bool:
+    if isinstance(old, dict) and isinstance(new, dict):
+        return all(key in new and _same_json(value, new[key]) for key, value in old.items())
+    if isinstance(old, list) and isinstance(new, list):
+        return len(old) == len(new) and all(map(_same_json, old, new))
+    return bool(old == new) and type(old) is type(new)
+
+
+def _json(value: object) -> object:
+    try:
+        return json.loads(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def _file_problems(project: Path, copy: Path) -> Iterator[str]:
+    """Files that the database refers to, and that are missing, no regular files, or have another content."""
+    with explained(copy), reading(copy) as connection:
+        stored = stored_files(connection)
+    missing = [name for name in stored.views if not is_regular(project, name)]
+    damaged = [name for name in stored.views if name not in set(missing) and not _is_own_hash(project, name)]
+    if missing:
+        yield f"images of pseudo-views are missing, or no regular files: {_named(missing)}"
+    if damaged:
+        yield f"images of pseudo-views are damaged: {_named(damaged)}"
+    lost = [name for names in stored.models.values() for name in names if not is_regular(project, name)]
+    if lost:
+        yield f"files of detectors are missing, or no regular files: {_named(lost)}"
+    if stored.outside:
+        yield f"files of detectors are outside the project: {_named(stored.outside)}"
+
+
+def _is_own_hash(project: Path, name: str) -> bool:
+    digest = hashlib.sha256()
+    try:
+        with (project / name).open("rb") as file:
+            while chunk := file.read(CHUNK_BYTES):
+                digest.update(chunk)
+    except OSError:
+        return False
+    match = VIEW_FILE.fullmatch(name.rpartition("/")[2])
+    return match is not None and match[1] == digest.hexdigest()
+
+
+def _named(keys: Sequence[object]) -> str:
+    texts = [" ".join(map(str, key)) if isinstance(key, tuple) else str(key) for key in keys[:MOST_NAMED]]
+    more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
+    return ", ".join(texts) + more

@@ -1,0 +1,58 @@
+"""A server backs up the projects that it has open, some hours after their first change."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from annotator.project import WriteContext, create_project
+from annotator.project.backup.automatic import FOLDER, Reason, automatic_backups
+from annotator.project.backup.take_in import restore
+from annotator.types import BoxKind
+from annotator.web.automatic_backups import AutomaticBackups
+from annotator.web.context import Context
+from annotator.web.settings import ServerSettings
+
+OLD = 1_000_000_000
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Path:
+    """A project whose first change was long ago."""
+    with create_project(tmp_path, "room", ("person",), clock=lambda: OLD) as project:
+        project.recordings.add(tmp_path / "take", "rgbd", "take", ["0"], True)
+        project.boxes.set_on_image(1, [], BoxKind.BOX, WriteContext(0, "Ada"))
+        return project.path
+
+
+def test_an_open_project_is_backed_up_once_for_its_changes(changed: Path) -> None:
+    context = Context(ServerSettings(changed.parent))
+    try:
+        backups = AutomaticBackups(context)
+        backups.make_due()
+        assert automatic_backups(changed) == []  # nobody has opened it
+        context.project("room")
+        for _ in range(2):
+            backups.make_due()
+        (made,) = automatic_backups(changed, Reason.CHANGES)
+        path, manifest = restore(made, changed.parent, "restored")
+        assert manifest.last_event == 1 and path.is_dir()
+    finally:
+        context.close()
+
+
+def test_a_failed_backup_is_logged_once_and_disturbs_nobody(changed: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (changed.parent / FOLDER).write_text("in the way")
+    context = Context(ServerSettings(changed.parent))
+    try:
+        context.project("room")
+        backups = AutomaticBackups(context)
+        with caplog.at_level(logging.WARNING, "annotator.web"):
+            for _ in range(2):
+                backups.make_due()
+        assert [record.message for record in caplog.records if "no automatic backup" in record.message] != []
+        assert len(caplog.records) == 1
+    finally:
+        context.close()
