@@ -82,6 +82,7 @@ class Seen:
         saves_s: durations of the acknowledged saves.
         stale: number of saves that were refused because another operator had saved.
         refused: other refusals of saves, as status and text.
+        dropped: number of connections that ended without an answer.
         events: number of events that the operators' sockets received, by type.
         jobs: number of ended jobs, by kind and state.
         failures: other errors.
@@ -90,6 +91,7 @@ class Seen:
     saves_s: list[float] = field(default_factory=list)
     stale: int = 0
     refused: list[str] = field(default_factory=list)
+    dropped: int = 0
     events: Counter[str] = field(default_factory=Counter)
     jobs: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
@@ -204,22 +206,31 @@ def _guarded(work: Callable[[], None], seen: Seen, stop: threading.Event) -> Non
 def _operate(
     server: Server, number: int, frames: Sequence[int], seen: Seen, stop: threading.Event, chance: random.Random
 ) -> None:
-    """An operator: opens a frame, saves some changes on it, undoes some, and goes to another frame."""
+    """An operator: visits frames, and listens to events."""
     with server.client(f"operator {number}") as client:
         listening = threading.Thread(target=_listen, args=(server, client, seen, stop))
         listening.start()
         while not stop.is_set():
-            path = f"{PATH}/frames/{chance.choice(frames)}"
-            state = answered(client.get(path))
-            client.get(f"{path}/image.jpg")
-            for _ in range(chance.randint(1, 8)):
-                if stop.wait(chance.uniform(*THINKS_S)):
-                    break
-                state = _save(client, path, state, seen, chance)
-            if chance.random() < 0.2:
-                # 409: someone else has changed the box since, or nothing is left to undo
-                client.post(f"{PATH}/undo", json={})
+            try:
+                _visit(client, f"{PATH}/frames/{chance.choice(frames)}", seen, stop, chance)
+            except httpx.TransportError:
+                # a page would read the frame again
+                with seen.lock:
+                    seen.dropped += 1
         listening.join()
+
+
+def _visit(client: httpx.Client, path: str, seen: Seen, stop: threading.Event, chance: random.Random) -> None:
+    """Opens a frame, saves some changes on it, and now and then undoes one."""
+    state = answered(client.get(path))
+    client.get(f"{path}/image.jpg")
+    for _ in range(chance.randint(1, 8)):
+        if stop.wait(chance.uniform(*THINKS_S)):
+            return
+        state = _save(client, path, state, seen, chance)
+    if chance.random() < 0.2:
+        # 409: someone else has changed the box since, or nothing is left to undo
+        client.post(f"{PATH}/undo", json={})
 
 
 def _save(client: httpx.Client, path: str, state: dict[str, Any], seen: Seen, chance: random.Random) -> dict[str, Any]:
@@ -300,6 +311,7 @@ def _figures(memory: Sequence[tuple[float, float]], seen: Seen, args: Arguments)
         "saves": len(seen.saves_s),
         "stale": seen.stale,
         "refused_not_stale": len(seen.refused),
+        "dropped_connections": seen.dropped,
         "save_p50_s": percentile(seen.saves_s, 50),
         "save_p95_s": percentile(seen.saves_s, 95),
         "save_max_s": max(seen.saves_s, default=float("nan")),

@@ -72,16 +72,19 @@ class Killer:
         assert end.code == 0, end
         return end
 
-    def kills(self, *words: str | Path, again: bool = True) -> Iterator[End]:
-        """Kills the command once per iteration, on a fresh copy if `again`; at least half the kills must hit."""
-        self.fresh()
-        self.whole(*words)
+    def kills(self, *words: str | Path, done: Callable[[], object] = lambda: None) -> Iterator[End]:
+        """Kills the command once per iteration, on a fresh copy; at least half the kills must hit.
+
+        Args:
+            done: undoes what a whole run has written outside the copy.
+        """
         # the first run reads files that later ones find in memory
-        self.fresh()
-        seconds = self.whole(*words).seconds
+        for _ in range(2):
+            self.fresh()
+            seconds = self.whole(*words).seconds
+            done()
         for number in range(self.times):
-            if again:
-                self.fresh()
+            self.fresh()
             moment = seconds * (number + self.chance.random()) / self.times
             end = self.mortal.run(*words, kill_s=moment)
             assert end.code in (0, -9), end
@@ -171,6 +174,51 @@ def test_a_killed_import_stores_whole_frames_and_goes_on(
         assert end.was_killed or labels_in(room) == wanted
         kills.whole(*words)
         assert labels_in(room) == wanted
+
+
+def test_a_killed_backup_is_whole_or_not_there(
+    killer: Callable[[Path], Killer], labelled: Path, tmp_path: Path
+) -> None:
+    kills = killer(labelled)
+    file = tmp_path / "backups/room.zip"
+    file.parent.mkdir()
+    words = ["project", "backup", "room", file, "--projects", kills.folder]
+    wanted = labels_in(labelled / "room")
+    restored = 0
+    for number, end in enumerate(kills.kills(*words, done=file.unlink)):
+        require_sound(kills.folder / "room")
+        assert end.was_killed or file.exists()
+        if not file.exists():
+            # the next backup is not in the way of what is left, and removes it
+            kills.whole(*words)
+        root = tmp_path / f"restored{number}"
+        assert main(["project", "restore", str(file), "--projects", str(root)]) == 0
+        require_sound(root / "room")
+        assert labels_in(root / "room") == wanted
+        restored += 1
+        assert [path.name for path in file.parent.iterdir()] == ["room.zip"], "a leftover"
+        file.unlink()
+    assert restored == kills.times
+
+
+def test_a_killed_restore_makes_a_whole_project_or_none(
+    killer: Callable[[Path], Killer], labelled: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "room.zip"
+    assert main(["project", "backup", "room", str(file), "--projects", str(labelled)]) == 0
+    kills = killer(labelled)
+    words = ["project", "restore", file, "again", "--projects", kills.folder]
+    again, wanted = kills.folder / "again", labels_in(labelled / "room")
+    for end in kills.kills(*words):
+        require_sound(kills.folder / "room")
+        assert end.was_killed or again.exists()
+        shown = kills.whole("stats", "room", "--projects", kills.folder)
+        assert shown.code == 0
+        if not again.exists():
+            kills.whole(*words)
+        require_sound(again)
+        assert labels_in(again) == wanted
+        assert sorted(path.name for path in kills.folder.iterdir()) == ["again", "room"], "a leftover"
 
 
 @pytest.fixture(scope="module")
