@@ -208,7 +208,7 @@ def _operate(
 ) -> None:
     """An operator: visits frames, and listens to events."""
     with server.client(f"operator {number}") as client:
-        listening = threading.Thread(target=_listen, args=(server, client, seen, stop))
+        listening = threading.Thread(target=_guarded, args=(lambda: _listen(server, client, seen, stop), seen, stop))
         listening.start()
         while not stop.is_set():
             try:
@@ -269,7 +269,8 @@ def _listen(server: Server, client: httpx.Client, seen: Seen, stop: threading.Ev
     """Receives the events that the operator's page would receive."""
     url = server.url.replace("http", "ws", 1) + f"/api/events?project={PROJECT}"
     cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
-    with connect(url, additional_headers={"Cookie": cookies}, origin=server.url) as socket:  # type: ignore[arg-type]
+    given: dict[str, Any] = {"additional_headers": {"Cookie": cookies}, "origin": server.url}
+    with connect(url, **given, open_timeout=OPENS_WITHIN_S, ping_timeout=None) as socket:
         while not stop.is_set():
             try:
                 event = json.loads(socket.recv(timeout=1.0))

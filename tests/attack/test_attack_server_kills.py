@@ -9,6 +9,7 @@ import time
 import zipfile
 
 import httpx
+import pytest
 from live_server import PATIENCE_S, wait_until
 from sound import require_sound
 from test_kill_server import EDITS_BEFORE_KILL, Editor, server
@@ -16,6 +17,8 @@ from test_kill_server import EDITS_BEFORE_KILL, Editor, server
 from annotator.project import open_project
 from annotator.web.settings import ServerSettings
 
+# 20 kills on a busy machine
+pytestmark = pytest.mark.timeout(3600)
 EDITORS = 2
 LONGEST_S = 6.0
 
