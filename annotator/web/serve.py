@@ -17,6 +17,7 @@ from fastapi import FastAPI
 
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
+from annotator.web.heaps import tidy_heaps
 from annotator.web.security import is_loopback, link
 from annotator.web.server_lock import hold_server_lock
 from annotator.web.settings import ServerSettings
@@ -64,7 +65,7 @@ class Running(uvicorn.Server):
 
     def serve_until_stopped(self) -> None:
         """Serves until `should_exit` is set, or until interrupted."""
-        with closing(self.socket):
+        with closing(self.socket), tidy_heaps():
             self.run(sockets=[self.socket])
 
     def stop(self) -> None:
