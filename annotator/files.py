@@ -12,7 +12,7 @@ import uuid
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from annotator.types.errors import FormatError
@@ -62,15 +62,20 @@ def is_within(folder: Path, name: str | Path) -> bool:
         return False
 
 
-def write_atomic(path: Path, content: bytes) -> None:
+def write_atomic(path: Path, content: bytes, *, private: bool = False) -> None:
     """Replaces or creates `path` atomically, even if the process is killed or the power fails.
+
+    Args:
+        private: only its owner may read it; otherwise the umask decides.
 
     Raises:
         OSError: the folder is missing or not writable, or the disk is full; `path` is unchanged.
     """
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
-        with temporary.open("xb") as file:
+        if private:
+            make_private(temporary)
+        with temporary.open("wb" if private else "xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -107,6 +112,28 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def make_private(path: Path) -> None:
+    """Makes a file, created empty if it is missing, one that only its owner may read and write.
+
+    Raises:
+        OSError: it cannot be created, or belongs to somebody else.
+    """
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_NONBLOCK", 0), 0o600))
+    path.chmod(0o600)
+
+
+def private_folder(path: Path) -> None:
+    """Makes a folder, created if it is missing, one that only its owner may enter.
+
+    Raises:
+        OSError: it cannot be created.
+    """
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    # somebody else's folder stays as they made it
+    with suppress(PermissionError):
+        path.chmod(0o700)
 
 
 @contextmanager

@@ -38,7 +38,7 @@ from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import require_boxes_for, simulate_recording
 from annotator.workflows.simulate_whole import confirm_whole_boxes
 from annotator.workflows.training.samples import SampleConfig
-from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, TrainPlan, train
+from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, image_defaults, train
 from benchmarks.loop_scores import Scores
 from benchmarks.report import Table, finish, guarded
 
@@ -80,7 +80,8 @@ class Arguments:
     backend: Backend = "auto"
     """Backend of the detectors."""
     minutes: float | None = None
-    """Length of the view detector's training, minutes; None = the default."""
+    """Length of the view detector's training, minutes; beyond three, the image detector learns longer, too; None = the
+    default."""
     views: int = SampleConfig().views
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
     pasted: float = SampleConfig().pasted
@@ -276,7 +277,7 @@ def plan(args: Arguments) -> TrainPlan:
     if args.size is not None:
         view_changes["image_size_px"] = args.size
     return TrainPlan(
-        image=IMAGE_DEFAULTS.model_copy(update=changes),
+        image=image_defaults(args.minutes).model_copy(update=changes),
         view=VIEW_DEFAULTS.model_copy(update=view_changes),
         samples=samples,
         minutes=args.minutes,

@@ -11,6 +11,9 @@ from annotator.detection.config import Augmentation, TrainingConfig
 from annotator.rcv.config import Strategy, ViewConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS
 
+# Thousands of wide images with small objects; the defaults are for a few dozen.
+IMAGE = IMAGE_DEFAULTS.model_copy(update={"image_size_px": 256})
+
 
 class Dataset(StrEnum):
     """The two benchmarks of the paper."""
@@ -81,7 +84,7 @@ class Trainings:
     @property
     def image(self) -> TrainingConfig:
         """Training settings of the image detector."""
-        start = YOLOV5 if self.preset is Preset.PAPER else IMAGE_DEFAULTS
+        start = YOLOV5 if self.preset is Preset.PAPER else IMAGE
         return _with(start, self.model, self.image_epochs, self.image_size)
 
     @property

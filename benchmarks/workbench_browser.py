@@ -16,8 +16,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import httpx
-
 from annotator.types.errors import ConfigError
 from benchmarks.workbench_server import Server, answered, percentile
 
@@ -141,6 +139,7 @@ def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:
     """A signed-in page in a separate browser context."""
     page = browser.new_context(base_url=server.url, viewport=VIEWPORT).new_page()  # type: ignore[arg-type]
     page.add_init_script(f"({BEGINNINGS})()")
+    page.request.get(server.link)
     page.request.post("/api/session", data={"operator": operator}, headers={"Origin": server.url})
     return page
 
@@ -300,7 +299,7 @@ def _pinged(server: Server) -> Iterator[list[float]]:
     stop = threading.Event()
 
     def ping() -> None:
-        with httpx.Client(base_url=server.url, timeout=60.0) as client:
+        with server.client(None) as client:
             while not stop.wait(0.02):
                 began = time.perf_counter()
                 client.get("/api/session")

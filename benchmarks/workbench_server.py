@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
-import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,6 @@ import httpx
 
 from annotator.types.errors import ConfigError
 
-STARTS_WITHIN_S = 60.0
 PRESET, LABEL = "people", "person"
 
 
@@ -26,23 +24,32 @@ class Server:
 
     Attributes:
         url: `http://127.0.0.1:PORT`.
+        link: the URL with the token.
+        port, pid: of the server, and of its process.
     """
 
-    def __init__(self, projects: Path) -> None:
-        port = _free_port()
-        self.url = f"http://127.0.0.1:{port}"
-        arguments = ["-m", "annotator", "serve", "--projects", str(projects), "--port", str(port)]
-        self._process = subprocess.Popen(
-            [sys.executable, *arguments], env=os.environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        self._wait()
+    def __init__(self, projects: Path, log: Path | None = None) -> None:
+        arguments = ["-m", "annotator", "serve", "--projects", str(projects), "--port", "0"]
+        with (log or Path(os.devnull)).open("wb") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, *arguments], env=os.environ, stdout=subprocess.PIPE, stderr=errors, text=True
+            )
+        assert self._process.stdout is not None
+        printed = re.search(r"(http://[^/]+)/\S+", self._process.stdout.readline())
+        if printed is None:
+            self.kill()
+            raise ConfigError("the server did not start; run `annotator serve` to see why")
+        self.link, self.url = printed.group(), printed.group(1)
+        self.port, self.pid = int(self.url.rpartition(":")[2]), self._process.pid
 
-    def client(self, operator: str = "Ada") -> httpx.Client:
-        """A signed-in client that sends the origin of the server's own page."""
-        headers = {"Origin": self.url}
-        session = httpx.post(f"{self.url}/api/session", json={"operator": operator}, headers=headers, timeout=60.0)
-        answered(session)
-        return httpx.Client(base_url=self.url, headers=headers, cookies=session.cookies, timeout=60.0)
+    def client(self, operator: str | None = "Ada") -> httpx.Client:
+        """A client with the token's cookie and the origin of the server's own page; signed in, except as None."""
+        options: dict[str, Any] = {"base_url": self.url, "headers": {"Origin": self.url}, "timeout": 60.0}
+        with httpx.Client(**options) as opened:
+            opened.get(self.link)
+            if operator is not None:
+                answered(opened.post("/api/session", json={"operator": operator}))
+            return httpx.Client(**options, cookies=opened.cookies)
 
     def memory_mb(self) -> float:
         """Resident memory of the server's own process, MB (Linux)."""
@@ -52,32 +59,26 @@ class Server:
     def kill(self) -> None:
         """Kills the server like a crash (`kill -9`)."""
         self._process.send_signal(signal.SIGKILL)
-        self._process.wait()
+        self._ended(None)
 
     def stop(self) -> None:
         """Stops the server cleanly; kills it after 20 s."""
         self._process.terminate()
         try:
-            self._process.wait(20)
+            self._ended(20.0)
         except subprocess.TimeoutExpired:
             self.kill()
 
-    def _wait(self) -> None:
-        end = time.monotonic() + STARTS_WITHIN_S
-        while time.monotonic() < end and self._process.poll() is None:
-            try:
-                httpx.get(f"{self.url}/api/session", timeout=5)
-                return
-            except httpx.TransportError:
-                time.sleep(0.05)
-        self.kill()
-        raise ConfigError(f"the server did not start within {STARTS_WITHIN_S:.0f} s; run `annotator serve` to see why")
+    def _ended(self, timeout_s: float | None) -> None:
+        self._process.wait(timeout_s)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
 
 
 @contextmanager
-def serving(projects: Path) -> Iterator[Server]:
-    """A server that is stopped at the end of the block."""
-    server = Server(projects)
+def serving(projects: Path, log: Path | None = None) -> Iterator[Server]:
+    """A server that is stopped at the end of the block; `log` gets its standard error."""
+    server = Server(projects, log)
     try:
         yield server
     finally:
@@ -120,10 +121,3 @@ def make_project(projects: Path, name: str, classes: Sequence[str], recordings: 
     with create_project(projects, name, classes) as project:
         for path in recordings:
             register_recording(project, open_recording(path))
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -59,6 +59,15 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What annotator remembers about a user is not that of whoever runs the tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        patch.delenv("ANNOTATOR_TOKEN", raising=False)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _without_base_detector(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """In the process of the tests, the package has no base detector. Jobs of a server and commands have it."""
     from annotator.detection import base_detector

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +17,7 @@ from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.project import REVIEWED
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import Added, add_recordings
-from annotator.workflows.recorded.own_labels import OwnLabels, import_own_labels
+from annotator.workflows.recorded.own_labels import OwnLabels, has_own_labels, import_own_labels
 
 
 def run(
@@ -54,7 +55,8 @@ def run(
             for note in added.notes:
                 print_line(f"  {note}")
             if not no_labels:
-                with counted("reading labels") as progress:
+                has_labels = has_own_labels(opened, added.recording.id)
+                with counted("reading labels") if has_labels else nullcontext() as progress:
                     imported = import_own_labels(
                         opened, added.recording.id, progress, [each.recording.id for each in every]
                     )
@@ -73,6 +75,8 @@ def _label_lines(imported: OwnLabels) -> list[str]:
         f"  skipped: {number} boxes of class {label}, which is not in the project"
         for label, number in sorted(imported.other_classes.items())
     ]
+    if imported.are_partial:
+        lines.append("  no labels imported: those of the recording are only of what its own camera sees")
     if imported.of_other_cameras:
         lines.append(f"  {imported.of_other_cameras} boxes belong to other cameras of the rig")
     return lines + [f"  unreadable: {line}" for line in imported.unreadable]

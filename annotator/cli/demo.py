@@ -113,8 +113,9 @@ def _workbench(root: Path) -> AbstractContextManager[None]:
     from annotator.cli.serve import first_page
     from annotator.web.serve import serving
     from annotator.web.settings import ServerSettings
+    from annotator.web.tokens import with_token
 
-    return serving(ServerSettings(root.resolve(), (root,), port=0), first_page(PROJECT, root))
+    return serving(with_token(ServerSettings(root.resolve(), (root,), port=0)), first_page(PROJECT, root))
 
 
 def _shown_on(bar: Bar) -> Progress:

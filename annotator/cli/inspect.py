@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from annotator.cli.options import AsJson
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
+from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, RecordingError
-from annotator.workflows.inspect import FrameReport, RecordingReport, TopicReport, bag_topics, inspect_recording
+from annotator.workflows.inspect import FrameReport, RecordingReport, bag_topics, inspect_recording
 
 
 def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = False) -> None:
@@ -49,10 +51,14 @@ def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
 
 
 def _topic_rows(topics: Sequence[TopicReport]) -> Iterator[tuple[str, object]]:
-    for topic in topics:
+    for topic in sorted(topics, key=lambda topic: not topic.use):
         rate = "" if topic.rate_hz is None else f", {topic.rate_hz:.3g} Hz"
-        use = f": {topic.use or topic.option}" if topic.use or topic.option else ""
-        yield "topic", f"{topic.name} ({topic.type}, {topic.messages} messages{rate}){use}"
+        if topic.use or topic.option:
+            yield "topic", f"{topic.name} ({topic.type}, {topic.messages} messages{rate}): {topic.use or topic.option}"
+    others = Counter(topic.type for topic in topics if not (topic.use or topic.option))
+    if others:
+        types = ", ".join(f"{count} of {kind}" for kind, count in others.most_common())
+        yield "topics", f"{others.total()} others are not used (--json lists them): {types}"
 
 
 def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:

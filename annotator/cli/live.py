@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from annotator.cli.options import BackendOption, Host, Limit, Port, ProjectName, Projects, Token
+from annotator.cli.options import BackendOption, Host, Limit, NoToken, Port, ProjectName, Projects, TokenFile
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named, projects_root
 from annotator.detection.config import Backend
@@ -21,7 +21,8 @@ def run(
     record: Path | None = None,
     host: Host = "127.0.0.1",
     port: Port = 8081,
-    token: Token = None,
+    token_file: TokenFile = None,
+    no_token: NoToken = False,
     limit: Limit = None,
     loop: bool = False,
     rate: float | None = None,
@@ -42,10 +43,12 @@ def run(
     """
     from annotator.web.live.run import LiveOptions, run_live
     from annotator.web.settings import ServerSettings
+    from annotator.web.tokens import with_token
     from annotator.workflows.live.rates import summary_line
 
     options = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
-    settings = ServerSettings(projects_root(projects).resolve(), (), host, port, token)
+    settings = ServerSettings(projects_root(projects).resolve(), (), host, port)
+    settings = with_token(settings, token_file, no_token=no_token)
     with open_named(project, projects) as opened:
         result = run_live(opened, options, settings, report=_to_stderr)
     print_line(summary_line(result.figures))

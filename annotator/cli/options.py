@@ -48,11 +48,16 @@ BackendOption = Annotated[
     ),
 ]
 
-Host = Annotated[str, arg(help="address to listen on; if other computers can reach it, browsers need a token.")]
+Host = Annotated[str, arg(help="address to listen on; by default, only this computer can reach it.")]
 Port = Annotated[int, arg(help="port to listen on; 0 picks a free one.")]
-Token = Annotated[
-    str | None,
+TokenFile = Annotated[
+    Path | None,
     arg(
-        help="token that browsers must send; default: none if only this computer can reach the page, else a random one."
+        metavar="FILE",
+        help="file with the token that browsers must present, readable for its owner only; default: the variable "
+        "ANNOTATOR_TOKEN, else a new token in the printed link.",
     ),
+]
+NoToken = Annotated[
+    bool, arg(help="ask for no token: every user and program of this computer may use the page; not with --host.")
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.options import Host, Port, Projects, Token
+from annotator.cli.options import Host, NoToken, Port, Projects, TokenFile
 from annotator.cli.projects import open_named, projects_root
 from annotator.types.errors import ConfigError
 
@@ -16,7 +16,8 @@ def run(
     folder: tuple[Path, ...] = (),
     host: Host = "127.0.0.1",
     port: Port = 8080,
-    token: Token = None,
+    token_file: TokenFile = None,
+    no_token: NoToken = False,
     open: bool = False,
     window: bool = False,
     projects: Projects = None,
@@ -31,12 +32,14 @@ def run(
     """
     from annotator.web.serve import serve
     from annotator.web.settings import ServerSettings
+    from annotator.web.tokens import with_token
 
     root = projects_root(projects)
     missing = [str(path) for path in folder if not path.is_dir()]
     if missing:
         raise ConfigError(f"--folder {' '.join(missing)}: no such folder")
-    settings = ServerSettings(root.resolve(), folder, host, port, token)
+    settings = ServerSettings(root.resolve(), folder, host, port)
+    settings = with_token(settings, token_file, no_token=no_token)
     serve(settings, None if project is None else first_page(project, root), open_browser=open, window=window)
 
 

@@ -61,7 +61,8 @@ RENAMED_OPTIONS: dict[str, dict[str, str]] = {
     "evaluate": {"--frames": "--frame-list"},
     "export": {"--pictures": "--boxes-on"},
     "import": {"--kind": "--box-kind"},
-    "live": {"--frames": "--limit"},
+    "live": {"--frames": "--limit", "--token": "--token-file FILE"},
+    "serve": {"--token": "--token-file FILE"},
     "simulate": {"--operator": "--box-kind"},
 }
 """By command: options of version 0.1 and their new names. `--root` is `--projects` in every command."""

@@ -25,6 +25,7 @@ from annotator.workflows.training.train import (
     VIEW_DEFAULTS,
     Trained,
     TrainPlan,
+    image_defaults,
     train,
 )
 
@@ -55,8 +56,8 @@ def run(
     Args:
         only: train only this detector; default: both.
         minutes: how long to train the pseudo-view detector; after three minutes, and at intervals after that, the new
-            detector is used if it is better. Default: three minutes, or by the number of images if there is no
-            detector to start from.
+            detector is used if it is better. The image detector then learns longer in proportion. Default: three
+            minutes, or by the number of images if there is no detector to start from.
         epochs: epochs of the pseudo-view detector; default: depends on the number of training images.
         image_epochs: epochs of the image detector; default: depends on the number of training images.
         size: side of the pseudo-views in training, pixels.
@@ -72,11 +73,12 @@ def run(
     shared = {"model": model, "pretrained": start, "seed": seed}
     with _errors_by_flag():
         samples = SampleConfig(views=views, seed=seed, pasted=pasted, pasted_images=pasted_images)
+    _check_minutes(minutes)
     plan = TrainPlan(
-        image=_with(IMAGE_DEFAULTS, epochs=image_epochs, image_size_px=image_size, **shared),
-        view=_with(VIEW_DEFAULTS, epochs=epochs, image_size_px=size, **shared),
+        image=_with(image_defaults(minutes), of_image=True, epochs=image_epochs, image_size_px=image_size, **shared),
+        view=_with(VIEW_DEFAULTS, of_image=False, epochs=epochs, image_size_px=size, **shared),
         samples=samples,
-        minutes=_checked_minutes(minutes),
+        minutes=minutes,
     )
     roles = (DetectorKind.IMAGE, DetectorKind.VIEW) if only is None else (only,)
     with open_named(project, projects) as opened, progress_bar() as bar:
@@ -93,24 +95,23 @@ def run(
     print_line(f"next: annotator annotate {project}")
 
 
-def _checked_minutes(minutes: float | None) -> float | None:
+def _check_minutes(minutes: float | None) -> None:
     """
     Raises:
         ConfigError: not above 0.
     """
     if minutes is not None and not 0 < minutes <= MOST_MINUTES:
         raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
-    return minutes
 
 
-def _with(config: TrainingConfig, **changes: object) -> TrainingConfig:
+def _with(config: TrainingConfig, of_image: bool, **changes: object) -> TrainingConfig:
     """A checked copy with the settings that are not None.
 
     Raises:
         ConfigError: a setting is out of its range.
     """
     settings = {name: value for name, value in changes.items() if value is not None}
-    with _errors_by_flag(config is IMAGE_DEFAULTS):
+    with _errors_by_flag(of_image):
         return TrainingConfig.model_validate({**config.model_dump(), **settings})
 
 

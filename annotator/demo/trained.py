@@ -43,7 +43,7 @@ class TrainedPlan:
     frames: int = 48
     every: int = 2
     seed: int = 0
-    image_pictures: int = 1500
+    image_pictures: int = 2600
     view_pictures: int = 19000
 
 

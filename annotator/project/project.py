@@ -10,7 +10,7 @@ from types import TracebackType
 
 from sqlalchemy import Connection, select
 
-from annotator.files import sync_folder
+from annotator.files import private_folder, sync_folder
 from annotator.project.adjusting.adjustments import Adjustments
 from annotator.project.backup.automatic import back_up_before_upgrade
 from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER
@@ -160,6 +160,7 @@ def create_project(
         raise ProjectError(taken)
     try:
         with unfinished_folder(root, name) as unfinished:
+            private_folder(unfinished)
             for folder in _FOLDERS:
                 (unfinished / folder).mkdir()
             create_store(unfinished / DATABASE_FILE, clock=clock).close()

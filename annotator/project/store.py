@@ -15,6 +15,7 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import QueuePool
 
+from annotator.files import make_private
 from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
 from annotator.types.errors import RESTORE, ProjectError
@@ -126,13 +127,16 @@ class Store:
 
 
 def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
-    """Creates a database of the newest version at `path`.
+    """Creates a database of the newest version at `path`, which only its owner may read.
 
     Raises:
         ProjectError: the file exists already, or cannot be written.
+        OSError: the file cannot be created.
     """
     if path.exists():
         raise ProjectError(f"{path}: exists already")
+    # SQLite gives the files beside it the same rights
+    make_private(path)
     store = _store(path, "rwc", BUSY_TIMEOUT_S, clock)
     with _closed_on_error(store), explained(path):
         with closing(store.engine.raw_connection()) as outside_transactions:

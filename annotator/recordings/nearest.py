@@ -43,10 +43,11 @@ def nearest_formats(path: Path) -> list[str]:
         for name, parts in PARTS.items():
             missing = [part for part in parts if not any(_exists(root, each) for each in part.split("|"))]
             if len(missing) < len(parts):
-                words = " and ".join(part.replace("|", " or ") for part in missing) or "nothing"
-                verb = "is" if len(missing) == 1 else "are"
+                words = " and ".join(part.replace("|", " or ") for part in missing)
+                problem = f": {words} {'is' if len(missing) == 1 else 'are'} missing"
                 place = "it" if root == path else "training/"
-                near.append((len(missing) / len(parts), f"{place} looks like {name}: {words} {verb} missing"))
+                text = f"{place} looks like {name}{problem if missing else ', but its files are not as in that format'}"
+                near.append((len(missing) / len(parts), text))
     least = min((share for share, _ in near), default=1.0)
     return [text for share, text in near if share == least][:MOST_NAMED]
 

@@ -92,8 +92,8 @@ def _scanned(path: Path, name: str, recording: Recording) -> Scanned:
     """
     if not isinstance(recording, Scanned):
         raise ConfigError(
-            f"{path}: is read as {name}, which takes no {option_flag('look_around')}; only scans of KITTI, nuScenes, "
-            "Argoverse 2 and folders of point clouds do"
+            f"{path}: is read as {name}, without scans of a LiDAR, and takes no {option_flag('look_around')}; scans of "
+            "KITTI, nuScenes, Argoverse 2, bags and folders of point clouds do"
         )
     return recording
 

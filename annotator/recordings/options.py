@@ -10,21 +10,36 @@ from annotator.types.errors import ConfigError
 
 
 class ReaderOptions(BaseModel):
-    """How a recording is read; None = the reader decides. `annotator.recordings.table.OPTIONS` says who takes what."""
+    """How a recording is read; None = the reader decides. `annotator.recordings.table.OPTIONS` says who takes what.
+
+    The descriptions are the help texts of the command line.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    columns: int | None = Field(None, ge=3, le=64, description="numbers per point in the .bin files")
-    scene: str | None = Field(None, min_length=1, description="the scene of a dataset")
-    camera: str | None = Field(None, min_length=1, description="the camera of a rig")
-    look_around: Literal[4, 6, 8] | None = Field(None, description="number of virtual cameras around a LiDAR")
-    image: str | None = Field(None, min_length=1, description="topic of the images")
-    points: str | None = Field(None, min_length=1, description="topic of the point clouds")
-    depth: str | None = Field(None, min_length=1, description="topic of the depth images")
-    camera_info: str | None = Field(None, min_length=1, description="topic of the camera's calibration")
-    tf_frame: str | None = Field(None, min_length=1, description="tf frame of the camera, if not that of its images")
-    tolerance_s: float | None = Field(None, gt=0, le=10, description="largest difference in time of partners, seconds")
-    min_confidence: int | None = Field(None, ge=0, le=2, description="lowest confidence of a phone's depth")
+    columns: int | None = Field(None, ge=3, le=64, description="numbers per point in .bin files")
+    scene: str | None = Field(None, min_length=1, description="scenes of a dataset; all = all of them")
+    camera: str | None = Field(None, min_length=1, description="cameras of a rig; all = all of them")
+    look_around: Literal[4, 6, 8] | None = Field(
+        None, description="number of virtual cameras around a LiDAR, to label all that it sees"
+    )
+    image: str | None = Field(None, min_length=1, description="topic of the camera images in a bag")
+    points: str | None = Field(None, min_length=1, description="topic of the point clouds in a bag")
+    depth: str | None = Field(None, min_length=1, description="topic of the depth images in a bag")
+    camera_info: str | None = Field(None, min_length=1, description="topic of the camera's calibration in a bag")
+    depth_info: str | None = Field(None, min_length=1, description="topic of the depth camera's calibration in a bag")
+    tf_frame: str | None = Field(
+        None, min_length=1, description="tf frame of the camera, if not the one that its images name"
+    )
+    no_motion: Literal[True] | None = Field(
+        None, description="do not move a bag's clouds to the images' times, even if tf knows how the rig moved"
+    )
+    tolerance_s: float | None = Field(
+        None, gt=0, le=10, description="largest difference in time between an image and its points or depth, seconds"
+    )
+    min_confidence: int | None = Field(
+        None, ge=0, le=2, description="lowest confidence of a phone's depth that is used: 0, 1 or 2"
+    )
 
     def given(self) -> dict[str, Any]:
         """The options that are set, by name."""

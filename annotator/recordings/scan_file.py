@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Never
+from typing import Never
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
+from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, RawCloud, fractions
+from annotator.recordings.clouds.common_scale import CommonScale, files_like
 from annotator.recordings.plausible import LARGEST
 from annotator.recordings.scan_columns import BYTES_PER_VALUE, FEWEST, MOST, Evidence, weigh_columns
 from annotator.types.errors import FrameError, UnclearError
@@ -24,18 +26,9 @@ SCAN_SUFFIX = ".bin"
 NUSCENES, KITTI = 5, 4
 NUSCENES_SUFFIX, NUSCENES_FOLDER = ".pcd.bin", "LIDAR_TOP"
 KITTI_FOLDERS = ("velodyne", "velodyne_points")
-# Maximum of reflectance values: fractions, 8 bits or 16 bits.
-REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Scans of a folder that are examined together.
 SCANS = 8
 REMEDY = "copy the scan again from the data set"
-
-
-class ScanPoints(NamedTuple):
-    """Points in a scan's own frame, metres, and their reflectance 0..1, if the file has it."""
-
-    xyz_m: Float32[np.ndarray, "n 3"]
-    reflectance: Float32[np.ndarray, "n"] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +37,14 @@ class Scans:
 
     Attributes:
         columns: the option `columns`: values per point of all files, which are not examined then; None = not given.
+        scale: of their reflectance.
     """
 
     columns: int | None = None
+    scale: CommonScale = field(default_factory=CommonScale)
     _found: dict[Path, Evidence] = field(default_factory=dict)
 
-    def read(self, path: Path) -> ScanPoints:
+    def read(self, path: Path) -> RawCloud:
         """Returns the valid points of a scan.
 
         Points with a coordinate that is NaN, infinite or beyond `LARGEST` are left out, and those whose reflectance is
@@ -59,28 +54,15 @@ class Scans:
             UnclearError: the number of values per point is not certain.
             FrameError: the file is missing, empty, truncated, or has no valid point.
         """
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise FrameError(
-                path, f"the scan cannot be read ({error.strerror})", "copy it from the data set"
-            ) from error
-        if not data:
-            raise FrameError(path, "the file is empty", REMEDY)
-        if len(data) % BYTES_PER_VALUE:
-            _raise_truncated(path, len(data), BYTES_PER_VALUE, "32-bit floats")
-        columns = self._columns(path, data)
-        if len(data) % (BYTES_PER_VALUE * columns):
-            _raise_truncated(path, len(data), BYTES_PER_VALUE * columns, f"{columns} 32-bit floats per point")
-        points = np.frombuffer(data, "<f4").reshape(-1, columns)
-        reflectance = points[:, 3] if columns > 3 and _is_reflectance(points[:, 3]) else None
-        # false also for infinity and NaN
-        valid = (np.abs(points[:, :3]) < LARGEST).all(axis=1)
-        if reflectance is not None:
-            valid &= np.isfinite(reflectance)
-        if not valid.any():
-            raise FrameError(path, "every point is NaN or infinite", REMEDY)
-        return ScanPoints(points[valid, :3], None if reflectance is None else fractions(reflectance[valid]))
+        return self.scale.apply(path.parent, self._read(path), lambda: files_like(path), self._read)
+
+    def _read(self, path: Path) -> RawCloud:
+        data = scan_bytes(path)
+        rows = read_rows(path, data, self._columns(path, data))
+        has_reflectance = rows.shape[1] > 3 and _is_reflectance(rows[:, 3])
+        rows = valid_rows(path, rows, 4 if has_reflectance else 3)
+        xyz_m = rows[:, :3].astype(np.float64)
+        return RawCloud(xyz_m, None, *fractions(rows[:, 3])) if has_reflectance else RawCloud(xyz_m)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -140,6 +122,47 @@ class Scans:
         return evidence
 
 
+def read_rows(path: Path, data: bytes, columns: int) -> Float32[np.ndarray, "n c"]:
+    """Returns the points of a scan's content.
+
+    Raises:
+        FrameError: it is truncated.
+    """
+    if len(data) % (BYTES_PER_VALUE * columns):
+        _raise_truncated(path, len(data), BYTES_PER_VALUE * columns, f"{columns} 32-bit floats per point")
+    return np.frombuffer(data, "<f4").reshape(-1, columns)
+
+
+def valid_rows(path: Path, rows: Float32[np.ndarray, "n c"], checked: int) -> Float32[np.ndarray, "m c"]:
+    """Returns the points of which the first `checked` values are plausible numbers.
+
+    Raises:
+        FrameError: there are none.
+    """
+    # false also for infinity and NaN
+    valid = (np.abs(rows[:, :checked]) < LARGEST).all(axis=1)
+    if not valid.any():
+        raise FrameError(path, "every point is NaN or infinite", REMEDY)
+    return rows[valid]
+
+
+def scan_bytes(path: Path) -> bytes:
+    """Returns the content of a scan.
+
+    Raises:
+        FrameError: the file is missing, empty, or no list of 32-bit floats.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FrameError(path, f"the scan cannot be read ({error.strerror})", "copy it from the data set") from error
+    if not data:
+        raise FrameError(path, "the file is empty", REMEDY)
+    if len(data) % BYTES_PER_VALUE:
+        _raise_truncated(path, len(data), BYTES_PER_VALUE, "32-bit floats")
+    return data
+
+
 def said_columns(path: Path) -> tuple[int, str] | None:
     """Returns the number of values per point that a scan's name or place says, and which of them; None if neither."""
     if path.name.lower().endswith(NUSCENES_SUFFIX):
@@ -163,13 +186,6 @@ def _is_reflectance(values: Float32[np.ndarray, "n"]) -> bool:
     """False if a row's fourth values are something else: velocities, times, bit patterns."""
     known = values[np.isfinite(values)]
     return len(known) * 2 > len(values) and bool((known >= 0).all() and (known <= REFLECTANCE_SCALES[-1]).all())
-
-
-def fractions(values: Float[np.ndarray, "n"]) -> Float32[np.ndarray, "n"]:
-    """Returns reflectances as 0..1: of the usual scales, theirs is the first that holds all of them."""
-    highest = float(values.max(initial=0.0))
-    scale = next((scale for scale in REFLECTANCE_SCALES if highest <= scale), highest)
-    return np.clip(values.astype(np.float64) / scale, 0, 1).astype(np.float32)
 
 
 def _content(path: Path) -> bytes:

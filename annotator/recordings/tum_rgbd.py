@@ -12,6 +12,7 @@ gravity; the worlds of other recordings in this format are not known.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
@@ -22,6 +23,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
+from annotator.files import is_within
 from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.options import ReaderOptions
@@ -122,10 +124,13 @@ class TumRgbd(KeyedFrames):
         return Frame(key, i, camera.camera, rgb, cloud, depth_m, up=up, timestamp_ns=self.times_ns[i])
 
     def _file(self, name: str) -> Path:
-        path = self.path / name
-        if not path.resolve().is_relative_to(self.path.resolve()):
-            raise FrameError(path, "lies outside the recording's folder", "move it there, and correct the list")
-        return path
+        """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
+        first, *rest = Path(name).parts
+        may_be_linked = rest and first not in (os.pardir, Path(name).anchor)
+        if not (is_within(self.path, name) or (may_be_linked and is_within(self.path / first, Path(*rest)))):
+            problem = f"the listed file {name[:80]} lies outside the recording's folder"
+            raise FrameError(self.path, problem, "move it there, and correct the list")
+        return self.path / name
 
 
 def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:

@@ -23,12 +23,11 @@ from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
+from annotator.web.server_lock import JOBS_FOLDER
 from annotator.web.settings import ServerSettings
 from annotator.web.uploads import as_sent
 
 OPERATOR_COOKIE = "annotator_operator"
-# A hidden folder within the projects folder, thus not a project.
-JOBS_FOLDER = ".jobs"
 
 
 class Context:

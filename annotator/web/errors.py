@@ -6,10 +6,11 @@ import logging
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI, WebSocket
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse, Response
+from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
@@ -31,6 +32,10 @@ class ForbiddenError(AnnotatorError):
 
 class TooLargeError(AnnotatorError):
     """The request's body exceeds the limit."""
+
+
+class TooManyError(AnnotatorError):
+    """Too many requests without the token, or too many wrong tokens."""
 
 
 class ErrorBody(BaseModel):
@@ -55,6 +60,7 @@ STATUS: list[tuple[type[AnnotatorError], int]] = [
     (NotSignedInError, 401),
     (ForbiddenError, 403),
     (TooLargeError, 413),
+    (TooManyError, 429),
     (AnnotatorError, 400),
 ]
 
@@ -107,13 +113,14 @@ def add_error_handlers(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _http)
 
 
-async def _annotator_error(connection: HTTPConnection, error: Exception) -> Response:
+async def _annotator_error(connection: HTTPConnection, error: Exception) -> Any:  # None for a WebSocket
     assert isinstance(error, AnnotatorError)
     status, message = status_of(error), connection.app.state.context.public_message(str(error))
     if isinstance(connection, WebSocket):
         # a close reason has at most 123 bytes
         await connection.close(4000 + status, message.encode()[:120].decode("utf-8", "ignore"))
-        return Response()  # required by Starlette, not sent
+        # Starlette sends any response, which a closed socket refuses
+        return None
     return error_response(type(error).__name__, message, status)
 
 

@@ -1,17 +1,20 @@
 """The checks before every route: host, token, origin and size of a request; and the security headers of the response.
 
-- On a loopback address no token is needed, but a request's `Host` must be a name of this computer. This refuses a
-  foreign page whose name resolves to this computer (DNS rebinding).
-- On any other address a browser must present the token: first in a link, then in a cookie that scripts cannot read and
-  that requests from other sites do not carry.
+- A browser must present the token once, in a link. It gets a cookie for it that scripts cannot read and that requests
+  from other sites do not carry. The cookie is another secret, so it cannot be guessed by guessing tokens.
+- On a loopback address, a request's `Host` must also be a name of this computer. This refuses a foreign page whose name
+  resolves to this computer (DNS rebinding).
 - WebSockets, and requests that may change something, must come from a page of this server, as stated by `Origin`.
+- Those who have not signed in may send few requests a second, and guess few tokens a minute. On a WebSocket, the
+  number of messages a second is limited. `annotator.web.limits` has the limits of connections.
 """
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import ipaddress
+import logging
+import math
 import re
 from collections.abc import Mapping
 from urllib.parse import parse_qsl, urlencode, urlsplit
@@ -26,11 +29,15 @@ from annotator.web.errors import (
     ForbiddenError,
     NotSignedInError,
     TooLargeError,
+    TooManyError,
     error_response,
     internal_error,
     status_of,
 )
+from annotator.web.limits.rates import Rate, address_key
 from annotator.web.settings import ServerSettings
+
+LOG = logging.getLogger("annotator.web")
 
 BODY_LIMIT = 1 << 20
 # The same for the files that pages send, on the one path that takes them.
@@ -39,6 +46,12 @@ UPLOADS = re.compile(r"/api/projects/[^/]+/boxes-files")
 # How much is read beyond the limit.
 READ_ON = 8 * BODY_LIMIT
 TOKEN_LENGTH = 16
+# Requests of one address without the cookie: a second in the long run, and at once. Wrong tokens likewise.
+STRANGERS_PER_S, STRANGERS_BURST = 20.0, 60
+GUESSES_PER_S, GUESSES_BURST = 0.1, 10
+# Messages on one WebSocket. A drag in the 3D view sends some 60 a second.
+MESSAGES_PER_S, MESSAGES_BURST = 200.0, 1000
+TOO_MANY = 1008
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 # inline styles are needed by plotly; scripts come from files only
@@ -80,9 +93,11 @@ def check_settings(settings: ServerSettings) -> None:
         ConfigError: an address that is not loopback without a token, or a weak token.
     """
     if settings.token is None and not is_loopback(settings.host):
-        raise ConfigError(f"{settings.host} can be reached from other computers: set a token to serve there")
+        raise ConfigError(
+            f"{settings.host} can be reached from other computers: it needs a token; leave --no-token out"
+        )
     if settings.token is not None and (len(settings.token) < TOKEN_LENGTH or not settings.token.isascii()):
-        raise ConfigError(f"a token needs at least {TOKEN_LENGTH} ASCII characters; leave it out to generate one")
+        raise ConfigError(f"a token needs at least {TOKEN_LENGTH} ASCII characters; without one, the server makes one")
 
 
 class Guard:
@@ -91,6 +106,7 @@ class Guard:
     def __init__(self, app: ASGIApp, settings: ServerSettings) -> None:
         self.app, self.settings = app, settings
         self.local = is_loopback(settings.host)
+        self.requests, self.guesses = Rate(STRANGERS_PER_S, STRANGERS_BURST), Rate(GUESSES_PER_S, GUESSES_BURST)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Checks a request; passes it on or refuses it."""
@@ -99,18 +115,24 @@ class Guard:
             return
         send = _with_headers(scope, send)
         connection = HTTPConnection(scope)
+        is_known = self._is_known(connection)
         try:
+            if not is_known:
+                _count(self.requests, connection)
             self._check_host(connection)
-            welcome = self._welcome(connection)
+            welcome = self._welcome(connection, is_known)
             if welcome is not None:
                 await welcome(scope, receive, send)
                 return
-            self._check_token(connection)
+            if not is_known:
+                raise NotSignedInError("sign in with the link that the server printed when it started")
             _check_origin(connection)
             body = await _whole_body(scope, connection.headers, receive)
         except AnnotatorError as error:
             await _refuse(error, scope, receive, send)
             return
+        if scope["type"] == "websocket":
+            receive = _few_messages(scope, receive, send)
         await self._pass_on(connection, receive if body is None else _replay(body, receive), send)
 
     async def _pass_on(self, connection: HTTPConnection, receive: Receive, send: Send) -> None:
@@ -134,32 +156,63 @@ class Guard:
         if self.local and _host_name(connection.headers.get("host", "")) not in (*LOCAL_NAMES, self.settings.host):
             raise ForbiddenError("the request's Host must be a name of this computer, such as localhost")
 
-    def _check_token(self, connection: HTTPConnection) -> None:
-        token = self.settings.token
-        if token is not None and not _same(connection.cookies.get(cookie_name(token), ""), token):
-            raise NotSignedInError("sign in with the link that the server printed when it started")
+    def _is_known(self, connection: HTTPConnection) -> bool:
+        """True for a browser that has presented the token, or if none is needed."""
+        if self.settings.token is None:
+            return True
+        return _same(connection.cookies.get(cookie_name(connection.headers.get("host", "")), ""), self.settings.cookie)
 
-    def _welcome(self, connection: HTTPConnection) -> Response | None:
-        """The response to the printed link, which moves the token from the URL to a cookie."""
+    def _welcome(self, connection: HTTPConnection, is_known: bool) -> Response | None:
+        """The response to the printed link, which exchanges the token in the URL for the cookie."""
         token, scope = self.settings.token, connection.scope
         query = parse_qsl(connection.url.query, keep_blank_values=True)
         tokens = [value for name, value in query if name == "token"]
         if token is None or scope["type"] != "http" or scope["method"] != "GET" or not tokens:
             return None
-        if not _same(tokens[-1], token):
-            raise NotSignedInError(
-                "this is not the token of this server; open the link that it printed when it started"
-            )
+        # the link of an earlier start leads a known browser to the page, too
+        if not is_known:
+            self._check_guess(tokens[-1], token, connection)
         place = dict(query).get("go", "")
         url = f"/#/{place}" if PLACE.fullmatch(place) else "/"
         response = HTMLResponse(WELCOME.format(url=url), headers={"Cache-Control": "no-store"})
-        response.set_cookie(cookie_name(token), token, httponly=True, samesite="strict", path="/")
+        name = cookie_name(connection.headers.get("host", ""))
+        response.set_cookie(name, self.settings.cookie, httponly=True, samesite="strict", path="/")
         return response
 
+    def _check_guess(self, guess: str, token: str, connection: HTTPConnection) -> None:
+        """Compares a token, unless its sender has guessed too often: then not even the right one is told apart."""
+        address = _address(connection)
+        if not self.guesses.allows(address):
+            _count(self.guesses, connection)
+        if not _same(guess, token):
+            self.guesses.take(address)
+            raise NotSignedInError(
+                "this is not the token of this server; open the link that it printed when it started"
+            )
 
-def cookie_name(token: str) -> str:
-    """The name of the token's cookie. It depends on the token, since all servers on a host share their cookies."""
-    return f"annotator_{hashlib.sha256(token.encode()).hexdigest()[:8]}"
+
+def cookie_name(host: str) -> str:
+    """The name of the cookie. All servers on a host share their cookies, so it has the port as the browser knows it."""
+    try:
+        port = urlsplit(f"//{host}").port
+    except ValueError:
+        port = None
+    return f"annotator_{port or 80}"
+
+
+def _address(connection: HTTPConnection) -> str:
+    return address_key(connection.client.host if connection.client else "")
+
+
+def _count(rate: Rate, connection: HTTPConnection) -> None:
+    """Counts something that an address may not do often.
+
+    Raises:
+        TooManyError: it has done it too often.
+    """
+    address = _address(connection)
+    if not rate.take(address):
+        raise TooManyError(f"too many requests without the right token; wait {math.ceil(rate.wait_s(address))} s")
 
 
 def _same(candidate: str, token: str) -> bool:
@@ -219,6 +272,21 @@ def _replay(body: bytes, receive: Receive) -> Receive:
 
     async def next_message() -> Message:
         return pending.pop() if pending else await receive()
+
+    return next_message
+
+
+def _few_messages(scope: Scope, receive: Receive, send: Send) -> Receive:
+    """A `receive` that closes the WebSocket of a page that sends too many messages."""
+    rate = Rate(MESSAGES_PER_S, MESSAGES_BURST)
+
+    async def next_message() -> Message:
+        message = await receive()
+        if message["type"] != "websocket.receive" or rate.take(None):
+            return message
+        LOG.warning("%s: a page sent too many messages, and was disconnected", scope["path"])
+        await send({"type": "websocket.close", "code": TOO_MANY, "reason": "too many messages"})
+        return {"type": "websocket.disconnect", "code": TOO_MANY}
 
     return next_message
 

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
-import secrets
 import socket
 import sys
 import threading
 import time
+import uuid
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
-from dataclasses import replace
+from contextlib import ExitStack, closing, contextmanager, suppress
+from html import escape
 
 import uvicorn
 from fastapi import FastAPI
 
+from annotator.files import make_private
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
 from annotator.web.heaps import tidy_heaps
-from annotator.web.security import is_loopback, link
-from annotator.web.server_lock import hold_server_lock
+from annotator.web.limits.connections import Connections, most_connections
+from annotator.web.limits.log import limited_log
+from annotator.web.limits.protocols import LimitedConfig
+from annotator.web.security import link
+from annotator.web.server_lock import JOBS_FOLDER, hold_server_lock
 from annotator.web.settings import ServerSettings
 from annotator.web.window import check_window, has_display, in_window
 
 # Maximum size of a WebSocket message from a browser, bytes.
 WS_LIMIT = 1 << 22
+# Connections that the system keeps for the server, and those that are accepted at once, before others are served.
+WAITING, AT_ONCE = 1024, 32
+# The page that leads a browser to the printed link: a link in the browser's command line would be seen by all users.
+OPENING = (
+    '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={link}"><title>annotator</title>'
+)
 
 
 class Running(uvicorn.Server):
@@ -43,11 +53,13 @@ class Running(uvicorn.Server):
         self.socket = bind(settings.host, settings.port)
         self.port: int = self.socket.getsockname()[1]
         super().__init__(
-            uvicorn.Config(
+            LimitedConfig(
                 self.app,
+                Connections(most_connections()),
+                log_config=None,
                 log_level="warning",
+                backlog=AT_ONCE,
                 timeout_graceful_shutdown=3,
-                ws="websockets-sansio",
                 ws_max_size=WS_LIMIT,
                 # the browser is on this computer or near it: compressing clouds costs more than it saves
                 ws_per_message_deflate=False,
@@ -62,6 +74,15 @@ class Running(uvicorn.Server):
         """The URL for a browser on this computer."""
         host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(self.settings.host, self.settings.host)
         return f"http://{host}:{self.port}/"
+
+    def link(self, place: str | None = None) -> str:
+        """The URL that the server prints: with the token, and optionally a place of the page."""
+        return link(self.address, self.settings.token, place)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Starts to accept connections."""
+        await super().startup(sockets)
+        self.socket.listen(WAITING)
 
     def serve_until_stopped(self) -> None:
         """Serves until `should_exit` is set, or until interrupted."""
@@ -92,43 +113,41 @@ def bind(host: str, port: int) -> socket.socket:
     return bound
 
 
-def with_token(settings: ServerSettings) -> ServerSettings:
-    """Returns the settings, with a new token if the address is not loopback and has none."""
-    if settings.token is None and not is_loopback(settings.host):
-        return replace(settings, token=secrets.token_urlsafe(32))
-    return settings
+@contextmanager
+def _prepared(settings: ServerSettings, place: str | None) -> Iterator[tuple[Running, str]]:
+    """A server that may use its projects, and its link, which is printed."""
+    with hold_server_lock(settings.projects_root), limited_log(settings.projects_root / JOBS_FOLDER):
+        server = Running(settings)
+        address = server.link(place)
+        sys.stdout.write(f"the workbench is at {address}\n")
+        sys.stdout.flush()
+        yield server, address
 
 
 def serve(settings: ServerSettings, place: str | None = None, *, open_browser: bool, window: bool) -> None:
     """Serves until interrupted, or until the window is closed; prints the URL.
 
-    An address that is not loopback gets a token if the settings have none.
-
     Args:
         place: initial place on the page, such as `room/review`.
 
     Raises:
-        ConfigError: the address cannot be used, another server uses these projects, or there is no display for a
-            window.
+        ConfigError: the address cannot be used, or needs a token; another server uses these projects; or there is no
+            display for a window.
         MissingExtraError: a window needs pywebview.
     """
-    settings = with_token(settings)
     if window:
         check_window()
-    with hold_server_lock(settings.projects_root):
-        server = Running(settings)
-        address = link(server.address, settings.token, place)
-        sys.stdout.write(f"the workbench is at {address}\n")
-        if not window:
-            sys.stdout.write("stop it with Ctrl-C\n")
+    # Ctrl-C is the regular end of a server
+    with _prepared(settings, place) as (server, address), suppress(KeyboardInterrupt):
+        if window:
+            in_window(server.serve_until_stopped, server.stop, address)
+            return
+        sys.stdout.write("stop it with Ctrl-C\n")
         sys.stdout.flush()
-        # Ctrl-C is the regular end of a server
-        with suppress(KeyboardInterrupt):
-            if window:
-                in_window(server.serve_until_stopped, server.stop, address)
-                return
+        with ExitStack() as stack:
             if open_browser:
-                threading.Thread(target=_open, args=(server, address), daemon=True).start()
+                page = stack.enter_context(_opening(settings, address))
+                threading.Thread(target=_open, args=(server, page), daemon=True).start()
             server.serve_until_stopped()
 
 
@@ -137,21 +156,16 @@ def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None
     """Serves in another thread within the `with` block; prints the URL and opens a browser.
 
     Args:
-        settings: of an address that needs no token.
         place: as for `serve`.
 
     Raises:
         ConfigError: as `serve`; or the server ends before it has started.
     """
-    with hold_server_lock(settings.projects_root):
-        server = Running(settings)
-        address = link(server.address, settings.token, place)
-        sys.stdout.write(f"the workbench is at {address}\n")
-        sys.stdout.flush()
+    with _prepared(settings, place) as (server, address), _opening(settings, address) as page:
         thread = threading.Thread(target=server.serve_until_stopped)
         thread.start()
         try:
-            _open(server, address, thread.is_alive)
+            _open(server, page, thread.is_alive)
             if not server.started:
                 raise ConfigError("the workbench did not start; the messages above say why")
             yield
@@ -160,12 +174,39 @@ def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None
             thread.join()
 
 
-def _open(server: Running, address: str, is_alive: Callable[[], bool] = lambda: True) -> None:
+@contextmanager
+def _opening(settings: ServerSettings, address: str) -> Iterator[str | None]:
+    """The URL of a file that leads to the link, and that only this user may read; it is removed at the end.
+
+    None if it cannot be written.
+    """
+    if settings.token is None:
+        yield address
+        return
+    folder = settings.projects_root / JOBS_FOLDER
+    page = folder / f"open-{uuid.uuid4().hex}.html"
+    try:
+        # those of servers that were killed
+        for old in folder.glob("open-*.html"):
+            old.unlink()
+        make_private(page)
+        page.write_text(OPENING.format(link=escape(address)), encoding="utf-8")
+        url: str | None = page.resolve().as_uri()
+    except OSError:
+        url = None
+    try:
+        yield url
+    finally:
+        with suppress(OSError):
+            page.unlink()
+
+
+def _open(server: Running, address: str | None, is_alive: Callable[[], bool] = lambda: True) -> None:
     """Opens a browser once the server has started; does nothing if it ends before."""
     while not server.started and is_alive():
         time.sleep(0.05)
     if not server.started:
         return
-    if not has_display() or not webbrowser.open(address):
+    if address is None or not has_display() or not webbrowser.open(address):
         sys.stdout.write("no browser could be opened; open the link in one yourself\n")
         sys.stdout.flush()

@@ -8,11 +8,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from annotator.files import private_folder
 from annotator.types.errors import ConfigError
 
 LOG = logging.getLogger("annotator.web")
 
-LOCK = Path(".jobs") / "lock"
+# Within the projects folder: what the server keeps, for its own user only. Hidden, thus not a project.
+JOBS_FOLDER = ".jobs"
+LOCK = Path(JOBS_FOLDER) / "lock"
 
 
 @contextmanager
@@ -31,7 +34,7 @@ def hold_server_lock(projects_root: Path) -> Iterator[None]:
         return
     path = projects_root / LOCK
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        private_folder(path.parent)
         file = path.open("w")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error}; choose another folder with --projects") from error

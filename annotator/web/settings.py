@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import secrets
+from dataclasses import dataclass, field
 from pathlib import Path
 
 
@@ -15,11 +16,14 @@ class ServerSettings:
         folders: folders that recordings may be added from; browsers cannot list or read anything else.
         host: address to listen on.
         port: port to listen on; 0 = a free one.
-        token: secret that a browser must present; None is permitted on loopback addresses only.
+        token: secret that a browser must present once, in the link that the server prints; None is permitted on
+            loopback addresses only.
+        cookie: secret that a browser gets for the token, and presents from then on.
     """
 
     projects_root: Path
     folders: tuple[Path, ...] = ()
     host: str = "127.0.0.1"
     port: int = 8080
-    token: str | None = None
+    token: str | None = field(default=None, repr=False)
+    cookie: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)

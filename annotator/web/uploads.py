@@ -15,7 +15,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from annotator.files import ARCHIVE_ERRORS, is_within
+from annotator.files import ARCHIVE_ERRORS, is_within, private_folder
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES
@@ -57,7 +57,8 @@ def add_upload(project: Project, name: str, content: bytes, in_use: Collection[s
     file = Path(_NAME.sub("_", PurePosixPath(name).name)[-100:].lstrip(".") or "boxes")
     if file.suffix.lower() not in (".json", ".zip"):
         raise FormatError(file, "is neither a COCO file (.json) nor a packed YOLO or COCO folder (.zip)")
-    place.mkdir(parents=True)
+    private_folder(uploads)
+    place.mkdir()
     try:
         if file.suffix.lower() == ".zip":
             _unpack(file, content, place / file.stem)

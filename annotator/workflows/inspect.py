@@ -10,7 +10,7 @@ from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.listing import path_errors
 from annotator.recordings.rig import Scanned
-from annotator.recordings.ros.topics import list_topics
+from annotator.recordings.ros.topics import TopicReport, list_topics
 from annotator.types import Frame
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth
@@ -46,25 +46,6 @@ class FrameReport(BaseModel):
     objects: dict[str, int] | None
     objects_problem: str | None
     has_mask: bool
-
-
-class TopicReport(BaseModel):
-    """A topic of a bag.
-
-    Attributes:
-        rate_hz: messages per second; None for fewer than two.
-        use: what it is used for; "" = not used, or not chosen yet.
-        option: that can name it, such as "--points"; "" = none.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
-
-    name: str
-    type: str
-    messages: int
-    rate_hz: float | None
-    use: str
-    option: str
 
 
 class RecordingReport(BaseModel):
@@ -134,7 +115,7 @@ def bag_topics(path: Path, options: ReaderOptions = NO_OPTIONS) -> tuple[TopicRe
         RecordingError: the bag cannot be read.
     """
     with path_errors(path):
-        return tuple(TopicReport.model_validate(topic) for topic in list_topics(path, options) or ())
+        return list_topics(path, options) or ()
 
 
 def _first_frame(recording: Recording) -> tuple[int, Frame | None, dict[str, str]]:

@@ -15,6 +15,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from annotator.types import Box2D, Camera
 from annotator.web.serve import Running
 from annotator.web.settings import ServerSettings
+from annotator.web.tokens import with_token
 
 DOCS = Path(__file__).resolve().parent.parent
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -37,12 +38,12 @@ Point = tuple[float, float]
 
 @contextmanager
 def workbench(projects: Path, *recordings: Path) -> Iterator[str]:
-    """Serves a folder of projects; gives the address."""
-    server = Running(ServerSettings(projects, recordings, port=0))
+    """Serves a folder of projects; gives the link."""
+    server = Running(with_token(ServerSettings(projects, recordings, port=0)))
     thread = threading.Thread(target=server.serve_until_stopped)
     thread.start()
     try:
-        yield server.address
+        yield server.link()
     finally:
         server.should_exit = True
         thread.join()

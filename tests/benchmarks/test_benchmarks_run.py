@@ -16,7 +16,7 @@ import pytest
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, batch, columns, listing, loop, memory, pseudo_view
+from benchmarks import axes, batch, columns, listing, loop, memory, pseudo_view, slow_loris
 from benchmarks.memory import growth
 from benchmarks.repeating import FOLDERS, lengthen
 from benchmarks.report import guarded
@@ -229,6 +229,16 @@ def test_listing_recognises_the_data_sets_that_it_creates(
         "sunrgbd_extracted": 21,
     }
     assert all(row["format"] == name and row["median_ms"] > 0 for name, row in result.items())
+
+
+@pytest.mark.slow
+def test_slow_loris_measures_clients_beside_half_sent_requests(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = in_process(slow_loris, monkeypatch, capsys, "--connections", 20, "--seconds", 1.0)
+    assert result["opened"] >= 20
+    assert all(wait["requests"] > 0 for wait in result["waits"].values())
+    assert result["p95_s"] > 0 and result["log_bytes"] == 0
 
 
 @pytest.mark.parametrize(

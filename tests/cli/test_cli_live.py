@@ -202,7 +202,7 @@ def test_source_errors_are_reported_and_recorded_frames_kept(
         ((), "/no/such", "no such file or folder"),
         (("--rate", 0), None, "cannot play at 0 frames per second; give more than 0"),
         (("--limit", 0), None, "cannot show 0 frames"),
-        (("--host", "0.0.0.0", "--token", "short"), None, "a token needs at least 16"),
+        (("--host", "0.0.0.0", "--no-token"), None, "it needs a token"),
         (("--port", 99999), None, "cannot listen on 127.0.0.1 port 99999"),
         (("--record", "."), None, "exists already"),
         ((), "kinect", "an Azure Kinect needs pyk4a, which is not installed"),

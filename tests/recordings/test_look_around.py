@@ -96,6 +96,7 @@ def test_kitti_is_seen_all_around_its_lidar(tmp_path: Path, build: Any):
     np.testing.assert_allclose(ahead.cloud.xyz_m * [-1, 1, -1], frame.cloud.xyz_m, atol=1e-4)
     seen = base.frame(0).cloud.xyz_m
     assert (ahead.cloud.xyz_m[:, 2] > 0).sum() >= len(seen)
+    # frames would be taken as labelled where nobody looked
     assert not has_truth(recording)
 
 
@@ -122,7 +123,9 @@ def test_map_coordinates_are_seen_from_the_middle(tmp_path: Path):
 
 def test_a_recording_without_a_lidar_takes_no_virtual_cameras(tmp_path: Path):
     rgbd_folder(tmp_path)
-    with pytest.raises(ConfigError, match="is read as rgbd_folder, which takes no --look-around; only scans of KITTI"):
+    with pytest.raises(
+        ConfigError, match="is read as rgbd_folder, without scans of a LiDAR, and takes no --look-around"
+    ):
         open_recording(tmp_path, ReaderOptions(look_around=4))
 
 

@@ -55,6 +55,11 @@ def test_every_format_of_the_table_looks_like_itself(tmp_path: Path):
         assert any(f"looks like {name}: " in text for text in nearest_formats(folder)), name
 
 
+def test_a_folder_that_lacks_nothing_has_other_files(tmp_path: Path):
+    make(tmp_path, "color/", "depth/", "camera_x.json")
+    assert "it looks like an RGB-D folder, but its files are not as in that format" in nearest_formats(tmp_path)
+
+
 def test_a_kitti_folder_without_calibration_says_so(tmp_path: Path):
     make(tmp_path, "image_2/1.png", "velodyne/1.bin")
     with pytest.raises(RecordingError, match="looks like a KITTI object folder: calib/ is missing; copy it"):

@@ -158,6 +158,9 @@ DAMAGES = [
     pytest.param(replaced("rgb.txt", f"{START_S}.000000 ", "nan "), r"rgb\.txt:4: must begin", id="nan"),
     pytest.param(replaced("depth.txt", ".png", ".exr"), r"depth\.txt:4: must be a time and a PNG", id="suffix"),
     pytest.param(replaced("rgb.txt", " rgb/", " ../../rgb/"), "lies outside the recording's folder", id="outside"),
+    pytest.param(replaced("rgb.txt", " rgb/", " rgb/../../rgb/"), "lies outside the recording's folder", id="above"),
+    pytest.param(replaced("rgb.txt", " rgb/", " /rgb/"), "lies outside the recording's folder", id="absolute"),
+    pytest.param(replaced("rgb.txt", " rgb/", f" {'x' * 300}/"), "lies outside the recording's folder", id="too-long"),
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/x"), "cannot be read", id="no-file"),
     pytest.param(replaced("groundtruth.txt", "0.6132", "2"), r"groundtruth\.txt:2: must be a time, a", id="pose"),
     pytest.param(
@@ -173,6 +176,19 @@ def test_damage_is_an_error_that_names_the_file(tmp_path: Path, damage: Callable
     with pytest.raises(RecordingError, match=complaint) as caught:
         open_recording(path).frame(0)
     assert str(caught.value).startswith(str(path))
+
+
+def test_folders_may_be_linked_into_the_recording_but_not_lead_further(tmp_path: Path):
+    path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34])
+    (path / "rgb").rename(tmp_path / "elsewhere")
+    (path / "rgb").symlink_to(tmp_path / "elsewhere")
+    np.testing.assert_array_equal(open_recording(path).frame(0).rgb, image(0))
+    (tmp_path / "elsewhere").rename(tmp_path / "further")
+    (tmp_path / "elsewhere").mkdir()
+    for file in (tmp_path / "further").iterdir():
+        (tmp_path / "elsewhere" / file.name).symlink_to(file)
+    with pytest.raises(FrameError, match="lies outside the recording's folder"):
+        open_recording(path).frame(0)
 
 
 def test_a_missing_image_affects_only_its_frame(tmp_path: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from itertools import count
 from typing import Any
 
 import httpx
@@ -11,11 +12,18 @@ from fastapi import FastAPI
 HERE = "http://127.0.0.1"
 
 
-def ask(app: FastAPI, method: str, path: str | httpx.URL, base: str = HERE, **request: Any) -> httpx.Response:
-    """Sends one request."""
+# Each request comes from another address, so that the limits for each address do not apply.
+ADDRESSES = (f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}" for number in count())
+
+
+def ask(
+    app: FastAPI, method: str, path: str | httpx.URL, base: str = HERE, address: str | None = None, **request: Any
+) -> httpx.Response:
+    """Sends one request, from the given or another address."""
 
     async def asking() -> httpx.Response:
-        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        sender = (address or next(ADDRESSES), 1)
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False, client=sender)
         cookies = request.pop("cookies", None)
         async with httpx.AsyncClient(transport=transport, base_url=base, cookies=cookies, trust_env=False) as client:
             return await client.request(method, path, **request)
@@ -41,7 +49,7 @@ def open_socket(app: FastAPI, path: str, headers: dict[str, str]) -> int:
         "root_path": "",
         "scheme": "ws",
         "server": ("127.0.0.1", 80),
-        "client": ("127.0.0.1", 1),
+        "client": (next(ADDRESSES), 1),
         "subprotocols": [],
         "state": {},
         "headers": [(name.lower().encode(), value.encode()) for name, value in headers.items()],

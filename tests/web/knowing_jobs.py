@@ -24,8 +24,10 @@ EPOCHS = 2
 
 def train(job: JobContext, request: TrainRequest) -> Outcome:
     """`train_work` from random weights, with fewer epochs than the 10 that a page can ask for."""
-    for name in ("IMAGE_DEFAULTS", "VIEW_DEFAULTS"):
-        setattr(work, name, getattr(work, name).model_copy(update={"epochs": EPOCHS, "pretrained": "never"}))
+    short = {"epochs": EPOCHS, "pretrained": "never"}
+    image, view = (config.model_copy(update=short) for config in (work.image_defaults(), work.VIEW_DEFAULTS))
+    work.image_defaults = lambda minutes: image
+    work.VIEW_DEFAULTS = view
     return work.train_work(job, request)
 
 

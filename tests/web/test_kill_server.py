@@ -31,7 +31,8 @@ def server(projects: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "annotator", "serve", "--projects", str(projects), "--port", str(port)]
+    words = ["--projects", str(projects), "--port", str(port), "--no-token"]
+    command = [sys.executable, "-m", "annotator", "serve", *words]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     url = f"http://127.0.0.1:{port}"
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import socket
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,18 +15,30 @@ from fastapi import FastAPI
 from in_process import HERE, ask, open_socket
 from live_server import PATIENCE_S
 from starlette.routing import BaseRoute
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
-from annotator.web.security import BODY_LIMIT, check_settings, cookie_name, is_loopback, link
+from annotator.web.security import (
+    BODY_LIMIT,
+    GUESSES_BURST,
+    MESSAGES_BURST,
+    STRANGERS_BURST,
+    check_settings,
+    cookie_name,
+    is_loopback,
+    link,
+)
 from annotator.web.settings import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
 
 TOKEN = "a-token-for-the-tests"
+SECRET = "the-value-of-its-cookie"
+NAME = cookie_name("127.0.0.1")
 
 
 def flat(routes: Iterable[BaseRoute]) -> Iterator[tuple[str, str]]:
@@ -51,7 +64,7 @@ def headers(cookies: dict[str, str], origin: str | None) -> dict[str, str]:
 
 
 def locked(tmp: Path) -> FastAPI:
-    return create_app(ServerSettings(tmp / "projects", token=TOKEN))
+    return create_app(ServerSettings(tmp / "projects", token=TOKEN, cookie=SECRET))
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +91,7 @@ def test_the_table_of_routes_is_complete() -> None:
 
 
 @pytest.mark.parametrize(("method", "path"), ROUTES, ids=" ".join)
-@pytest.mark.parametrize("cookies", [{}, {cookie_name(TOKEN): "wrong"}, {cookie_name(TOKEN): ""}], ids=str)
+@pytest.mark.parametrize("cookies", [{}, {NAME: TOKEN}, {NAME: ""}, {cookie_name("127.0.0.1:81"): SECRET}], ids=str)
 def test_all_routes_need_the_token(app: FastAPI, method: str, path: str, cookies: dict[str, str]) -> None:
     cookies = {**cookies, "annotator_operator": "Ada"}
     if method == "WS":
@@ -96,7 +109,7 @@ def test_all_routes_need_the_token(app: FastAPI, method: str, path: str, cookies
     ["http://evil.example", "http://127.0.0.1:81", "https://127.0.0.1.evil.example", "null", "", "127.0.0.1", None],
 )
 def test_requests_from_foreign_pages_are_refused(app: FastAPI, method: str, path: str, origin: str | None) -> None:
-    asked = headers({cookie_name(TOKEN): TOKEN, "annotator_operator": "Ada"}, origin)
+    asked = headers({NAME: SECRET, "annotator_operator": "Ada"}, origin)
     if method == "WS":
         assert open_socket(app, path, asked) == 403
         return
@@ -120,8 +133,8 @@ def test_local_host_names_are_accepted(tmp_path: Path, host: str) -> None:
 
 
 def test_on_other_addresses_the_token_permits_any_host_name(tmp_path: Path) -> None:
-    app = create_app(ServerSettings(tmp_path, host="0.0.0.0", token=TOKEN))
-    answer = ask(app, "GET", "/api/session", "http://workstation:8080", cookies={cookie_name(TOKEN): TOKEN})
+    app = create_app(ServerSettings(tmp_path, host="0.0.0.0", token=TOKEN, cookie=SECRET))
+    answer = ask(app, "GET", "/api/session", "http://workstation:8080", cookies={"annotator_8080": SECRET})
     assert answer.json()["token_required"] is True
 
 
@@ -147,6 +160,26 @@ def test_the_link_sets_a_cookie(app: FastAPI) -> None:
 def test_the_link_leads_only_to_parts_of_the_page(app: FastAPI, go: str) -> None:
     answer = ask(app, "GET", "/", params={"token": TOKEN, "go": go})
     assert 'url=/"' in answer.text
+
+
+def test_the_link_of_an_earlier_start_leads_a_known_browser_to_the_page(app: FastAPI) -> None:
+    answer = ask(app, "GET", "/", params={"token": "of-an-earlier-start", "go": "room/label"}, cookies={NAME: SECRET})
+    assert "url=/#/room/label" in answer.text
+
+
+def test_few_tokens_can_be_guessed_and_few_requests_sent_without_one(tmp_path: Path) -> None:
+    app = locked(tmp_path)
+    guesser = {"address": "2001:db8::1", "params": {"token": "a" * len(TOKEN)}}
+    statuses = [ask(app, "GET", "/", **guesser).status_code for _ in range(GUESSES_BURST + 5)]
+    assert statuses == [401] * GUESSES_BURST + [429] * 5
+    # the right one is not told apart any more: not from the same network, but from others
+    right = {"params": {"token": TOKEN}}
+    assert ask(app, "GET", "/", address="2001:db8::2", **right).status_code == 429
+    assert ask(app, "GET", "/", address="2001:db8:1::1", **right).status_code == 200
+    assert ask(app, "GET", "/", address="2001:db8::1", cookies={NAME: SECRET}).status_code == 200
+    statuses = [ask(app, "GET", "/api/session", address="10.9.9.9").status_code for _ in range(STRANGERS_BURST + 20)]
+    assert set(statuses[:STRANGERS_BURST]) == {401}
+    assert statuses[-1] == 429
 
 
 @pytest.mark.parametrize("token", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "ü" * 21, "\ud800"])
@@ -285,3 +318,33 @@ def test_sockets_of_foreign_pages_are_refused(live: Live, origin: str | None) ->
     assert refused.value.response.status_code == 403
     with connect(url, additional_headers=cookie, origin=live.url) as socket_:
         assert "presence" in socket_.recv(timeout=PATIENCE_S)
+
+
+def test_a_socket_that_a_route_refuses_logs_nothing(live: Live, caplog: pytest.LogCaptureFixture) -> None:
+    url = live.socket_url("/api/events?project=nothing")
+    with pytest.raises(InvalidStatus) as refused, connect(url, additional_headers=_cookie(live), origin=_origin(live)):
+        pass
+    assert refused.value.response.status_code == 403
+    live.client.get("/api/session")
+    assert caplog.records == []
+
+
+def test_a_page_that_sends_too_many_messages_is_disconnected(live: Live) -> None:
+    url = live.socket_url("/api/events?project=room")
+    with connect(url, additional_headers=_cookie(live), origin=_origin(live)) as socket_:
+        with suppress(ConnectionClosed):
+            for _ in range(3 * MESSAGES_BURST):
+                socket_.send('{"type": "close"}')
+        with pytest.raises(ConnectionClosed):
+            while True:
+                socket_.recv(timeout=PATIENCE_S)
+    assert socket_.close_code == 1008
+    assert live.client.get("/api/session").status_code == 200
+
+
+def _cookie(live: Live) -> dict[str, str]:
+    return {"Cookie": live.cookies()}
+
+
+def _origin(live: Live) -> Origin:
+    return Origin(live.url)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from socket import create_connection
 from typing import Any
 from unittest.mock import Mock
 
@@ -21,7 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 from annotator.project.labels import NewLabel
 from annotator.project.writing import WriteContext
 from annotator.types import OrientedBox, ReviewState
-from annotator.web.viewport.server import start_viser
+from annotator.web.viewport.server import MOST_SILENT, start_viser
 from annotator.web.viewport.viewports import MOST_PER_OPERATOR, Viewports
 
 PROTOCOL = f"viser-v{viser.__version__}"
@@ -228,6 +229,18 @@ def test_viser_s_port_accepts_only_the_proxy(live: Any, origin: str | None) -> N
     assert refused.value.response.status_code == 403
     with browser(live, viewport) as socket:
         assert socket.recv(timeout=PATIENCE_S)
+
+
+def test_silent_connections_to_viser_s_port_are_few(live: Any) -> None:
+    viewport = opened(live)
+    with ExitStack() as stack:
+        address = ("127.0.0.1", viewport_of(live, viewport).port)
+        silent = [stack.enter_context(create_connection(address, timeout=PATIENCE_S)) for _ in range(MOST_SILENT + 3)]
+        for connection in silent[:3]:
+            with suppress(ConnectionError):
+                assert connection.recv(1) == b"", "the oldest are closed"
+        with browser(live, viewport) as socket:
+            assert socket.recv(timeout=PATIENCE_S)
 
 
 def test_an_unprotectable_viser_server_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:

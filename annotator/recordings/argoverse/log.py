@@ -47,7 +47,8 @@ REMEDY = "copy it again from the data set"
 MOST_INTENSITY = np.float32(255.0)
 # Half the period of the LiDAR.
 TOLERANCE_S = 0.05
-LONGEST_TIME = 19
+# 64 bits have 19 digits.
+LONGEST_TIME, LATEST_NS = 19, 2**63 - 1
 POSE: dict[str, Kind] = dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float")
 UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
@@ -218,8 +219,16 @@ def is_argoverse2(path: Path) -> bool:
 
 
 def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
-    """Returns the names of files that are times."""
-    return {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
+    """Returns the names of files that are times.
+
+    Raises:
+        RecordingError: a time does not fit into 64 bits.
+    """
+    names = {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
+    late = sorted(name for name in names if int(name) > LATEST_NS)
+    if late:
+        raise RecordingError(f"{folder}: the file {late[0]} is not a time in nanoseconds; remove it")
+    return names
 
 
 def _pairs(keys: Sequence[str], images: set[str], within_s: float) -> dict[str, str]:

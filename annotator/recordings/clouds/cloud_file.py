@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud
+from annotator.recordings.clouds.common_scale import files_like
 from annotator.recordings.clouds.las_file import parse_las
 from annotator.recordings.clouds.numpy_file import parse_npy, parse_npz
 from annotator.recordings.clouds.pcd_file import parse_pcd
@@ -30,21 +29,24 @@ def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
     """Returns the valid points of a file with one of `CLOUD_SUFFIXES`, in its own frame, metres.
 
     Args:
-        scans: reads `.bin` files; None = this one alone decides how many values its points have.
+        scans: reads `.bin` files, and has the scale of reflectance; None = this file alone decides.
 
     Raises:
         UnclearError: a `.bin` file with an uncertain number of values per point.
         MissingExtraError: a LAS or LAZ file, but the extra `las` is not installed.
         FrameError: the file is missing, damaged, shorter than its header says, or has no valid point.
     """
-    suffix = path.suffix.lower()
-    if suffix == SCAN_SUFFIX:
-        scan = (scans or Scans()).read(path)
-        return RawCloud(scan.xyz_m.astype(np.float64), reflectance=scan.reflectance)
+    if path.suffix.lower() == SCAN_SUFFIX:
+        return (scans or Scans()).read(path)
+    raw = _parsed(path)
+    return raw if scans is None else scans.scale.apply(path.parent, raw, lambda: files_like(path), _parsed)
+
+
+def _parsed(path: Path) -> RawCloud:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
     if not data:
         raise FrameError(path, "the file is empty", CLOUD_REMEDY)
-    return PARSERS[suffix](path, data)
+    return PARSERS[path.suffix.lower()](path, data)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float, Float32, Float64, UInt8
 
 from annotator.recordings.plausible import LARGEST
-from annotator.recordings.scan_file import fractions
 from annotator.types.errors import FrameError
 
 CLOUD_REMEDY = "save the cloud again, or remove the frame"
 COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
 REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_reflectance", "i")
+# Maximum of reflectance values: fractions, 8 bits or 16 bits.
+REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
 # Longest number in a text file, characters.
 LONGEST_NUMBER = 400
 
@@ -29,11 +30,19 @@ class RawCloud:
         xyz_m: (n, 3), n > 0, finite.
         rgb: colours, or None.
         reflectance: 0..1, or None.
+        scale: the value that became 1, if only the values told; None = the file says it, or no reflectance.
     """
 
     xyz_m: Float64[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"] | None = None
     reflectance: Float32[np.ndarray, "n"] | None = None
+    scale: float | None = None
+
+    def with_scale(self, least: float) -> RawCloud:
+        """Returns the cloud with at least this scale of reflectance."""
+        if self.reflectance is None or self.scale is None or self.scale >= least:
+            return self
+        return replace(self, reflectance=self.reflectance * np.float32(self.scale / least), scale=least)
 
 
 def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
@@ -52,12 +61,20 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
     if not valid.any():
         problem = "every point is NaN or infinite" if len(valid) else "has no points"
         raise FrameError(path, problem, CLOUD_REMEDY)
-    rgb, reflectance = _colors(columns), _reflectance(columns)
+    rgb, (reflectance, scale) = _colors(columns), _reflectance(columns)
     return RawCloud(
         xyz_m[valid],
         rgb=None if rgb is None else rgb[valid],
         reflectance=None if reflectance is None else reflectance[valid],
+        scale=scale,
     )
+
+
+def fractions(values: Float[np.ndarray, "n"]) -> tuple[Float32[np.ndarray, "n"], float]:
+    """Returns reflectances as 0..1, and their scale: of the usual ones, the first that holds all of them."""
+    highest = float(values.max(initial=0.0))
+    scale = next((scale for scale in REFLECTANCE_SCALES if highest <= scale), highest)
+    return np.clip(values.astype(np.float64) / scale, 0, 1).astype(np.float32), scale
 
 
 def _colors(columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
@@ -95,13 +112,14 @@ def _unpack(packed: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
     return np.stack([bits >> shift & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
 
 
-def _reflectance(columns: Mapping[str, np.ndarray]) -> Float32[np.ndarray, "n"] | None:
+def _reflectance(columns: Mapping[str, np.ndarray]) -> tuple[Float32[np.ndarray, "n"] | None, float | None]:
+    """Returns reflectances and their scale, if the values tell it."""
     name = next((name for name in REFLECTANCE_NAMES if name in columns), None)
     if name is None:
-        return None
+        return None, None
     values = np.nan_to_num(_real(columns[name]), nan=0.0, posinf=0.0, neginf=0.0)
     if columns[name].dtype in (np.uint8, np.uint16):
-        return np.asarray(values / np.iinfo(columns[name].dtype).max).astype(np.float32)
+        return np.asarray(values / np.iinfo(columns[name].dtype).max).astype(np.float32), None
     return fractions(values)
 
 

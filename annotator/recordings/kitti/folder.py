@@ -100,18 +100,17 @@ class KittiFolder(KeyedFrames, ABC):
         """
         return number * PERIOD_NS
 
-    @classmethod
-    def keys_in(cls, root: Path) -> tuple[str, ...] | None:
-        """Returns the keys of this kind of folder; None if `root` is not one.
 
-        Raises:
-            RecordingError: it has no frame.
-        """
-        images, scans = root / cls.images, root / cls.scans
-        if not (images.is_dir() and scans.is_dir()):
-            return None
-        expected = f"{cls.images}/KEY.png and {cls.scans}/KEY.bin"
-        return sorted_keys(root, stems(images, IMAGE_SUFFIXES) | stems(scans, (".bin",)), expected)
+def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
+    """Returns the keys of the frames of two folders in `root`; None if these are not there.
+
+    Raises:
+        RecordingError: they have no frame.
+    """
+    if not ((root / images).is_dir() and (root / scans).is_dir()):
+        return None
+    expected = f"{images}/KEY.png and {scans}/KEY.bin"
+    return sorted_keys(root, stems(root / images, IMAGE_SUFFIXES) | stems(root / scans, (".bin",)), expected)
 
 
 def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
-from annotator.recordings.kitti.folder import KittiFolder, require_calibration
+from annotator.recordings.kitti.folder import KittiFolder, keys_in, require_calibration
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
 from annotator.recordings.scan_file import Scans
@@ -50,7 +50,7 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFo
         RecordingError: the folders exist but have no frame, or there is no calibration.
     """
     for root in (path, path / "training"):
-        keys = KittiObject.keys_in(root)
+        keys = keys_in(root, KittiObject.images, KittiObject.scans)
         if keys is not None:
             require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
             return KittiObject(path, keys, root, reader=Scans(options.columns))

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.recordings.kitti.calibration import KittiCalibration, read_raw_calibration
-from annotator.recordings.kitti.folder import PERIOD_NS, KittiFolder
+from annotator.recordings.kitti.folder import PERIOD_NS, KittiFolder, keys_in
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
 from annotator.recordings.scan_file import Scans
@@ -89,5 +89,5 @@ def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
     Raises:
         RecordingError: the folders exist but have no frame.
     """
-    keys = KittiRaw.keys_in(path)
+    keys = keys_in(path, KittiRaw.images, KittiRaw.scans)
     return NotFound(LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))

@@ -21,14 +21,17 @@ from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.transforms import FORWARD
-from annotator.nuscenes_tables import TableError
+from annotator.nuscenes_tables import TableError, pose
+from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti.frame import visible_cloud
+from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
 from annotator.recordings.nuscenes.scenes import SceneData, Shot, read_scene, scene_names, table_folders
 from annotator.recordings.options import ReaderOptions
-from annotator.recordings.plausible import LARGEST, is_pinhole
+from annotator.recordings.plausible import is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
+from annotator.recordings.scan_file import NUSCENES, read_rows, scan_bytes, valid_rows
 from annotator.types import Camera, Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
@@ -37,8 +40,9 @@ FRONT = "CAM_FRONT"
 # The origins of an export's frames; nuScenes itself has no such file.
 EXPORT_MARK = "frames.csv"
 MOST_INTENSITY = np.float32(255.0)
-BYTES_A_POINT = 20
 GLOBAL_UP = np.array([0.0, 0.0, 1.0])
+# x of the vehicle's frame
+AHEAD = np.array([1.0, 0.0, 0.0])
 # The LiDAR's period.
 TOLERANCE_S = 0.05
 REMEDY = "copy it again from the data set"
@@ -51,9 +55,9 @@ class NuScenes(KeyedFrames):
     Attributes:
         tables: the folder of the tables.
         scenes: names of all scenes of the dataset.
-        scene, camera: names of the scene and of the camera's channel.
+        scene, camera: names of the scene and of the camera's channel; "" for the virtual one of a scene without images.
         data: the images and scans of all its cameras.
-        moments: image and scan of each frame.
+        moments: image and scan of each frame; without images, twice the scan.
         notes: what was left out.
     """
 
@@ -78,7 +82,7 @@ class NuScenes(KeyedFrames):
 
     @property
     def name(self) -> str:
-        return f"{self.scene}@{self.camera}"
+        return f"{self.scene}@{self.camera}" if self.camera else self.scene
 
     def sample(self, key: str) -> str | None:
         """Returns the token of a frame's annotated moment; None between samples."""
@@ -94,13 +98,15 @@ class NuScenes(KeyedFrames):
         return {key: index for index, key in enumerate(self.keys)}
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud holds the points inside the image.
+        """Reads frame `i`; its cloud holds the points inside the image, or all without images.
 
         Raises:
             FrameError: a missing or broken file, an impossible pose or camera, or no point in the image.
             IndexError: there is no such frame.
         """
         key = self.key(i)
+        if not self.camera:
+            return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
         image, scan = self.moments[i]
         rgb = read_rgb(self.root / image.file)
         camera = _camera(self.root / image.file, image, rgb.shape[1], rgb.shape[0])
@@ -118,7 +124,7 @@ class NuScenes(KeyedFrames):
         return Frame(key, i, camera, rgb, cloud, None, up, T_camera_global, image.time_us * 1000)
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`, ahead being where the camera looks.
+        """Reads the whole scan of frame `i`, ahead being where the camera looks; without one, where the vehicle does.
 
         Raises:
             FrameError: a missing or broken file, or an impossible pose.
@@ -129,7 +135,10 @@ class NuScenes(KeyedFrames):
         T_camera_global, T_global_lidar = self._poses(image, scan)
         points = read_scan(self.root / scan.file)
         R_lidar_global = T_global_lidar.rotation.inv()
-        ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))
+        if self.camera:
+            ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))
+        else:
+            ahead = pose(scan.mount.translation, scan.mount.rotation).rotation.inv().apply(AHEAD)
         return Scan(
             points[:, :3].astype(np.float64),
             None,
@@ -184,7 +193,8 @@ class NuScenes(KeyedFrames):
 def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
     """Opens a scene of the dataset at `path`; `NotFound` if there are no tables.
 
-    Without the option `scene`, it is the first one; without `camera`, CAM_FRONT or the first one.
+    Without the option `scene`, it is the first one; without `camera`, CAM_FRONT or the first one. If there are no
+    images, the frames are the scans.
 
     Raises:
         ConfigError: no such scene or camera.
@@ -201,15 +211,17 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
     if scene not in scenes:
         raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(scenes)}")
     data = read_scene(tables, scenes[scene])
-    if not data.cameras or not data.scans:
-        what = "image" if not data.cameras else "scan"
+    if not data.scans:
         missing = f" (missing folders: {', '.join(data.missing)})" if data.missing else ""
-        raise RecordingError(f"{path}: no frames; {scene} has no {what}{missing}; copy its samples/ beside the tables")
-    camera = options.camera or (FRONT if FRONT in data.cameras else next(iter(data.cameras)))
-    if camera not in data.cameras:
-        raise ConfigError(f"{path}: {scene} has no camera {camera}; it has {', '.join(sorted(data.cameras))}")
-    moments = _pairs(data, camera, options.tolerance_s or TOLERANCE_S)
-    keys = tuple(PurePosixPath(image.file).stem for image, _ in moments)
+        raise RecordingError(f"{path}: no frames; {scene} has no scan{missing}; copy its samples/ beside the tables")
+    camera = options.camera or (FRONT if FRONT in data.cameras else next(iter(data.cameras), ""))
+    if camera and camera not in data.cameras:
+        raise ConfigError(f"{path}: {scene} has no camera {camera}; it has {', '.join(sorted(data.cameras)) or 'none'}")
+    if camera:
+        moments = _pairs(data, camera, options.tolerance_s or TOLERANCE_S)
+    else:
+        moments = tuple((scan, scan) for scan in data.scans)
+    keys = tuple(PurePosixPath(image.file).stem.removesuffix(".pcd") for image, _ in moments)
     if not keys:
         raise RecordingError(f"{path}: no frames; no image of {camera} has a scan within its time; set --tolerance")
     if len(set(keys)) < len(keys):
@@ -229,19 +241,7 @@ def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
     Raises:
         FrameError: the file is missing, empty, truncated, or has no valid point.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FrameError(path, f"the scan cannot be read ({error.strerror})", REMEDY) from error
-    if not data or len(data) % BYTES_A_POINT:
-        problem = f"{len(data)} bytes are not a multiple of {BYTES_A_POINT}" if data else "the file is empty"
-        raise FrameError(path, f"the scan is truncated: {problem} (5 float32 per point)", REMEDY)
-    points = np.frombuffer(data, "<f4").reshape(-1, 5)
-    # false also for infinity and NaN
-    points = points[(np.abs(points) < LARGEST).all(axis=1)]
-    if len(points) == 0:
-        raise FrameError(path, "every point is NaN or infinite", REMEDY)
-    return points
+    return valid_rows(path, read_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
 
 
 def _camera(path: Path, image: Shot, width_px: int, height_px: int) -> Camera:
@@ -277,6 +277,8 @@ def _notes(
         notes.append(f"{len(data.cameras)} cameras: {', '.join(sorted(data.cameras))} (--camera names another, or all)")
     if data.missing:
         notes.append(f"left out, because these folders are missing: {', '.join(data.missing)}")
+    if not camera:
+        return (*notes, "has no images; a virtual camera looks ahead")
     alone = len(data.cameras[camera]) - len(moments)
     if alone:
         within = options.tolerance_s or TOLERANCE_S

@@ -56,6 +56,10 @@ class BagFile(Protocol):
     channels: tuple[Channel, ...]
     notes: tuple[str, ...]
 
+    @property
+    def is_slow(self) -> bool:
+        """True if reading takes so long that it is worth several threads."""
+
     def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
         """Reads message `i` of a channel, or its first `most` bytes or a few more.
 
@@ -129,6 +133,11 @@ class Topic:
         distances = np.diff(self.log_ns)
         period_ns = float(np.median(distances)) or float(np.mean(distances))
         return 1e9 / period_ns if period_ns > 0 else None
+
+    @property
+    def is_slow(self) -> bool:
+        """True if reading takes so long that it is worth several threads."""
+        return any(file.is_slow for file, _ in self.sources)
 
     def read(self, i: int, most: int | None = None) -> tuple[Channel, bytes]:
         """Reads message `i` (or its first `most` bytes), with its channel.

@@ -2,7 +2,8 @@
 
 K, D, R, P, binning and region of interest have the meaning of the comments in `sensor_msgs/CameraInfo.msg`, and image
 and region are related as in `image_geometry::PinholeCameraModel`: K and P are of the full sensor, of which the image is
-a region, binned. A rectified image (by its topic's name) has the camera P, without distortion, turned by R.
+a region, binned. A rectified image (by its topic's name) has the camera P, without distortion, turned by R. The right
+camera of a stereo pair that names the tf frame of the left one is moved by the baseline in P.
 
 Fisheye images (`equidistant`) are undistorted, because a `Camera` is a pinhole camera. RealSense's inverse
 Brown-Conrady model maps distorted to undistorted points; it is replaced by the nearest model of OpenCV's form.
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, UInt8
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.image_bytes import MOST_PIXELS
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
@@ -37,12 +38,12 @@ class BagCamera:
 
     Attributes:
         camera: of the images as they are given to annotator.
-        R_camera_frame: from the camera's tf frame to the camera (the rectification).
+        T_camera_frame: from the tf frame that the calibration names to the camera (rectification and baseline).
         fisheye: K and D of the images in the bag, if they must be undistorted.
     """
 
     camera: Camera
-    R_camera_frame: Rotation
+    T_camera_frame: RigidTransform
     fisheye: tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4"]] | None = None
 
     def picture(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
@@ -70,19 +71,25 @@ class BagCamera:
         if shape[1::-1] != size:
             raise ValueError(
                 f"has {shape[1]} x {shape[0]} pixels, but its camera has {size[0]} x {size[1]}; "
-                "name its calibration with --camera-info"
+                "name its calibration with --camera-info (of depth images: --depth-info)"
             )
 
 
-def read_camera_info(content: Any, is_rectified: bool) -> BagCamera:
+def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> BagCamera:
     """Returns the camera of a decoded message.
+
+    Args:
+        is_rectified: its images are.
+        first: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
 
     Raises:
         ValueError: it is not calibrated, or its numbers contradict each other; the message says which.
     """
     K, D, R, P = (_field(content, name) for name in "KDRP")
     if not K.any():
-        raise ValueError("is not calibrated: K is zero; name another topic with --camera-info")
+        raise ValueError(
+            "is not calibrated: K is zero; name another topic with --camera-info (of depth images: --depth-info)"
+        )
     if len(K) != 9 or not are_plausible(K):
         raise ValueError("has a K that is not nine plausible numbers")
     is_rectified = is_rectified and len(P) == 12 and bool(P.any())
@@ -92,20 +99,24 @@ def read_camera_info(content: Any, is_rectified: bool) -> BagCamera:
         raise ValueError("is not a pinhole camera: K must be fx 0 cx 0 fy cy 0 0 1")
     if not 0 < width * height <= MOST_PIXELS or min(width, height) < 0:
         raise ValueError(f"declares {width} x {height} pixels; allowed are 1 to {MOST_PIXELS}")
-    turn = Rotation.identity()
+    T = RigidTransform.identity()
+    # P of the second camera is relative to the rectified first one
+    R = R if first is None else _field(first, "R")
     if is_rectified and R.any():
         if len(R) != 9 or not is_rotation(R.reshape(3, 3), MOST_OFF_ROTATION):
             raise ValueError("has an R that is not a rotation")
-        turn = Rotation.from_matrix(R.reshape(3, 3))
+        T = RigidTransform.from_rotation(Rotation.from_matrix(R.reshape(3, 3)))
+    if is_rectified and first is not None:
+        T = RigidTransform.from_translation(baseline_m(content)) * T
     model = str(content.distortion_model).lower()
     if is_rectified or not D.any():
-        return BagCamera(_camera(width, height, matrix), turn)
+        return BagCamera(_camera(width, height, matrix), T)
     if not are_plausible(D):
         raise ValueError("has a D with implausible numbers")
     if model in FISHEYE:
         return _undistorted(width, height, matrix, D)
     if "inverse" in model:
-        return BagCamera(_camera(width, height, matrix, _inverted(width, height, matrix, D)), turn)
+        return BagCamera(_camera(width, height, matrix, _inverted(width, height, matrix, D)), T)
     # longer lists may end with zeros
     length = next((length for length in DISTORTION_LENGTHS if length >= len(D)), None)
     if length is None or model in ("ftheta", "omni", "cata"):
@@ -113,7 +124,22 @@ def read_camera_info(content: Any, is_rectified: bool) -> BagCamera:
             f"has the distortion {model or 'without a name'} with {len(D)} numbers; known are plumb_bob, "
             "rational_polynomial and equidistant"
         )
-    return BagCamera(_camera(width, height, matrix, (*D.tolist(), *[0.0] * (length - len(D)))), turn)
+    return BagCamera(_camera(width, height, matrix, (*D.tolist(), *[0.0] * (length - len(D)))), T)
+
+
+def baseline_m(content: Any) -> Float64[np.ndarray, "3"]:
+    """Returns the place of the first camera of a stereo pair in the rectified camera of a message; zero without one.
+
+    Raises:
+        ValueError: P is damaged.
+    """
+    P = _field(content, "P")
+    if len(P) != 12 or not P.any():
+        return np.zeros(3)
+    P = P.reshape(3, 4)
+    if not are_plausible(P) or not is_pinhole(P[:, :3]):
+        raise ValueError("has a P that is not that of a pinhole camera")
+    return np.linalg.solve(P[:, :3], P[:, 3])
 
 
 def _region(content: Any, full: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -150,7 +176,7 @@ def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCa
     ideal = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(K, D, size, np.eye(3), balance=0.0)
     if not is_pinhole(ideal):
         raise ValueError("has a distortion that cannot be undone")
-    return BagCamera(_camera(width, height, ideal), Rotation.identity(), (K, D))
+    return BagCamera(_camera(width, height, ideal), RigidTransform.identity(), (K, D))
 
 
 def _inverted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> tuple[float, ...]:

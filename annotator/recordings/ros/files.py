@@ -3,7 +3,8 @@
 PATH.bag           ROS 1, also RealSense's
 PATH.mcap          MCAP, of ROS or not
 PATH.db3           ROS 2, SQLite
-PATH/metadata.yaml, *.mcap or *.db3    a folder of ROS 2; without metadata.yaml the recorder was killed
+PATH/metadata.yaml, *.mcap or *.db3    a folder of ROS 2; without metadata.yaml the recorder was killed, and the files
+                                       must be one, or NAME_0, NAME_1, ... of one kind, the parts of one recording
 """
 
 from __future__ import annotations
@@ -105,15 +106,25 @@ def _metadata(folder: Path) -> dict[str, Any]:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """Returns the files of a ROS 2 folder, in the order of their numbers."""
+    """Returns the files of a ROS 2 folder, in the order of their numbers; empty if they are several recordings."""
     if not folder.is_dir():
         return []
     with os.scandir(folder) as entries:
         named = [entry for entry in entries if entry.name.lower().endswith((".mcap", ".db3"))]
         files = [folder / entry.name for entry in named if entry.name[0] != "." and entry.is_file()]
-    if (folder / METADATA).is_file() and not files and any(folder.glob("*.zstd")):
+    files.sort(key=lambda file: (len(file.name), file.name))
+    if not (folder / METADATA).is_file():
+        return files if _are_parts(files) else []
+    if not files and any(folder.glob("*.zstd")):
         raise RecordingError(f"{folder}: its files are compressed as a whole; run zstd -d {folder}/*.zstd")
-    return sorted(files, key=lambda file: (len(file.name), file.name))
+    return files
+
+
+def _are_parts(files: list[Path]) -> bool:
+    """True if the files, in the order of their numbers, are parts of one recording by their names."""
+    name = files[0].stem.rpartition("_")[0] if files else ""
+    expected = [f"{name}_{number}{files[0].suffix}" for number in range(len(files))]
+    return len(files) < 2 or [file.name for file in files] == expected
 
 
 def _has_magic(path: Path) -> bool:

@@ -36,6 +36,8 @@ Described = tuple[int, str, str, str]
 class McapFile:
     """The content of an MCAP file; a `BagFile`."""
 
+    is_slow = False
+
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
         """Lists the messages.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -16,6 +18,8 @@ from annotator.recordings.ros.kept_times import kept_times
 Clock = Literal["header", "log"]
 # Topics whose stamps are further apart than this, measured against the log, have different clocks.
 MOST_APART_NS = SECOND
+# Parts of a topic that each thread reads.
+PARTS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +74,20 @@ def stamps_ns(topic: Topic) -> Int64[np.ndarray, "n"]:
     """Returns the times in the headers of a topic's messages; 0 = not set or damaged."""
 
     def read() -> Int64[np.ndarray, "n"]:
-        with topic.many():
-            return np.array([quick_stamp_ns(topic, i) or 0 for i in range(len(topic))], np.int64)
+        threads = (os.cpu_count() or 1) if topic.is_slow else 1
+        if threads == 1:
+            return _read_stamps(topic, np.arange(len(topic)))
+        # neighbours are often in one chunk
+        parts = np.array_split(np.arange(len(topic)), PARTS * threads)
+        with ThreadPoolExecutor(threads) as pool:
+            return np.concatenate([*pool.map(lambda numbers: _read_stamps(topic, numbers), parts)])
 
     return kept_times(topic, read)
+
+
+def _read_stamps(topic: Topic, numbers: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
+    with topic.many():
+        return np.array([quick_stamp_ns(topic, i) or 0 for i in numbers.tolist()], np.int64)
 
 
 def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -19,12 +19,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.decode import FIELD_ERRORS
-from annotator.recordings.ros.roles import Chosen, first_message
+from annotator.recordings.ros.roles import IMU_TYPE, Chosen, first_message
 from annotator.types.errors import RecordingError
 
 DEPTH = re.compile(r"(/device_\d+/sensor_\d+)(/Depth_\d+)/image/data")
 STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/\w+/data")
-UNIT = "/option/Depth Units/value"
+UNIT, POSE = "/option/Depth Units/value", "/tf/0"
 DEFAULT_FPS = 30
 
 
@@ -64,6 +64,22 @@ def realsense_of(bag: Bag, chosen: Chosen) -> RealSense | None:
     return RealSense(unit_m, between_streams(bag, chosen.image.topic, chosen.depth.topic), 1 / max(fps, 1))
 
 
+def realsense_uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
+    """Returns what RealSense's own topics are used for, by name; empty for other bags."""
+    if chosen is None or chosen.depth is None or chosen.image is None:
+        return {}
+    depth = DEPTH.fullmatch(chosen.depth.topic.name)
+    if depth is None:
+        return {}
+    names = [topic.name for topic in (chosen.image.topic, chosen.depth.topic, *bag.of_type(IMU_TYPE))]
+    streams = (stream[1] for name in names if (stream := STREAM.fullmatch(name)))
+    return {
+        depth[1] + UNIT: "unit of the depth",
+        depth[1] + depth[2] + "/info": "rate of the depth",
+        **{stream + POSE: "transforms" for stream in streams},
+    }
+
+
 def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
     """Returns `T_target_source` of two streams.
 
@@ -76,7 +92,7 @@ def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
 def _pose(bag: Bag, topic: Topic) -> RigidTransform:
     """Returns the transform from the reference of a stream's group to the stream."""
     stream = STREAM.fullmatch(topic.name)
-    content = None if stream is None else _first(bag, stream[1] + "/tf/0")
+    content = None if stream is None else _first(bag, stream[1] + POSE)
     if content is None:
         raise RecordingError(f"{bag.path}: the pose of {topic.name} is missing (tf/0 of its stream)")
     try:

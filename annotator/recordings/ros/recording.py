@@ -2,14 +2,16 @@
 
 Frames are pairs of messages; their keys are the numbers of the images on their topic (without images, of the clouds).
 A frame's cloud holds the points that its camera sees, in the camera's frame, by the tf messages of the bag. Where tf
-knows how the rig moves (`odom`, `map` or `world`), a cloud is moved from its own time to that of the image.
+knows how the rig moves (`odom`, `map` or `world`), a cloud is moved from its own time to that of the image, unless the
+option `no_motion` is given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,11 +20,15 @@ from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.projection import unproject_depth
+from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
+from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.common_scale import CommonScale
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.kitti.frame import UP
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rig import Scan, level_turn
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
@@ -32,7 +38,7 @@ from annotator.recordings.ros.images import color_image, depth_image
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
 from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
-from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, frame_of
+from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, first_of_pair, frame_of
 from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
 from annotator.recordings.ros.video import video_image
 from annotator.recordings.two_cameras import registered
@@ -44,6 +50,8 @@ TOLERANCE_S = 0.05
 FIXED_FRAMES = ("odom", "map", "world")
 REMEDY = "record it again, or use the other frames"
 SAME_K_PX = 1e-3
+# Up in a level LiDAR's frame.
+Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +67,7 @@ class RosBag(KeyedFrames):
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
         realsense: what RealSense's own topics say; None for other bags.
         told: the recording's notes.
+        scale: of the clouds' reflectance.
     """
 
     bag: Bag
@@ -69,6 +78,7 @@ class RosBag(KeyedFrames):
     fixed_frame: str | None
     realsense: RealSense | None
     told: tuple[str, ...]
+    scale: CommonScale = field(default_factory=CommonScale)
     format: ClassVar[str] = "ros_bag"
     is_sequence: ClassVar[bool] = True
 
@@ -93,20 +103,24 @@ class RosBag(KeyedFrames):
             FrameError: a message is damaged or contradicts another one, a transform is missing, or no point is seen.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        try:
+        with self._errors(i) as key:
             if self.chosen.image is None:
                 return self._cloud_frame(key, i)
             return self._image_frame(key, i, self.chosen.image)
+
+    @contextmanager
+    def _errors(self, i: int) -> Iterator[str]:
+        """Gives the key of frame `i`; errors within the block become those of that frame."""
+        key = self.key(i)
+        try:
+            yield key
         except OSError as error:
             raise FrameError(self.path, f"frame {key}: cannot be read ({error.strerror})", REMEDY) from error
         except (*FIELD_ERRORS, LinkMissingError, GeometryError) as error:
             raise FrameError(self.path, f"frame {key}: {error}", REMEDY) from error
 
     def _cloud_frame(self, key: str, i: int) -> Frame:
-        content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
-        with _naming(self.chosen.partner):
-            raw = read_cloud(self.path, content)
+        raw = self._cloud(_content(self.chosen.partner, int(self.pairs.cloud[i])))
         cloud = PointCloud(T_CAMERA_LIDAR.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
         rgb = virtual_image(VIRTUAL_CAMERA, cloud)
         time_ns = int(self.pairs.time_ns[i])
@@ -115,25 +129,41 @@ class RosBag(KeyedFrames):
     def _image_frame(self, key: str, i: int, image: ImageTopic) -> Frame:
         number = int(self.pairs.image[i])
         log_ns, time_ns = int(image.topic.log_ns[number]), int(self.pairs.time_ns[i])
-        content = _content(image.topic, number)
+        content, partner = self._contents(image.topic, number, int(self.pairs.cloud[i]))
         camera = self.camera(log_ns)
         rgb = _picture(image.topic, number, content, camera)
         camera_frame = self.camera_frame or frame_id(content)
-        partner = _content(self.chosen.partner, int(self.pairs.cloud[i]))
         depth_m = None
         if self.chosen.depth is not None:
             T = self._T_color_depth(i, camera, camera_frame, frame_id(partner), log_ns)
             cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera.camera, log_ns)
         else:
-            with _naming(self.chosen.partner):
-                raw = read_cloud(self.path, partner)
-            T = _turned(camera) * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
+            raw = self._cloud(partner)
+            T = camera.T_camera_frame * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
             cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
             cloud = cloud_in_image(camera.camera, cloud, rgb)
         if len(cloud) == 0:
             raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
         up = self._up(camera, camera_frame, time_ns, log_ns)
         return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns)
+
+    def _contents(self, image: Topic, number: int, partner_number: int) -> tuple[Any, Any]:
+        """Returns the messages of an image and of its partner."""
+        partner = self.chosen.partner
+        if not partner.is_slow:
+            return _content(image, number), _content(partner, partner_number)
+        with ThreadPoolExecutor(1) as pool:
+            reading = pool.submit(_content, partner, partner_number)
+            return _content(image, number), reading.result()
+
+    def _cloud(self, content: Any) -> RawCloud:
+        """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
+        topic, first = self.chosen.partner, self.pairs.cloud
+        with _naming(topic):
+            raw = read_cloud(self.path, content)
+        return self.scale.apply(
+            topic, raw, lambda: map(int, first), lambda number: read_cloud(self.path, message(topic, number))
+        )
 
     def camera(self, log_ns: int) -> BagCamera:
         """Returns the camera of the images, as calibrated at a log time.
@@ -143,7 +173,15 @@ class RosBag(KeyedFrames):
             OSError: the file cannot be read.
         """
         assert self.chosen.info is not None and self.chosen.image is not None
-        return _camera(self.chosen.info, self.chosen.image, log_ns)
+        return self._camera(self.chosen.info, self.chosen.image, log_ns)
+
+    def _camera(self, info: Topic, image: ImageTopic, log_ns: int) -> BagCamera:
+        """Returns a camera as its calibration says that was logged nearest to a time."""
+        is_rectified = bool(RECTIFIED.search(image.base))
+        first = first_of_pair(self.bag, info) if is_rectified else None
+        with _naming(info):
+            content = message(info, info.nearest(log_ns))
+            return read_camera_info(content, is_rectified, first and message(first, first.nearest(log_ns)))
 
     def _from_depth(
         self, content: Any, depth: ImageTopic, T: RigidTransform, rgb: np.ndarray, camera: Camera, log_ns: int
@@ -153,7 +191,7 @@ class RosBag(KeyedFrames):
         unit_m = None if self.realsense is None else self.realsense.unit_m
         with _naming(depth.topic):
             depth_m = depth_image(content, unit_m)
-        source = _camera(self.chosen.depth_info, depth, log_ns)
+        source = self._camera(self.chosen.depth_info, depth, log_ns)
         if source.fisheye is not None:
             raise ValueError(f"{depth.topic.name}: depth of a fisheye camera is not supported")
         with _naming(depth.topic):
@@ -169,9 +207,9 @@ class RosBag(KeyedFrames):
         assert self.chosen.depth is not None and self.chosen.depth_info is not None
         if self.realsense is not None:
             return self.realsense.T_color_depth
-        source = _camera(self.chosen.depth_info, self.chosen.depth, log_ns)
+        source = self._camera(self.chosen.depth_info, self.chosen.depth, log_ns)
         between = self._T_camera_cloud(i, camera_frame, depth_frame, log_ns)
-        return _turned(camera) * between * _turned(source).inv()
+        return camera.T_camera_frame * between * source.T_camera_frame.inv()
 
     def _T_camera_cloud(self, i: int, camera: str, cloud: str, log_ns: int) -> RigidTransform:
         """Returns the transform of a pair: the cloud at its own time, the camera at that of the image.
@@ -206,7 +244,7 @@ class RosBag(KeyedFrames):
                 continue
             turn = self._imu_turn(topic, camera_frame, found[1], time_ns, log_ns)
             if turn is not None:
-                return np.asarray((camera.R_camera_frame * turn).apply(found[0]))
+                return np.asarray((camera.T_camera_frame.rotation * turn).apply(found[0]))
         return None
 
     def _imu_turn(self, imu: Topic, camera_frame: str, frame: str, time_ns: int, log_ns: int) -> Rotation | None:
@@ -222,6 +260,38 @@ class RosBag(KeyedFrames):
             except LinkMissingError:
                 continue
         return None
+
+
+@dataclass(frozen=True, eq=False)
+class ScanBag(RosBag):
+    """A bag whose partner of the images are clouds."""
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
+
+        Without an IMU, z is taken as up.
+
+        Raises:
+            FrameError: as `frame`.
+            IndexError: there is no such frame.
+        """
+        with self._errors(i):
+            content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
+            raw = self._cloud(content)
+            R_level_scan, knows_up = Rotation.identity(), True
+            if self.chosen.image is not None:
+                number, time_ns = int(self.pairs.image[i]), int(self.pairs.time_ns[i])
+                log_ns = int(self.chosen.image.topic.log_ns[number])
+                camera, frame = self.camera(log_ns), self.camera_frame or self.chosen.image.frame
+                T_camera_scan = camera.T_camera_frame * self._T_camera_cloud(i, frame, frame_id(content), log_ns)
+                R_scan_camera, up = T_camera_scan.rotation.inv(), self._up(camera, frame, time_ns, log_ns)
+                knows_up = up is not None
+                up_scan = Z if up is None else R_scan_camera.apply(up)
+                R_level_scan = level_turn(up_scan, R_scan_camera.apply(FORWARD))
+            return Scan(
+                raw.xyz_m, raw.rgb, raw.reflectance, R_level_scan, np.zeros(3), RigidTransform.identity(), knows_up,
+                int(self.pairs.cloud_time_ns[i]),
+            )  # fmt: skip
 
 
 def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
@@ -252,10 +322,15 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
     if not len(keys):
         raise RecordingError(f"{path}: no frames; {'; '.join(pairs.notes)}")
     tf, camera_frame = TransformReader.of(bag), (options.tf_frame or "").lstrip("/")
-    fixed = None if realsense or chosen.image is None else _fixed_frame(tf, chosen, pairs, camera_frame)
+    is_still = realsense or chosen.image is None or options.no_motion
+    fixed = None if is_still else _fixed_frame(tf, chosen, pairs, camera_frame)
     if fixed is not None:
-        notes += (f"clouds are moved to the images' times by the motion of the rig in {fixed}",)
-    return RosBag(
+        notes += (
+            f"clouds are moved to the images' times by the motion of the rig in {fixed} where tf knows it "
+            "(not with --no-motion)",
+        )
+    kind = RosBag if chosen.points is None else ScanBag
+    return kind(
         path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, camera_frame, fixed,
         realsense, (*bag.notes, *pairs.notes, *notes),
     )  # fmt: skip
@@ -270,15 +345,16 @@ def _alone(clouds: Topic) -> Pairs:
 
 
 def _fixed_frame(tf: TransformReader, chosen: Chosen, pairs: Pairs, camera_frame: str) -> str | None:
-    """Returns the frame in which tf knows the motion of both camera and cloud; None without one."""
+    """Returns the frame in which tf knows the motion of both camera and cloud, at least at times; None without one."""
     assert chosen.image is not None
     camera, cloud = camera_frame or chosen.image.frame, frame_of(chosen.partner)
     if cloud is None:
         return None
-    for links in tf.near(int(chosen.image.topic.log_ns[int(pairs.image[0])])):
-        for fixed in FIXED_FRAMES:
-            if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
-                return fixed
+    for number in pairs.image[[0, len(pairs.image) // 2, -1]]:
+        for links in tf.near(int(chosen.image.topic.log_ns[int(number)])):
+            for fixed in FIXED_FRAMES:
+                if links.is_below(camera, fixed) and links.is_below(cloud, fixed):
+                    return fixed
     return None
 
 
@@ -300,16 +376,6 @@ def _picture(topic: Topic, number: int, content: Any, camera: BagCamera) -> UInt
     with _naming(topic):
         rgb = video_image(topic, number, content) if topic.type == VIDEO_TYPE else color_image(content)
         return camera.picture(rgb)
-
-
-def _camera(info: Topic, image: ImageTopic, log_ns: int) -> BagCamera:
-    """Returns a camera as its calibration says that was logged nearest to a time."""
-    with _naming(info):
-        return read_camera_info(message(info, info.nearest(log_ns)), bool(RECTIFIED.search(image.base)))
-
-
-def _turned(camera: BagCamera) -> RigidTransform:
-    return RigidTransform.from_rotation(camera.R_camera_frame)
 
 
 def _are_equal(a: Camera, b: Camera) -> bool:

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from annotator.recordings.options import ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic
+from annotator.recordings.ros.camera_info import baseline_m
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 from annotator.recordings.ros.images import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
@@ -123,9 +126,13 @@ def choose(bag: Bag, options: ReaderOptions) -> Chosen:
     if image is None:
         alone = _named(bag, "points", options.points, clouds) or _only_cloud(bag, clouds)
         return Chosen(None, None, alone, None, None)
-    info = _info(bag, image, images, options.camera_info)
+    info = _info(bag, image, images, "camera_info", options.camera_info)
     points, depth = _partner(bag, options, image, [one for one in images if one.picture.is_depth], clouds)
-    return Chosen(image, info, points, depth, _info(bag, depth, images, None) if depth else None)
+    if depth is None:
+        if options.depth_info is not None:
+            raise ConfigError(f"{bag.path}: {option_flag('depth_info')} is for depth images, but points are used")
+        return Chosen(image, info, points, None, None)
+    return Chosen(image, info, points, depth, _info(bag, depth, images, "depth_info", options.depth_info))
 
 
 def options_of(bag: Bag) -> dict[str, str]:
@@ -218,10 +225,10 @@ def _partner(
     return (clouds[0], None) if clouds else (None, depths[0])
 
 
-def _info(bag: Bag, image: ImageTopic, images: list[ImageTopic], name: str | None) -> Topic:
+def _info(bag: Bag, image: ImageTopic, images: list[ImageTopic], option: str, name: str | None) -> Topic:
     """Returns the calibration of an image topic: the one beside it, that of its tf frame, or one that no other has."""
     infos = bag.of_type(*INFO_TYPES)
-    named = _named(bag, "camera_info", name, infos)
+    named = _named(bag, option, name, infos)
     if named is not None:
         return named
 
@@ -240,7 +247,30 @@ def _info(bag: Bag, image: ImageTopic, images: list[ImageTopic], name: str | Non
         raise RecordingError(
             f"{bag.path}: has no calibration of {image.topic.name} (CameraInfo); record its camera_info topic, too"
         )
-    raise _ambiguous(bag, "camera_info", beside(image) or same_frame or infos)
+    raise _ambiguous(bag, option, beside(image) or same_frame or infos)
+
+
+@lru_cache(maxsize=16)
+def first_of_pair(bag: Bag, info: Topic) -> Topic | None:
+    """Returns the calibration of a stereo pair's first camera for that of the second one; None if it is not one.
+
+    The second one's P has a baseline. Its tf frame is the first one's, as `sensor_msgs/CameraInfo` asks for; if it is a
+    frame of its own, tf has the baseline already.
+    """
+    frame = frame_of(info)
+    if not frame or not _baseline_m(info):
+        return None
+    others = [other for other in bag.of_type(*INFO_TYPES) if other is not info and frame_of(other) == frame]
+    firsts = [other for other in others if _baseline_m(other) == 0.0]
+    return firsts[0] if len(firsts) == 1 else None
+
+
+def _baseline_m(info: Topic) -> float | None:
+    """Returns the baseline in a calibration's P; None if that is not known."""
+    try:
+        return float(np.linalg.norm(baseline_m(first_message(info))))
+    except FIELD_ERRORS:
+        return None
 
 
 def _only_cloud(bag: Bag, clouds: list[Topic]) -> Topic:

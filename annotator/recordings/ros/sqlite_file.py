@@ -26,6 +26,8 @@ ROWS_AT_ONCE = 10_000
 class SqliteFile:
     """The content of an SQLite file of ROS 2; a `BagFile`. A message's offset is its row."""
 
+    is_slow = False
+
     def __init__(self, path: Path, are_compressed: bool = False) -> None:
         """Lists the messages.
 

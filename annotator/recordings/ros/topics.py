@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
 
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.ros.files import open_bag
+from annotator.recordings.ros.realsense import realsense_uses
 from annotator.recordings.ros.roles import choose, options_of, uses
 from annotator.types.errors import InputError
 
 
-@dataclass(frozen=True)
-class TopicFacts:
+class TopicReport(BaseModel):
     """A topic of a bag.
 
     Attributes:
         name, type: `package/Name` for all encodings.
         messages: their number.
         rate_hz: messages per second; None for fewer than two.
-        use: what it is used for; "" = not used.
+        use: what it is used for; "" = not used, or not chosen yet.
         option: that can name it, such as "--points"; "" = none.
     """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str
     type: str
@@ -31,7 +34,7 @@ class TopicFacts:
     option: str
 
 
-def list_topics(path: Path, options: ReaderOptions) -> list[TopicFacts] | None:
+def list_topics(path: Path, options: ReaderOptions) -> tuple[TopicReport, ...] | None:
     """Returns the topics of the bag at `path`, by name; None if it is not a bag.
 
     Raises:
@@ -45,8 +48,11 @@ def list_topics(path: Path, options: ReaderOptions) -> list[TopicFacts] | None:
         chosen = choose(bag, options)
     except InputError:  # whoever opens the recording gets this error
         chosen = None
-    used, options_by_name = uses(bag, chosen), options_of(bag)
-    return [
-        TopicFacts(name, topic.type, len(topic), topic.rate_hz, used.get(name, ""), options_by_name.get(name, ""))
+    used, options_by_name = realsense_uses(bag, chosen) | uses(bag, chosen), options_of(bag)
+    return tuple(
+        TopicReport(
+            name=name, type=topic.type, messages=len(topic), rate_hz=topic.rate_hz,
+            use=used.get(name, ""), option=options_by_name.get(name, ""),
+        )
         for name, topic in sorted(bag.topics.items())
-    ]
+    )  # fmt: skip

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import islice
 from typing import Any
 
@@ -25,6 +26,8 @@ WINDOWS_NS = (SECOND // 10, SECOND, 10 * SECOND)
 # A link that was last known this long ago is taken as it was.
 LONGEST_GAP_NS = SECOND // 10
 MOST_MESSAGES = 20_000
+# parent, child, time, place, quaternion
+Link = tuple[str, str, int, np.ndarray, np.ndarray]
 
 
 class LinkMissingError(Exception):
@@ -170,22 +173,28 @@ class TransformReader:
             links = Links()
             for topic, numbers in zip(self.moving, ranges, strict=True):
                 for i in numbers:
-                    _add_message(links, topic, i, is_static=False)
-            for topic in self.static:
-                for i in range(min(len(topic), MOST_MESSAGES)):
-                    _add_message(links, topic, i, is_static=True)
+                    for parent, child, time_ns, place_m, quaternion in _read_links(topic, i):
+                        links.add(parent, child, time_ns, place_m, quaternion)
+            for parent, child, _, place_m, quaternion in self._static_links:
+                links.add(parent, child, None, place_m, quaternion)
             yield links
 
+    @cached_property
+    def _static_links(self) -> tuple[Link, ...]:
+        numbers = ((topic, i) for topic in self.static for i in range(min(len(topic), MOST_MESSAGES)))
+        return tuple(link for topic, i in numbers for link in _read_links(topic, i))
 
-def _add_message(links: Links, topic: Topic, i: int, *, is_static: bool) -> None:
+
+def _read_links(topic: Topic, i: int) -> Iterator[Link]:
+    """Yields the links of a message, as far as it is sound; a link that is needed is reported as missing."""
     try:
         content = message(topic, i)
         for link in getattr(content, "transforms", None) or [content]:
             parent, child, time_ns, place, turn = _parts(link)
             place_m = np.array([place.x, place.y, place.z], float)
             quaternion = np.array([turn.x, turn.y, turn.z, turn.w], float)
-            links.add(parent.lstrip("/"), child.lstrip("/"), None if is_static else time_ns, place_m, quaternion)
-    except FIELD_ERRORS:  # a link that is needed is reported as missing
+            yield parent.lstrip("/"), child.lstrip("/"), time_ns, place_m, quaternion
+    except FIELD_ERRORS:
         return
 
 

@@ -12,12 +12,12 @@ from jaxtyping import UInt8
 
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.decode import byte_array, message
+from annotator.recordings.ros.h264 import KEY_SLICE, lost_before, nal_units
 from annotator.recordings.video_file import STRICT, STRICTEST
 
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
 # Encoders put a key frame every few seconds.
 MOST_BACK = 600
-START_CODE = b"\x00\x00\x01"
 
 
 def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"]:
@@ -39,11 +39,14 @@ def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"
         packets.append(byte_array(message(topic, before).data).tobytes())
     if not is_key_frame(form, packets[-1]):
         raise ValueError(f"has no key frame among the {len(packets)} pictures before it")
+    packets.reverse()
+    if form == "h264" and lost_before(packets) is not None:
+        raise ValueError("a picture of its video is lost since the last key frame, and those after it depend on it")
     pictures = []
     try:
         decoder: Any = av.CodecContext.create(CODECS[form], "r")
         decoder.options = {"err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT}
-        for number, packet in enumerate([*reversed(packets), None], 1):
+        for number, packet in enumerate([*packets, None], 1):
             encoded = None if packet is None else av.Packet(packet)
             if encoded is not None:
                 encoded.pts = number
@@ -67,14 +70,10 @@ def is_key_frame(form: str, data: bytes) -> bool:
         return bool(data) and data[0] >> 6 == 2 and not data[0] & (0x06 if data[0] & 0x30 == 0x30 else 0x0C)
     if form == "av1":
         return _has_sequence_header(data)
-    kinds = set()
-    at = data.find(START_CODE)
-    while 0 <= at < len(data) - 3:
-        kinds.add(data[at + 3])
-        at = data.find(START_CODE, at + 3)
+    heads = [head for head, _ in nal_units(data)]
     if form == "h264":
-        return any(kind & 31 == 5 for kind in kinds)
-    return any(16 <= kind >> 1 & 63 <= 21 for kind in kinds)
+        return any(head & 31 == KEY_SLICE for head in heads)
+    return any(16 <= head >> 1 & 63 <= 21 for head in heads)
 
 
 def _has_sequence_header(data: bytes) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.files import write_atomic
+from annotator.files import private_folder, write_atomic
 from annotator.web.jobs.records import Job, JobState
 
 LOG = logging.getLogger("annotator.web")
@@ -40,8 +40,8 @@ def read_journal(folder: Path) -> list[Job]:
 def write_journal(folder: Path, jobs: Iterable[Job]) -> None:
     """Writes the journal; an error is logged only."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomic(folder / FILE, _Journal(jobs=tuple(jobs)).model_dump_json().encode())
+        private_folder(folder)
+        write_atomic(folder / FILE, _Journal(jobs=tuple(jobs)).model_dump_json().encode(), private=True)
     except OSError as error:
         LOG.warning("%s: the list of jobs cannot be written: %s", folder, error)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from annotator.files import make_private
 from annotator.web.jobs.messages import PAUSE, RESUME, STOP, WORKER_MESSAGE, Order, WorkerMessage
 
 LOG = logging.getLogger("annotator.web")
@@ -27,6 +28,7 @@ class WorkerProcess:
 
     def __init__(self, order: Order, log: Path) -> None:
         self._timers: list[threading.Timer] = []
+        make_private(log)
         with log.open("wb") as errors:
             self._process = subprocess.Popen(
                 # -P: never imports modules from the current folder

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from annotator.files import private_folder
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, write_journal
@@ -248,7 +249,7 @@ class JobRunner:
         began = time.monotonic()
         self._update(job_id, stage="starting")
         folder = self.folder / job_id
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
         order = Order(
             target=WORK[request.kind],
             project=path.resolve(),

@@ -37,7 +37,7 @@ from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift,
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.rounds import FIRST_PART_S
-from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
+from annotator.workflows.training.train import VIEW_DEFAULTS, Trained, TrainPlan, image_defaults, train
 from annotator.workflows.workbench.loaded_detectors import require_view
 
 T = TypeVar("T")
@@ -49,7 +49,9 @@ RESUMES = "stopped; training again with the same boxes continues from here"
 def train_work(job: JobContext, request: TrainRequest) -> Outcome:
     """Trains detectors; a new view detector is put into use if it is better on held-out frames."""
     plan = TrainPlan(
-        image=_training_config(IMAGE_DEFAULTS, request.image_pictures, request.image_size_px, request.model),
+        image=_training_config(
+            image_defaults(request.minutes), request.image_pictures, request.image_size_px, request.model
+        ),
         view=_training_config(VIEW_DEFAULTS, request.view_pictures, request.view_size_px, request.model),
         minutes=request.minutes,
     )

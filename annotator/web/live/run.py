@@ -12,10 +12,11 @@ from fastapi import FastAPI, Request, Response, WebSocket
 
 from annotator.detection.config import Backend
 from annotator.project import Project
+from annotator.web.limits.log import limited_log
 from annotator.web.live.interrupts import Interrupts
 from annotator.web.live.page import LivePage
-from annotator.web.security import Guard, check_settings, link
-from annotator.web.serve import Running, with_token
+from annotator.web.security import Guard, check_settings
+from annotator.web.serve import Running
 from annotator.web.settings import ServerSettings
 from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors, stand_in
@@ -77,7 +78,6 @@ def run_live(
     Raises:
         AnnotatorError: the source, the detectors, the recording or the address cannot be used, or fail later.
     """
-    settings = with_token(settings)
     check_settings(settings)
     if options.record is not None:
         require_unused_path(project, options.record)
@@ -187,7 +187,6 @@ def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, int
         ConfigError: the address cannot be used.
         AnnotatorError: the reason why the pipeline failed.
     """
-    settings = with_token(settings)
     server = Running(settings, live_app(settings, page))
 
     def stop_serving() -> None:
@@ -195,11 +194,11 @@ def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, int
 
     page.follow(pipeline)
     pipeline.at_end(stop_serving)
-    sys.stdout.write(f"live at {link(server.address, settings.token)}\nstop it with Ctrl-C\n")
+    sys.stdout.write(f"live at {server.link()}\nstop it with Ctrl-C\n")
     sys.stdout.flush()
     try:
         # Ctrl-C is the regular end of a session
-        with suppress(KeyboardInterrupt), interrupts.session():
+        with suppress(KeyboardInterrupt), limited_log(None), interrupts.session():
             with interrupts.deferred():  # all threads of the pipeline are started, or none
                 pipeline.start()
             # on either signal, uvicorn shuts down and then raises the signal again

@@ -9,8 +9,8 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from annotator.recordings.options import parse_options
+from annotator.recordings.ros.topics import TopicReport
 from annotator.web.context import Ctx, Operator
-from annotator.workflows.inspect import TopicReport
 from annotator.workflows.workbench.bag_preview import preview_bag
 
 router = APIRouter(tags=["recordings"])
@@ -45,9 +45,12 @@ def bag(
     points: TopicName = None,
     depth: TopicName = None,
     camera_info: TopicName = None,
+    depth_info: TopicName = None,
 ) -> BagChoice:
     """The topics of a bag below one of the server's folders, and its first frame with these topics."""
-    chosen = {"image": image, "points": points, "depth": depth, "camera_info": camera_info}
+    chosen = {
+        "image": image, "points": points, "depth": depth, "camera_info": camera_info, "depth_info": depth_info,
+    }  # fmt: skip
     options = parse_options(**{name: topic or None for name, topic in chosen.items()})
     found = preview_bag(ctx.folders.find(path), options)
     picture = "" if found.jpeg is None else f"data:image/jpeg;base64,{base64.b64encode(found.jpeg).decode()}"

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from websockets.asyncio.server import ServerConnection
+from websockets.protocol import State
+
 if TYPE_CHECKING:
     import viser
 
 HOST = "127.0.0.1"
+# Connections of one viser server whose request has not come yet; the proxy needs few, and only for a moment.
+MOST_SILENT = 32
 
 _starting = threading.Lock()
 _quiet = threading.Lock()
@@ -51,6 +57,17 @@ def start_viser(host: str, origin: str) -> viser.ViserServer:
     return server
 
 
+class _FewSilent(ServerConnection):
+    """A connection to viser. Other users of this computer can open some, too, but not take all file descriptors."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Accepts a connection; closes the oldest silent one if there are too many."""
+        super().connection_made(transport)
+        silent = [other for other in self.server.handlers if other.state is State.CONNECTING]
+        if len(silent) > MOST_SILENT:
+            silent[0].transport.abort()
+
+
 @contextmanager
 def _required_origin(origin: str) -> Iterator[list[str]]:
     """Patches `websockets.serve` to require `origin`, since viser has no option for it.
@@ -65,7 +82,7 @@ def _required_origin(origin: str) -> Iterator[list[str]]:
 
     def guard(*arguments: Any, **options: Any) -> Any:
         guarded.append(origin)
-        return serve(*arguments, **(options | {"origins": [Origin(origin)]}))
+        return serve(*arguments, **options, origins=[Origin(origin)], create_connection=_FewSilent)
 
     setattr(sockets, "serve", guard)  # noqa: B010  (mypy forbids a plain assignment)
     try:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from annotator.project import NewLabel, Project, StoredFrame
 from annotator.project.proposals import covered_by
+from annotator.recordings.look_around import LookAround
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
@@ -27,12 +28,15 @@ class OwnLabels:
         other_classes: labels left out because the project does not have their class, by class.
         of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
+        are_partial: the recording has virtual cameras, and labels only of what its own camera sees: none is imported,
+            since frames would be taken as labelled where nobody looked.
     """
 
     labels: Counter[str] = field(default_factory=Counter)
     other_classes: Counter[str] = field(default_factory=Counter)
     of_other_cameras: int = 0
     unreadable: list[str] = field(default_factory=list)
+    are_partial: bool = False
 
 
 def has_own_labels(project: Project, recording_id: int) -> bool:
@@ -70,6 +74,7 @@ def import_own_labels(
     rigs = Rigs(project, source)
     recording = source.recording(recording_id)
     if not has_truth(recording):
+        counts.are_partial = isinstance(recording, LookAround) and has_truth(recording.base)
         return counts
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
     classes = set(project.config.classes)

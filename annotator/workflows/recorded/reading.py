@@ -28,6 +28,7 @@ from annotator.recordings.argoverse.log import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.exports.openlabel_folder import OpenLabelFolder
 from annotator.recordings.kitti.raw_drive import KittiRaw
+from annotator.recordings.kitti.tracking_folder import KittiTracking
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes.recording import NuScenes
 from annotator.recordings.rig import Scanned
@@ -124,6 +125,8 @@ def label_file(recording: Recording, key: str) -> Path | None:
         labels = recording.scene(key) / SCENE_LABELS
         labelled = labels.is_file() or any((recording.scene(k) / SCENE_LABELS).is_file() for k in recording.keys)
         return labels if labelled else None
+    if isinstance(recording, KittiTracking):
+        return recording.label_file if recording.label_file.is_file() else None
     if isinstance(recording, OpenLabelFolder):
         return recording.document(key)
     if isinstance(recording, CloudFolder) and not (recording.root / LABELS / CLASSES_FILE).is_file():

@@ -79,10 +79,35 @@ def choose_start(project: Project, held_out: HeldOut, config: TrainingConfig, de
         except (DetectionError, FormatError) as error:
             left_out.append(f"the {model.described}, which cannot be measured: {error}")
     able = ious if held_out.decides else known
-    fitting = [model for model in able if config.pretrained == "auto" and _fits(model, config)]
+    fitting = [model for model in able if config.pretrained == "auto" and _fits(model, config, any_size=True)]
     # without measurements, the first one
     best = max(fitting, key=lambda model: ious.get(model, 0.0), default=None)
     return Start(best, ious, tuple(left_out))
+
+
+def image_config(project: Project, config: TrainingConfig, dataset_sha256: str, decides: bool = True) -> TrainingConfig:
+    """The settings of a training of the image detector, which continues the project's last one if that fits.
+
+    It fits if the settings name no weights, network and image size are the same, and it has not learned held-out
+    images. A finished training on the same images with the same settings is not continued, but found again.
+
+    Args:
+        dataset_sha256: of the training set.
+        decides: as `choose_start`.
+    """
+    models = project.models.all(DetectorKind.IMAGE)
+    newest = [model for model in models if model.active] or models[-1:]
+    if config.pretrained != "auto" or not newest:
+        return config
+    last = own_model(project, newest[0])
+    if (decides and _has_learned(project, last)) or not _fits(last, config, any_size=False):
+        return config
+    trained = read_trained(last.path.parent)
+    continued = config.model_copy(update={"pretrained": last.path, "warmup_epochs": WARMUP_EPOCHS})
+    again = config, continued.model_copy(update={"pretrained": trained.config.pretrained})
+    if trained.dataset_sha256 == dataset_sha256 and trained.config in again:
+        return trained.config
+    return continued
 
 
 def part_seconds(minutes: float) -> Iterator[float]:
@@ -220,13 +245,17 @@ def _candidates(project: Project) -> list[UsedModel]:
     return list(dict.fromkeys(active + base + newest))
 
 
-def _fits(model: UsedModel, config: TrainingConfig) -> bool:
-    """Whether its network is the configured one; any view size fits the default size. An unreadable one never fits."""
+def _fits(model: UsedModel, config: TrainingConfig, any_size: bool) -> bool:
+    """Whether its network and image size are the configured ones. An unreadable one never fits.
+
+    Args:
+        any_size: whether any view size fits the default one.
+    """
     try:
         trained = read_trained(model.path.parent)
     except FormatError:
         return False
-    sizes = (DEFAULT_VIEW_PX, trained.image_size_px)
+    sizes = {trained.image_size_px, *([DEFAULT_VIEW_PX] if any_size else [])}
     return model.path.is_file() and trained.config.model == config.model and config.image_size_px in sizes
 
 

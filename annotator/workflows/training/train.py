@@ -29,6 +29,7 @@ from annotator.workflows.training.rounds import (
     FIRST_PART_S,
     Choice,
     choose_start,
+    image_config,
     part_seconds,
     starting_config,
 )
@@ -45,13 +46,24 @@ from annotator.workflows.training.run import (
 from annotator.workflows.training.samples import Material, SampleConfig, gather, image_samples, view_samples
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.
-IMAGE_DEFAULTS = TrainingConfig(image_size_px=256, pictures_seen=1600)
+IMAGE_DEFAULTS = TrainingConfig(image_size_px=192, pictures_seen=2800)
 VIEW_DEFAULTS = TrainingConfig(image_size_px=DEFAULT_VIEW_PX, pictures_seen=48000)
 
 # Share of generated views among the training views of a class-agnostic detector (docs/detector_training.md).
 GENERATED_SHARE = 0.2
 # Share of the remaining time of a part that is for training; the rest is for measuring. The shortest training, seconds.
 TRAINING_SHARE, MIN_TRAINING_S = 0.85, 10.0
+
+
+def image_defaults(minutes: float | None = None) -> TrainingConfig:
+    """The default settings of the image detector.
+
+    Args:
+        minutes: of the view detector's training; beyond three minutes, the image detector learns longer, too.
+    """
+    length = max((minutes or 0.0) * 60 / FIRST_PART_S, 1.0)
+    return IMAGE_DEFAULTS.model_copy(update={"pictures_seen": round(length * IMAGE_DEFAULTS.pictures_seen)})
+
 
 ProgressCallback = Callable[[DetectorKind, TrainingProgress], None]
 
@@ -169,7 +181,8 @@ def _train_image(
     held_out, rcv = _held_out(project, plan), plan.rcv or rcv_config(project)
     pasted = pasted_image_samples(project, material, rcv, plan.samples, held_out, left_out.skip)
     written = run.write(unless_stopped(chain(real, pasted), partial(_check_stop, stop)))
-    ran = run.train(written, plan.image, report, stop)
+    config = image_config(project, plan.image, written.sha256, plan.decides)
+    ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
     seconds = time.perf_counter() - begin
     return Trained(DetectorKind.IMAGE, model, ran.result, ran.manifest, seconds, tuple(left_out.lines))

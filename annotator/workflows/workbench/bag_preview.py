@@ -9,9 +9,10 @@ import numpy as np
 
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.ros.topics import TopicReport
 from annotator.types import Frame
 from annotator.types.errors import InputError, MissingExtraError
-from annotator.workflows.inspect import TopicReport, bag_topics
+from annotator.workflows.inspect import bag_topics
 
 WIDTH_PX = 640
 JPEG_QUALITY = 80

@@ -100,6 +100,9 @@ def test_cameras_and_sweeps_without_images(tmp_path: Path):
         opened(tmp_path, camera="ring_front_center", tolerance_s=0.001)
     (tmp_path / "annotations.feather").unlink()
     assert not has_truth(recording)
+    (tmp_path / "sensors" / "lidar" / f"{2**63}.feather").touch()
+    with pytest.raises(RecordingError, match=r"lidar: the file 9223372036854775808 is not a time in nanoseconds"):
+        opened(tmp_path)
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -167,6 +168,27 @@ def test_without_the_sweeps_only_samples_are_read(tmp_path: Path):
     assert near.notes == ("4 images without a scan within 0.001 s were left out (--tolerance changes it)",)
 
 
+def test_a_scene_without_images_is_seen_by_virtual_cameras(tmp_path: Path):
+    small(tmp_path, scenes=1)
+    for place in ("samples", "sweeps"):
+        for channel in CAMERAS:
+            shutil.rmtree(tmp_path / place / channel)
+    recording = opened(tmp_path)
+    assert recording.notes[-1] == "has no images; a virtual camera looks ahead"
+    assert (recording.name, len(recording), recording.keys[0]) == ("scene-0000", 6, f"n0__LIDAR_TOP__{START_US}")
+    assert [is_labelled(recording, key) for key in recording.keys] == [True, False, False] * 2
+    around = open_recording(tmp_path, ReaderOptions(look_around=4, camera="around-180"))
+    for one, place_m in ((recording, 10.0), (around, 8.0)):
+        frame = one.frame(0)
+        assert len(frame.cloud) == 4000 and frame.timestamp_ns == START_US * 1000
+        (truth,) = load_truth(one, 0, frame)
+        # level, ahead of the vehicle or behind it; the LiDAR is 0.9 m before the vehicle's origin, on a slope
+        np.testing.assert_allclose(truth.box.center_m[2], place_m + (0.9 if one is around else -0.9), atol=0.15)
+        np.testing.assert_allclose(frame.up, [0, -1, 0], atol=1e-9)
+    with pytest.raises(ConfigError, match="scene-0000 has no camera CAM_FRONT; it has none"):
+        opened(tmp_path, camera="CAM_FRONT")
+
+
 def test_the_test_split_has_no_labels(tmp_path: Path):
     small(tmp_path, scenes=1)
     assert has_truth(opened(tmp_path))
@@ -198,7 +220,7 @@ BROKEN: list[tuple[str, Callable[[list[dict[str, Any]]], Any], str]] = [
     ("calibrated_sensor", lambda rows: rows.pop(0), r"refers to c-CAM_BACK, which is not in calibrated_sensor\.json"),
     ("scene", lambda rows: rows.clear(), r"scene\.json: has no scene"),
     ("scene", lambda rows: rows[1].update(name="scene-0000"), r"scene\.json: two scenes are called scene-0000"),
-    ("sample", lambda rows: rows.clear(), "scene-0001 has no image"),
+    ("sample", lambda rows: rows.clear(), "scene-0001 has no scan"),
     ("sensor", lambda rows: rows[2].update(modality="radar"), "scene-0001 has no scan"),
     ("ego_pose", lambda rows: rows[-2].update(rotation=[0, 0, 0, 0]), "is not a unit quaternion"),
     ("calibrated_sensor", lambda rows: rows[1].update(camera_intrinsic=[]), "is not a pinhole camera"),

@@ -255,15 +255,6 @@ def test_numbers_and_times_beyond_all_clocks_are_left_out(tmp_path: Path):
     assert [recording.frame(i).timestamp_ns for i in range(2)] == [0, None]
 
 
-@pytest.mark.parametrize(("damage", "complaint"), R3D_DAMAGES)
-def test_damaged_record3d_names_the_file(tmp_path: Path, damage: Callable[[Path], None], complaint: str):
-    path = made.write_record3d(tmp_path / "take", made.frames(2))
-    damage(path)
-    with pytest.raises(RecordingError, match=complaint) as caught:
-        open_recording(path).frame(0)
-    assert str(caught.value).startswith(str(path))
-
-
 def test_a_file_that_is_no_archive_is_an_error(tmp_path: Path):
     path = tmp_path / "take.r3d"
     path.write_bytes(b"RED1" + bytes(100))
@@ -298,9 +289,18 @@ STRAY_DAMAGES = [
 ]
 
 
-@pytest.mark.parametrize(("damage", "complaint"), STRAY_DAMAGES)
-def test_damaged_stray_scanner_names_the_file(tmp_path: Path, damage: Callable[[Path], None], complaint: str):
-    path = made.write_stray_scanner(tmp_path / "take", made.frames(2))
+DAMAGES = [
+    pytest.param(make, *damage.values, id=f"{make.__name__}-{damage.id}")
+    for make, damages in ((made.write_record3d, R3D_DAMAGES), (made.write_stray_scanner, STRAY_DAMAGES))
+    for damage in damages
+]
+
+
+@pytest.mark.parametrize(("make", "damage", "complaint"), DAMAGES)
+def test_damage_is_an_error_that_names_the_file(
+    tmp_path: Path, make: Callable[..., Path], damage: Callable[[Path], None], complaint: str
+):
+    path = make(tmp_path / "take", made.frames(2))
     damage(path)
     with pytest.raises(RecordingError, match=complaint) as caught:
         open_recording(path).frame(0)

@@ -26,7 +26,8 @@ from annotator.recordings.ros import decode, kept_times, pairing, video
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.chunks import KEPT, MOST_KEPT_BYTES, Chunk, Chunks, unpack
 from annotator.recordings.ros.files import open_bag
-from annotator.types.errors import FrameError, MissingExtraError, RecordingError
+from annotator.recordings.ros.h264 import lost_before
+from annotator.types.errors import FrameError, MissingExtraError, RecordingError, UnknownFormatError
 from benchmarks.bag_writer import CONTAINERS, BagWriter
 
 SECOND = 10**9
@@ -152,30 +153,28 @@ ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
 }
 
 
-@pytest.mark.parametrize("form", ENCODERS)
-def test_video_is_decoded_from_the_last_key_frame(tmp_path: Path, form: str):
+def encoded(form: str, levels: list[int], gop: int = 4, b_frames: int = 0, **options: str) -> list[bytes]:
+    """A video of even pictures, one packet each."""
     import av
 
-    codec, options = ENCODERS[form]
-
-    try:
-        encoder = av.CodecContext.create(codec, "w")
-    except ValueError:
-        pytest.skip(f"PyAV has no {codec}")
-    size = (128, 96)
-    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = *size, "yuv420p", 10
-    encoder.gop_size = 4
-    encoder.max_b_frames = 0
-    encoder.options = options
-    levels = [20, 60, 100, 140, 180, 220]
+    codec, quick = ENCODERS[form]
+    encoder = av.CodecContext.create(codec, "w")
+    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = 128, 96, "yuv420p", 10
+    encoder.gop_size, encoder.max_b_frames = gop, b_frames
+    encoder.options = quick | options
     packets: list[bytes] = []
     for level in [*levels, None]:
         frame = None if level is None else av.VideoFrame.from_ndarray(np.full((96, 128, 3), level, np.uint8), "rgb24")
         packets += [bytes(packet) for packet in encoder.encode(frame)]
-    if len(packets) != len(levels):
-        pytest.skip(f"{codec} does not write one packet per picture here")
+    assert len(packets) == len(levels)
+    return packets
+
+
+@pytest.mark.parametrize("form", ENCODERS)
+def test_video_is_decoded_from_the_last_key_frame(tmp_path: Path, form: str):
+    levels = [20, 60, 100, 140, 180, 220]
     moments = []
-    for i, packet in enumerate(packets):
+    for i, packet in enumerate(encoded(form, levels)):
         take = foxglove_take("protobuf", {"data": packet, "format": form}, "foxglove.CompressedVideo")
         stamp = {"seconds": START_NS // SECOND, "nanos": i * 100 * MS}
         take["/calibration"][1].update(width=128, height=96)
@@ -190,29 +189,53 @@ def test_video_is_decoded_from_the_last_key_frame(tmp_path: Path, form: str):
         assert abs(int(np.median(recording.frame(i).rgb)) - levels[i]) <= 4
 
 
-def test_pictures_made_up_from_damaged_video_are_errors(monkeypatch: pytest.MonkeyPatch):
-    import av
-
-    try:
-        encoder = av.CodecContext.create("libx264", "w")
-    except ValueError:
-        pytest.skip("PyAV has no libx264")
-    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = 128, 96, "yuv420p", 10
-    encoder.max_b_frames = 0
-    encoder.options = {"tune": "zerolatency"}
-    packets: list[bytes] = []
-    for level in (40, 90, 140, None):
-        frame = None if level is None else av.VideoFrame.from_ndarray(np.full((96, 128, 3), level, np.uint8), "rgb24")
-        packets += [bytes(packet) for packet in encoder.encode(frame)]
-    packets[1] = packets[1][:-5]
-    contents = [SimpleNamespace(data=packet, format="h264") for packet in packets]
+def picture(monkeypatch: pytest.MonkeyPatch, form: str, packets: list[bytes], i: int) -> np.ndarray:
+    """The picture of message `i` of a topic with these packets."""
+    contents = [SimpleNamespace(data=packet, format=form) for packet in packets]
     monkeypatch.setattr(video, "message", lambda _, i: contents[i])
     none = np.empty(0, np.int64)
-    topic = Topic("/video", "foxglove/CompressedVideo", (), none, none, none)
-    assert abs(video.video_image(topic, 0, contents[0]).mean() - 40) <= 4
+    return video.video_image(Topic("/video", "foxglove/CompressedVideo", (), none, none, none), i, contents[i])
+
+
+def test_pictures_made_up_from_damaged_video_are_errors(monkeypatch: pytest.MonkeyPatch):
+    packets = encoded("h264", [40, 90, 140])
+    packets[1] = packets[1][:-5]
+    assert abs(picture(monkeypatch, "h264", packets, 0).mean() - 40) <= 4
     for i in (1, 2):
         with pytest.raises(ValueError, match="its video cannot be decoded"):
-            video.video_image(topic, i, contents[i])
+            picture(monkeypatch, "h264", packets, i)
+
+
+@pytest.mark.parametrize("form", ["h264", "h265"])
+def test_pictures_after_a_lost_one_are_errors_until_the_next_key_frame(monkeypatch: pytest.MonkeyPatch, form: str):
+    """VP9 and AV1 do not number their pictures so that it can be told."""
+    packets = encoded(form, [40, 90, 140, 190, 60])
+    del packets[1]
+    for i in (1, 2):
+        with pytest.raises(ValueError, match=r"is lost since the last key frame|its video cannot be decoded"):
+            picture(monkeypatch, form, packets, i)
+    for i, level in ((0, 40), (3, 60)):
+        assert abs(picture(monkeypatch, form, packets, i).mean() - level) <= 4
+
+
+def test_lost_pictures_of_h264_are_told_by_their_numbers():
+    # x264's numbers have 4 bits here, so they begin again; with scaling lists, and pictures that are no references
+    levels = [i * 7 for i in range(30)]
+    plain = encoded("h264", levels, 30, **{"x264-params": "cqm=jvt"})
+    skipping = encoded("h264", levels, 30, 1, tune="psnr", **{"x264-params": "b-adapt=0:scenecut=0"})
+    for packets in (plain, skipping):
+        assert lost_before(packets) is None
+    for i in (1, 15, 16, 28):
+        assert lost_before(plain[:i] + plain[i + 1 :]) == i
+    references = [i for i in range(1, 29) if skipping[i].split(b"\0\0\1")[-1][0] & 0x60]
+    assert 10 < len(references) < 20
+    for i in range(1, 29):
+        assert lost_before(skipping[:i] + skipping[i + 1 :]) == (i if i in references else None)
+
+
+@given(st.lists(st.binary(max_size=40).map(lambda data: b"\0\0\1" + data), max_size=4))
+def test_any_bytes_are_searched_for_lost_pictures(pictures: list[bytes]):
+    assert lost_before(pictures) in (None, *range(len(pictures)))
 
 
 def cut(path: Path, share: float) -> None:
@@ -331,15 +354,24 @@ def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):
     assert "has no metadata.yaml" in open_recording(bag.path).notes[0]
 
 
-def test_the_files_of_a_folder_are_one_bag(tmp_path: Path):
+def test_the_parts_of_a_recording_are_one_bag_and_other_files_are_not(tmp_path: Path):
     with BagWriter(tmp_path, "mcap") as bag:
         write_take(bag, 2)
+    file = next(bag.path.glob("*.mcap"))
     whole = tmp_path / "whole"
     whole.mkdir()
-    for i in (0, 1, 10):
-        shutil.copy(next(bag.path.glob("*.mcap")), whole / f"take_{i}.mcap")
+    for i in range(11):
+        shutil.copy(file, whole / f"take_{i}.mcap")
     opened = open_bag(whole)
-    assert opened is not None and len(opened.topics["/points"]) == 6
+    assert opened is not None and len(opened.topics["/points"]) == 22
+    # two drives, a copy in another format, parts of which the second is missing
+    for number, names in enumerate((("a.mcap", "b.mcap"), ("a_0.mcap", "a_0.db3"), ("a_0.mcap", "a_2.mcap"))):
+        folder = tmp_path / f"several_{number}"
+        folder.mkdir()
+        for name in names:
+            shutil.copy(file, folder / name)
+        with pytest.raises(UnknownFormatError, match="contains recordings; give the path of one of them: a"):
+            open_recording(folder)
 
 
 def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -461,6 +493,8 @@ def test_damaged_bags_give_frames_or_errors_that_name_the_file(takes: list[Path]
 def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(kept_times, "SLOW_S", -1.0)
+    # bz2 is read by several threads
+    monkeypatch.setattr(pairing.os, "cpu_count", lambda: 4)
     with BagWriter(tmp_path, "ros1", "bz2") as bag:
         write_take(bag)
     opened = open_bag(bag.path)

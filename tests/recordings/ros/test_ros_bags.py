@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ros_takes import (
     IMAGE,
+    LIDAR_COLUMNS,
     MS,
     POINTS_M,
     SIZE,
@@ -22,8 +24,12 @@ from ros_takes import (
 )
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.cli.main import main
+from annotator.cli.reader_options import ReadAs
 from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
+from annotator.recordings.ros import transforms
+from annotator.recordings.ros.decode import message
 from annotator.recordings.ros.topics import list_topics
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
 from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
@@ -61,6 +67,20 @@ def test_topics_are_listed_with_their_use(tmp_path: Path):
     assert (image.type, image.messages, image.rate_hz) == ("sensor_msgs/Image", 3, 10.0)
 
 
+def test_inspect_lists_the_topics_that_matter_and_counts_the_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_take(bag)
+        bag.image("/a_left/image_raw", START_NS, IMAGE[:, :, :1], "mono8")
+        for number in range(40):
+            bag.write(f"/option_{number}", START_NS, bag.type("std_msgs/Float32")(data=1.0))
+    assert main(["inspect", str(bag.path)]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("topic")]
+    assert [line.rpartition(": ")[2] for line in lines[:-1]] == ["camera", "image", "points", "transforms", "--image"]
+    assert lines[-1].endswith("40 others are not used (--json lists them): 40 of std_msgs/Float32")
+    assert main(["inspect", str(bag.path), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["topics"]) == 45
+
+
 def two_cameras(folder: Path) -> Path:
     with BagWriter(folder, "sqlite3") as bag:
         write_mount(bag)
@@ -90,6 +110,7 @@ WRONG_OPTIONS = [
     ({"image": "/points"}, "--image /points: is a sensor_msgs/PointCloud2"),
     ({"points": "/points", "depth": "/left/image_raw", "image": "/left/image_raw"}, "exclude each other"),
     ({"image": "/left/image_raw", "points": "/points", "camera_info": "/points"}, "--camera-info /points: is a"),
+    ({"image": "/left/image_raw", "points": "/points", "depth_info": "/left/camera_info"}, "is for depth images"),
     ({"columns": 4}, "not --columns"),
 ]
 
@@ -183,26 +204,21 @@ def test_one_message_without_a_time_leaves_the_times_of_the_others(tmp_path: Pat
     )
 
 
-def test_a_missing_link_is_named(tmp_path: Path):
+MISSING = [
+    ({}, "the transform from lidar to camera is missing: the bag has no tf"),
+    ({"camera": "rig"}, r"tf does not know 'lidar' \(it has camera, rig\)"),
+    ({"camera": "rig", "lidar": "roof"}, "lidar hangs from roof, camera from rig, and no link joins these two"),
+]
+
+
+@pytest.mark.parametrize(("parents", "problem"), MISSING)
+def test_a_missing_link_is_named(tmp_path: Path, parents: dict[str, str], problem: str):
     with BagWriter(tmp_path, "ros1") as bag:
         write_scan(bag, START_NS)
         write_camera(bag, "cam", START_NS)
-    with pytest.raises(FrameError, match="the transform from lidar to camera is missing: the bag has no tf"):
-        open_recording(bag.path).frame(0)
-    (tmp_path / "b").mkdir()
-    with BagWriter(tmp_path / "b", "ros1") as bag:
-        write_scan(bag, START_NS)
-        write_camera(bag, "cam", START_NS)
-        bag.transform("/tf_static", START_NS, "rig", "camera", T_CAMERA_LIDAR)
-    with pytest.raises(FrameError, match=r"tf does not know 'lidar' \(it has camera, rig\)"):
-        open_recording(bag.path).frame(0)
-    (tmp_path / "c").mkdir()
-    with BagWriter(tmp_path / "c", "ros1") as bag:
-        write_scan(bag, START_NS)
-        write_camera(bag, "cam", START_NS)
-        bag.transform("/tf_static", START_NS, "rig", "camera", T_CAMERA_LIDAR)
-        bag.transform("/tf_static", START_NS, "roof", "lidar", T_CAMERA_LIDAR)
-    with pytest.raises(FrameError, match="lidar hangs from roof, camera from rig, and no link joins these two"):
+        for child, parent in parents.items():
+            bag.transform("/tf_static", START_NS, parent, child, T_CAMERA_LIDAR)
+    with pytest.raises(FrameError, match=problem):
         open_recording(bag.path).frame(0)
 
 
@@ -238,7 +254,10 @@ def test_a_cloud_is_moved_to_the_time_of_the_image(tmp_path: Path, container: st
         write_scan(bag, scan_ns)
         write_camera(bag, "cam", image_ns)
     recording = open_recording(bag.path)
-    assert recording.notes == ("clouds are moved to the images' times by the motion of the rig in odom",)
+    assert recording.notes == (
+        "clouds are moved to the images' times by the motion of the rig in odom where tf knows it "
+        "(not with --no-motion)",
+    )
     assert open_recording(bag.path, ReaderOptions(tf_frame="/camera")).notes == recording.notes
     T = (pose(image_ns) * T_rig_camera).inv() * pose(scan_ns) * T_rig_lidar
     expected = T.apply(POINTS_M.astype(np.float64))
@@ -249,6 +268,74 @@ def test_a_cloud_is_moved_to_the_time_of_the_image(tmp_path: Path, container: st
     assert distances.max() < 1e-3
     still = (T_rig_camera.inv() * T_rig_lidar).apply(POINTS_M.astype(np.float64))
     assert np.linalg.norm(found[:, None] - still[None], axis=2).min(axis=1).max() > 0.05
+    unmoved = open_recording(bag.path, ReadAs(no_motion=True).options())
+    assert unmoved.notes == ()
+    found = unmoved.frame(0).cloud.xyz_m
+    assert np.linalg.norm(found[:, None] - still[None], axis=2).min(axis=1).max() < 1e-5
+
+
+def test_links_that_hold_always_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag)
+    decoded: list[int] = []
+    monkeypatch.setattr(transforms, "message", lambda topic, i: decoded.append(i) or message(topic, i))
+    recording = open_recording(bag.path)
+    for i in range(3):
+        assert len(recording.frame(i).cloud)
+    assert decoded == [0]
+
+
+def test_the_second_camera_of_a_stereo_pair_is_moved_by_the_baseline(tmp_path: Path):
+    """Only where it names the tf frame of the first one, whose rectification then holds for both."""
+    R = Rotation.from_rotvec([0.02, -0.01, 0.03])
+    P, P_right = np.hstack([K, np.zeros((3, 1))]), np.hstack([K, [[-0.12 * 30], [0], [0]]])
+    for frame in ("camera", "right"):
+        folder = tmp_path / frame
+        folder.mkdir()
+        with BagWriter(folder, "mcap") as bag:
+            write_mount(bag)
+            bag.transform("/tf_static", START_NS, "camera", "right", RigidTransform.from_translation([0.12, 0, 0]))
+            write_scan(bag, START_NS)
+            bag.info("/left/camera_info", START_NS, SIZE, K, R=R.as_matrix(), P=P)
+            bag.info("/right/camera_info", START_NS, SIZE, K, P=P_right, frame=frame)
+            for name, owner in (("left", "camera"), ("right", frame)):
+                bag.image(f"/{name}/image_rect", START_NS, IMAGE, "rgb8", owner)
+        left, right = (
+            open_recording(bag.path, ReaderOptions(image=f"/{name}/image_rect")).frame(0).cloud
+            for name in ("left", "right")
+        )
+        turned = R.apply(T_CAMERA_LIDAR.apply(POINTS_M.astype(np.float64)))
+        expected = (turned if frame == "camera" else R.inv().apply(turned)) - [0.12, 0, 0]
+        assert min(len(left), len(right)) > 20
+        for cloud, points in ((left, turned), (right, expected)):
+            assert np.linalg.norm(cloud.xyz_m[:, None] - points[None], axis=2).min(axis=1).max() < 1e-5
+
+
+def test_a_bag_with_clouds_is_seen_all_around(tmp_path: Path):
+    """The LiDAR is tilted, which the IMU on it tells, and the camera looks to its right."""
+    tilt = Rotation.from_rotvec([0.1, 0.2, 0.0])
+    T_lidar_camera = RigidTransform.from_rotation(Rotation.from_matrix([[-1, 0, 0], [0, 0, -1], [0, -1, 0]]))
+    with BagWriter(tmp_path, "mcap") as bag:
+        bag.transform("/tf_static", START_NS, "lidar", "camera", T_lidar_camera)
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+    without_imu = open_recording(bag.path, ReaderOptions(look_around=4)).frame(0)
+    assert without_imu.up is None and len(without_imu.cloud) == 200
+    # ahead is to the right of the LiDAR
+    np.testing.assert_allclose(without_imu.cloud.xyz_m, POINTS_M[:, [0, 2, 1]] * [-1, -1, -1], atol=1e-6)
+    with BagWriter(tmp_path, "mcap") as bag:
+        bag.transform("/tf_static", START_NS, "lidar", "camera", T_lidar_camera)
+        bag.imu("/imu", START_NS, tuple((9.81 * tilt.inv().apply([0.0, 0.0, 1.0])).tolist()), "lidar")
+        write_scan(bag, START_NS)
+        write_camera(bag, "cam", START_NS)
+    frame = open_recording(bag.path, ReaderOptions(look_around=4, camera="around-090")).frame(0)
+    np.testing.assert_allclose(frame.up, [0, -1, 0], atol=1e-9)
+    np.testing.assert_allclose(-frame.cloud.xyz_m[:, 1], tilt.apply(POINTS_M.astype(np.float64))[:, 2], atol=1e-5)
+    (tmp_path / "alone").mkdir()
+    with BagWriter(tmp_path / "alone", "ros1") as bag:
+        write_scan(bag, START_NS)
+    ahead = open_recording(bag.path, ReaderOptions(look_around=4)).frame(0)
+    np.testing.assert_allclose(ahead.cloud.xyz_m, open_recording(bag.path).frame(0).cloud.xyz_m, atol=1e-6)
 
 
 def test_a_link_that_is_known_only_at_another_time_is_an_error(tmp_path: Path):
@@ -291,7 +378,13 @@ def test_depth_of_another_camera_is_registered(tmp_path: Path):
         write_camera(bag, "camera/color", START_NS, "color_optical")
         bag.info("/camera/depth/camera_info", START_NS, (16, 12), small, frame="depth_optical")
         bag.image("/camera/depth/image_rect_raw", START_NS, depth, "16UC1", "depth_optical")
-    frame = open_recording(bag.path).frame(0)
+        bag.info("/camera/depth/other_info", START_NS, (16, 12), 2 * small, frame="depth_optical")
+    with pytest.raises(RecordingError, match=r"--depth-info: /camera/depth/camera_info .*, /camera/depth/other_info"):
+        open_recording(bag.path)
+    chosen = ReadAs(depth_info="/camera/depth/camera_info").options()
+    with pytest.raises(ConfigError, match="without scans of a LiDAR, and takes no --look-around"):
+        open_recording(bag.path, chosen.model_copy(update={"look_around": 4}))
+    frame = open_recording(bag.path, chosen).frame(0)
     v, u = np.mgrid[:12, :16]
     expected = np.stack([(u - 7.5) / 15 * 2 + 0.05, (v - 5.5) / 15 * 2, np.full_like(u, 2.0, float)], -1).reshape(-1, 3)
     distances = np.linalg.norm(frame.cloud.xyz_m[:, None] - expected[None], axis=2)
@@ -309,6 +402,16 @@ def test_a_bag_without_images_has_a_virtual_camera(tmp_path: Path):
     frame = recording.frame(1)
     expected = POINTS_M.astype(np.float64) @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]).T
     np.testing.assert_allclose(frame.cloud.xyz_m, expected, atol=1e-6)
+
+
+def test_a_dark_cloud_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        for i, most in enumerate((1, 255)):
+            columns = LIDAR_COLUMNS | {"intensity": np.linspace(0, most, 200, dtype=np.float32)}
+            bag.cloud("/points", START_NS + i * 100 * MS, structured(columns))
+    for i, most in enumerate((1 / 255, 1.0)):
+        reflectance = open_recording(bag.path).frame(i).cloud.reflectance
+        assert reflectance is not None and reflectance.max() == pytest.approx(most, rel=1e-5)
 
 
 def test_two_publishers_of_a_topic_are_told(tmp_path: Path):

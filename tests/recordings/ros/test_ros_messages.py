@@ -198,7 +198,7 @@ def test_a_rectified_image_has_the_camera_p_turned_by_r():
     rectified = read_camera_info(content, True)
     np.testing.assert_array_equal(rectified.camera.matrix, P[:, :3])
     assert rectified.camera.is_ideal
-    np.testing.assert_allclose(rectified.R_camera_frame.as_matrix(), R, atol=1e-12)
+    np.testing.assert_allclose(rectified.T_camera_frame.rotation.as_matrix(), R, atol=1e-12)
     assert read_camera_info(content, False).camera.matrix[0, 0] == 500
 
 

@@ -6,8 +6,9 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
-from ros_takes import START_NS, write_camera, write_mount, write_scan
+from ros_takes import SIZE, START_NS, K, write_camera, write_mount, write_scan
 
 from annotator.recordings import open_recording
 from annotator.recordings.options import stored_options
@@ -53,11 +54,34 @@ def test_topics_are_chosen_with_a_preview(start: Page, live: Live, bag_path: str
     assert picture.evaluate("image => image.naturalWidth") == 32
     expect(dialog.get_by_test_id("topic-points")).to_contain_text("/points (chosen automatically)")
     expect(dialog.get_by_test_id("topic-camera_info")).to_contain_text("/right/camera_info (chosen automatically)")
+    expect(dialog.get_by_test_id("topic-depth_info")).to_be_hidden()
     dialog.get_by_test_id("dialog-add").click()
     expect(start.get_by_test_id("added-recording")).to_have_text("two_cameras: 1 frame")
     (stored,) = live.context.project("drive").recordings.all()
     assert stored.options == '{"image":"/right/image_raw"}'
     assert len(open_recording(stored.path, stored_options(stored.options))) == 1
+
+
+def test_the_calibration_of_depth_can_be_chosen(start: Page, live: Live, tmp_path: Path) -> None:
+    root = live.settings.folders[0]
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_camera(bag, "camera/color", START_NS)
+        bag.image("/camera/depth/image_raw", START_NS, np.full(SIZE[::-1], 2000, np.uint16), "16UC1")
+        for name in ("camera_info", "other_info"):
+            bag.info(f"/camera/depth/{name}", START_NS, SIZE, K)
+    shutil.copy(bag.path, root / "depth.bag")
+    live.client.post("/api/projects", json={"name": "depth", "classes": ["car"]})
+    start.reload()
+    start.get_by_test_id("add-recording-depth").click()
+    start.get_by_test_id(f"folder-{root.name}").click()
+    start.get_by_test_id("add-depth.bag").click()
+    dialog = start.get_by_test_id("topics-dialog")
+    expect(dialog.get_by_test_id("topics-problem")).to_contain_text("topics with Depth calibration: /camera/depth/c")
+    dialog.get_by_test_id("topic-depth_info").select_option("/camera/depth/other_info")
+    expect(dialog.get_by_test_id("topics-preview")).to_be_visible()
+    expect(dialog.get_by_test_id("topic-camera_info")).to_contain_text("/camera/color/camera_info (chosen")
+    expect(dialog.get_by_test_id("topic-camera_info")).to_have_value("")
+    (root / "depth.bag").unlink()
 
 
 def test_the_route_describes_a_bag(live: Live, bag_path: str) -> None:

@@ -117,9 +117,9 @@ def live(installed: Installed, project: str) -> Iterator[SimpleNamespace]:
     assert process.stdout is not None
     assert process.stderr is not None
     try:
-        found = re.search(r"(http://\S+)/#", process.stdout.readline())
+        found = re.search(r"(http://[^/]+)/\S+", process.stdout.readline())
         assert found is not None, process.stderr.read()
-        yield SimpleNamespace(url=found.group(1))
+        yield SimpleNamespace(url=found.group(1), link=found.group())
     finally:
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
@@ -174,6 +174,7 @@ def test_the_page_and_all_files_that_it_references_are_served(live: SimpleNamesp
     seen: set[str] = set()
     waiting = [f"{live.url}/"]
     with httpx.Client(timeout=60) as client:
+        client.get(live.link)
         while waiting:
             url = waiting.pop()
             answer = client.get(url)
@@ -190,6 +191,7 @@ def test_the_page_and_all_files_that_it_references_are_served(live: SimpleNamesp
 
 def test_the_page_opens_a_frame(live: SimpleNamespace, project: str, open_page: Callable[..., Page]) -> None:
     page = open_page()
+    page.goto(live.link)
     sign_in(page, live.url)
     page.goto(f"/#/{project}/label")
     image = page.get_by_test_id("image-editor").locator(f"img.picture[src*='/{project}/frames/']")

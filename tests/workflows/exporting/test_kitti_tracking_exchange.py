@@ -10,8 +10,9 @@ import pytest
 
 from annotator.formats.kitti.tracking_folder import sequence_ids
 from annotator.project import Project, WriteContext
-from annotator.recordings import open_recording
+from annotator.recordings import ReaderOptions, open_recording
 from annotator.types.errors import ConfigError, FormatError
+from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.recorded.own_labels import import_own_labels
@@ -67,6 +68,18 @@ def test_a_tracking_export_can_be_imported_with_its_track_ids(
     again = export_project(other, tmp_path / "again", TRACKING, choose=ALL)
     assert again.notes == ()
     assert rows(tmp_path / "again", "0000") == found
+
+    # the export is a recording of several scenes, with its labels
+    opened = make_project(classes=("person", "hand"))
+    added = add_recordings(opened, [out], scenes=["all"])
+    assert [(each.recording.name, each.new_frames) for each in added] == [("0000", 5), ("0001", 5)]
+    imported = [import_own_labels(opened, each.recording.id) for each in added]
+    assert sum(sum(each.labels.values()) for each in imported) == report.objects
+    for mine, theirs in zip(project.labels.select(), opened.labels.select(), strict=True):
+        np.testing.assert_allclose(theirs.label.box.center_m, mine.label.box.center_m, atol=0.01)
+    with pytest.raises(ConfigError, match="has no scene 7; it has 0000, 0001"):
+        open_recording(out, ReaderOptions(scene="7"))
+    assert open_recording(out).notes == ("2 drives: 0000, 0001; this is the first (--scene names another, or all)",)
 
     with pytest.raises(ConfigError, match="a sequence cannot be divided, and people is in several parts"):
         export_project(project, tmp_path / "split", TRACKING, split=Split({"train": 0.5, "val": 0.5}))

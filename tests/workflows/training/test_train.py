@@ -20,7 +20,7 @@ from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.detector import Image
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.training import run
+from annotator.workflows.training import rounds, run
 from annotator.workflows.training import train as workflow
 from annotator.workflows.training.run import run_name
 from annotator.workflows.training.samples import SampleConfig, gather, view_samples
@@ -144,6 +144,40 @@ def test_other_labels_or_settings_give_another_run(people: Project, trainings: l
     assert people.models.active(DetectorKind.VIEW) is None
     back = train(people, PLAN, roles=(DetectorKind.IMAGE,))[0]
     assert back.model.id == last.model.id
+
+
+def test_an_image_detector_is_continued_on_new_labels(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+    def trained(**changes: object) -> TrainedModel:
+        (result,) = train(people, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
+        result.result.write(result.model.path.parent)
+        return result.result
+
+    simulate(people)
+    first = trained()
+    assert first.config.pretrained == "auto"
+    assert trained().weights == first.weights, "the same labels give the same detector"
+    stored = people.frames.of()[1]
+    box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
+    people.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
+    second = trained()
+    assert second.config.pretrained == first.weights
+    assert trained().weights == second.weights, "the same labels give the same detector"
+    for changes in ({"image_size_px": 96}, {"pretrained": "never"}, {"model": "yolov8n"}):
+        assert trained(**changes).config.pretrained != second.weights
+        model = next(m for m in people.models.all(DetectorKind.IMAGE) if m.path == second.weights)
+        people.models.activate(model.id)
+
+
+def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
+    people: Project, trainings: list[tuple[str, Path, Path]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulate(people)
+    (first,) = train(people, PLAN, roles=(DetectorKind.IMAGE,))
+    first.result.write(first.model.path.parent)
+    learned = frozenset(entry.group for entry in first.manifest.entries if entry.split == "train")
+    monkeypatch.setattr(rounds, "held_out_groups", lambda project: learned)
+    (other,) = train(people, replace(PLAN, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
+    assert other.result.config.pretrained == "auto"
 
 
 def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:

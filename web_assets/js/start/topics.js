@@ -13,6 +13,12 @@ const CHOICES = [
   { id: "image", label: "Images", options: ["--image"], uses: ["image"] },
   { id: "points", label: "Points or depth", options: ["--points", "--depth"], uses: ["points", "depth"] },
   { id: "camera_info", label: "Calibration", options: ["--camera-info"], uses: ["camera"] },
+  {
+    id: "depth_info",
+    label: "Depth calibration",
+    options: ["--depth-info", "--camera-info"],
+    uses: ["camera of the depth"],
+  },
 ];
 
 /**
@@ -55,7 +61,7 @@ export async function chooseTopics(app, entry) {
       const answer = await app.api.get(`/api/bags?${query}`);
       if (mine !== asked) return;
       bag = answer;
-      fill(answer, Object.values(chosen));
+      fill(answer, chosen);
       preview.replaceChildren(...describe(answer));
     } catch (error) {
       if (mine !== asked) return;
@@ -65,13 +71,14 @@ export async function chooseTopics(app, entry) {
 
   /**
    * @param {Api.BagChoice} answer
-   * @param {string[]} names those that the operator has chosen.
+   * @param {Record<string, string>} named the topics that the operator has chosen.
    */
-  function fill({ topics }, names) {
-    for (const [index, { options: flags, uses }] of CHOICES.entries()) {
+  function fill({ topics }, named) {
+    for (const [index, { id, options: flags, uses }] of CHOICES.entries()) {
       const candidates = topics.filter(({ option }) => flags.includes(option));
       const used = candidates.find(({ use }) => uses.includes(use));
-      const chosen = candidates.find(({ name }) => names.includes(name));
+      const chosen = candidates.find(({ name }) => name === (named[id] ?? (id === "points" ? named.depth : "")));
+      if (id === "depth_info") rows[index].hidden = !topics.some(({ option }) => option === "--depth");
       const automatic = used && !chosen ? `${used.name} (chosen automatically)` : "choose automatically";
       selects[index].replaceChildren(
         h("option", { value: "" }, automatic),
@@ -110,7 +117,8 @@ function describe({ frames, notes, problem, picture }) {
   if (problem) {
     // the message names the options of the command line
     const text = CHOICES.reduce(
-      (message, { label, options }) => options.reduce((one, flag) => one.replaceAll(flag, label), message),
+      (message, { label, options }) =>
+        options.reduce((one, flag) => one.replace(new RegExp(`${flag}(?!-)`, "g"), label), message),
       problem,
     );
     return [h("p", { class: "error-box", role: "alert", "data-testid": "topics-problem" }, text)];

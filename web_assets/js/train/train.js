@@ -8,9 +8,9 @@ import { createModelList } from "./models.js";
 import { createPropose } from "./propose.js";
 
 /** The server's defaults, which empty fields show. */
-const PICTURES = { image: 1600, view: 48000 };
+const PICTURES = { image: 2800, view: 48000 };
 const LEARN_EVERY = 20;
-const SIZES_PX = { image: 256, view: 64 };
+const SIZES_PX = { image: 192, view: 64 };
 /** @type {[Api.DetectorKind, string, string][]} */
 const ROLES = [
   ["image", "Image detector", "finds objects on the camera image"],
@@ -248,7 +248,7 @@ function createForm(app) {
         "Each picture is shown many times, with small random changes. More pictures take longer and train better; ",
         "larger pictures show small objects better. An empty field uses the number shown in grey. ",
         "A view detector that starts from another one trains for this many minutes. After the first three, it ",
-        "is used at once if it is better. A fifth of the frames is never used for training: it decides which one ",
+        "is used at once if it is better. Beyond three minutes, the image detector learns longer, too. A fifth of the frames is never used for training: it decides which one ",
         "is used.",
       ),
     ),
