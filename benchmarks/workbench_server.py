@@ -51,6 +51,11 @@ class Server:
                 answered(opened.post("/api/session", json={"operator": operator}))
             return httpx.Client(**options, cookies=opened.cookies)
 
+    def memory_mb(self) -> float:
+        """Resident memory of the server's own process, MB (Linux)."""
+        fields = Path(f"/proc/{self._process.pid}/statm").read_text().split()
+        return int(fields[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
     def kill(self) -> None:
         """Kills the server like a crash (`kill -9`)."""
         self._process.send_signal(signal.SIGKILL)

@@ -18,6 +18,7 @@ from fastapi import FastAPI
 from annotator.files import make_private
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
+from annotator.web.heaps import tidy_heaps
 from annotator.web.limits.connections import Connections, most_connections
 from annotator.web.limits.log import limited_log
 from annotator.web.limits.protocols import LimitedConfig
@@ -85,7 +86,7 @@ class Running(uvicorn.Server):
 
     def serve_until_stopped(self) -> None:
         """Serves until `should_exit` is set, or until interrupted."""
-        with closing(self.socket):
+        with closing(self.socket), tidy_heaps():
             self.run(sockets=[self.socket])
 
     def stop(self) -> None:

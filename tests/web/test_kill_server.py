@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 from live_server import PATIENCE_S, wait_until
 
-from annotator.project import open_project
+from annotator.project import Project, open_project
 from annotator.web.settings import ServerSettings
 
 ROUNDS = 2
@@ -58,8 +58,8 @@ def _wait_until_it_answers(url: str, process: subprocess.Popen[bytes]) -> None:
 class Editor:
     """Edits one frame as fast as possible, and records the acknowledged state."""
 
-    def __init__(self, url: str, frame: int, seed: int) -> None:
-        self.url, self.frame = url, frame
+    def __init__(self, url: str, frame: int, seed: int, operator: str = "ann") -> None:
+        self.url, self.frame, self.operator = url, frame, operator
         self.chance = random.Random(seed)
         self.revision = 0
         self.labels: dict[str, tuple[str, int | None]] = {}
@@ -68,7 +68,7 @@ class Editor:
     def run(self) -> None:
         try:
             with httpx.Client(base_url=self.url, headers={"Origin": self.url}, timeout=PATIENCE_S) as client:
-                client.post("/api/session", json={"operator": "ann"})
+                client.post("/api/session", json={"operator": self.operator})
                 self._take(client.get(f"/api/projects/room/frames/{self.frame}").json())
                 while True:
                     self._edit(client)
@@ -93,6 +93,14 @@ class Editor:
         assert answer.status_code == 200, answer.text
         self._take(answer.json())
 
+    def require_kept(self, project: Project) -> None:
+        """The state of the last acknowledged answer is stored; one more edit may be stored without an answer."""
+        log, last = project.log.of_frame(self.frame), project.frames.get(self.frame).revision
+        assert self.revision <= last == len(log)
+        if last == self.revision:
+            labels = project.labels.of_frame(self.frame)
+            assert {label.uid: (label.state.value, label.track_id) for label in labels} == self.labels
+
     def _take(self, state: dict[str, Any]) -> None:
         self.revision = state["frame"]["revision"]
         self.labels = {label["uid"]: (label["state"], label["track_id"]) for label in state["labels"]}
@@ -113,12 +121,5 @@ def test_every_acknowledged_edit_survives_a_kill(web_settings: ServerSettings) -
             thread.join(PATIENCE_S)
         with open_project(web_settings.projects_root / "room") as project:
             assert project.problems() == []
-            log = project.log.of_frame(editor.frame)
-            # the state of the last acknowledged answer; one more edit may be stored without an answer
-            last = project.frames.get(editor.frame).revision
-            assert editor.revision <= last
-            assert len(log) == last
-            if last == editor.revision:
-                labels = project.labels.of_frame(editor.frame)
-                assert {label.uid: (label.state.value, label.track_id) for label in labels} == editor.labels
+            editor.require_kept(project)
             assert project.log.rebuild() > 0

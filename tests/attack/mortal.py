@@ -1,0 +1,159 @@
+"""Command lines that are killed: one process loads the package and forks a child for each, so that they begin at once.
+
+The time from fork to end is then the work of the command, and random moments fall on its writes, not on imports.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+# Modules with these commands' work, also what they import inside functions.
+LOADED = ("train", "annotate", "export", "import_boxes", "stats", "add", "project_backup", "project_restore")
+LIBRARIES = ("torch", "ultralytics.models.yolo.detect", "openvino", "cv2", "matplotlib.pyplot", "av")
+TICK_S = 0.0005
+
+
+@dataclass(frozen=True)
+class End:
+    """How a command ended.
+
+    Attributes:
+        code: exit code; -9 if killed.
+        seconds: from its start to its end.
+        said: its output.
+    """
+
+    code: int
+    seconds: float
+    said: str
+
+    @property
+    def was_killed(self) -> bool:
+        return self.code == -9
+
+
+class Mortal:
+    """Runs `annotator` commands, and kills them (`kill -9`). The detectors are perfect ones of a recording."""
+
+    def __init__(self, recording: Path, log: Path) -> None:
+        command = [sys.executable, __file__, str(recording)]
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        # one thread in each library: a process with threads must not fork
+        single = {"PYTHONPATH": path, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "YOLO_OFFLINE": "1"}
+        self._log = log
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, **single}
+        )
+        assert self._answer() == "ready"
+
+    def run(self, *words: str | Path, kill_s: float | None = None, file_limit: int | None = None) -> End:
+        """Runs a command line.
+
+        Args:
+            words: the command line without `annotator`.
+            kill_s: when to kill it, seconds after its start; None = never.
+            file_limit: the largest file that it can write, bytes; None = any.
+        """
+        order = {"words": [str(word) for word in words], "kill_s": kill_s, "log": str(self._log), "limit": file_limit}
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(order) + "\n")
+        self._process.stdin.flush()
+        code, seconds = self._answer()
+        return End(code, seconds, self._log.read_text(errors="replace"))
+
+    def close(self) -> None:
+        """Ends the process."""
+        assert self._process.stdin is not None
+        with self._process:
+            self._process.stdin.close()
+
+    def _answer(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, "the process that runs the commands has died"
+        return json.loads(line)
+
+
+def main() -> None:
+    """Loads the package, then runs the commands that arrive on the standard input."""
+    _load(Path(sys.argv[1]))
+    _say("ready")
+    for line in sys.stdin:
+        order = json.loads(line)
+        pid = os.fork()
+        if pid == 0:
+            _be_command(order)
+        _say(_watch(pid, order["kill_s"]))
+
+
+def _load(recording: Path) -> None:
+    from annotator.detection.perfect import PerfectDetector, Scene
+    from annotator.recordings import open_recording
+    from annotator.types import BoxKind
+    from annotator.workflows.detectors import Detectors
+    from annotator.workflows.proposing.engines.sources import GivenDetectors
+    from annotator.workflows.recorded.reading import load_truth
+
+    for name in LIBRARIES:
+        import_module(name)
+    commands = {name: import_module(f"annotator.cli.{name}") for name in LOADED}
+    opened = open_recording(recording)
+    frames = [opened.frame(index) for index in range(len(opened))]
+    scenes = [Scene.of(frame, load_truth(opened, index, frame)) for index, frame in enumerate(frames)]
+    knows = PerfectDetector(scenes, BoxKind.BOX, min_points=50)
+    source = GivenDetectors(Detectors(knows, knows, BoxKind.BOX))
+    commands["annotate"].trained_detectors = lambda *_: source  # type: ignore[attr-defined]
+
+
+def _be_command(order: dict[str, Any]) -> None:
+    from annotator.cli.main import main as annotator
+
+    code = 1
+    try:
+        if order["limit"] is not None:
+            import resource
+            import signal
+
+            # writing beyond the limit then fails with an error, as on a full disk
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (order["limit"], order["limit"]))
+        log = os.open(order["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        null = os.open(os.devnull, os.O_RDONLY)
+        for target, file in ((0, null), (1, log), (2, log)):
+            os.dup2(file, target)
+        code = annotator(order["words"])
+        sys.stdout.flush()
+    finally:
+        # without the handlers of the process that was forked
+        os._exit(code)
+
+
+def _watch(pid: int, kill_s: float | None) -> tuple[int, float]:
+    began = time.monotonic()
+    while True:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        passed = time.monotonic() - began
+        if done:
+            return os.waitstatus_to_exitcode(status), passed
+        if kill_s is not None and passed >= kill_s:
+            os.kill(pid, 9)
+            kill_s = None
+        time.sleep(TICK_S)
+
+
+def _say(answer: object) -> None:
+    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

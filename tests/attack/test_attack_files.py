@@ -1,0 +1,179 @@
+"""Files that somebody sent: pickles in arrays, XML entities, YAML with code, deep JSON, and names with code in them."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from raw import MOST_GROWTH_MB, memory_mb
+
+from annotator.cli.main import main
+from annotator.formats.kitti.tracklets import read_tracklets
+from annotator.recordings import open_recording
+from annotator.types.errors import AnnotatorError
+
+LAUGHS = "".join(f'<!ENTITY l{n} "{"".join([f"&l{n - 1};"] * 10)}">' for n in range(1, 12))
+XML = {
+    "entities": f'<?xml version="1.0"?><!DOCTYPE l [<!ENTITY l0 "lol">{LAUGHS}]><b>&l11;</b>',
+    "quadratic": '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY a "' + "a" * 100_000 + '">]><b>'
+    + "&a;" * 100_000 + "</b>",
+    "outside": '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY x SYSTEM "file:///etc/passwd">]><b>&x;</b>',
+    "parameter": '<?xml version="1.0"?><!DOCTYPE l SYSTEM "file:///etc/passwd"><b/>',
+    "deep": "<a>" * 100_000,
+    "deep closed": "<a>" * 100_000 + "</a>" * 100_000,
+    "attributes": "<a " + " ".join(f'a{n}="1"' for n in range(100_000)) + "/>",
+    "zero": "\0" * 1000,
+}  # fmt: skip
+
+
+class Code:
+    """Its pickle creates a file when it is read."""
+
+    def __init__(self, trace: Path) -> None:
+        self._trace = trace
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self._trace),)
+
+
+@pytest.mark.parametrize("text", XML.values(), ids=XML)
+def test_xml_entities_are_not_expanded(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "tracklet_labels.xml"
+    file.write_text(text)
+    before = memory_mb()
+    with pytest.raises(AnnotatorError) as error:
+        read_tracklets(file)
+    assert "root:" not in str(error.value) and len(str(error.value)) < 2000
+    assert memory_mb() - before < MOST_GROWTH_MB
+
+
+def _object_array(trace: Path) -> bytes:
+    content = io.BytesIO()
+    np.save(content, np.array([[Code(trace), 0, 0]], dtype=object), allow_pickle=True)
+    return content.getvalue()
+
+
+def _hostile_arrays(trace: Path) -> dict[str, bytes]:
+    code = pickle.dumps(Code(trace))
+    good = io.BytesIO()
+    np.save(good, np.zeros((4, 3)))
+    header = good.getvalue()
+    return {
+        "objects": _object_array(trace),
+        "a bare pickle": code,
+        "code in the header": header.replace(b"(4, 3)", b"__import__('os').mkdir('x')"),
+        "a huge shape": header.replace(b"(4, 3)", b"(99999999999, 3)"),
+        "a negative shape": header.replace(b"(4, 3)", b"(-4, -3)"),
+        "text": b"[[1, 2, 3]]",
+        "nothing": b"",
+    }
+
+
+@pytest.mark.parametrize("kind", ["npy", "npz"])
+def test_arrays_are_never_unpickled(tmp_path: Path, kind: str) -> None:
+    trace = tmp_path / "trace"
+    for name, content in _hostile_arrays(trace).items():
+        folder = tmp_path / name
+        folder.mkdir()
+        for number in range(2):
+            file = folder / f"{number:06}.{kind}"
+            if kind == "npy":
+                file.write_bytes(content)
+                continue
+            with zipfile.ZipFile(file, "w") as archive:
+                archive.writestr("xyz.npy", content)
+        before = memory_mb()
+        with pytest.raises(AnnotatorError):
+            open_recording(folder).frame(0)
+        assert memory_mb() - before < MOST_GROWTH_MB, name
+        assert not trace.exists() and not Path("x").exists(), name
+    # the array would have run code where it is unpickled
+    np.load(io.BytesIO(_object_array(trace)), allow_pickle=True)
+    assert trace.is_dir()
+
+
+def _must_fail(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+    """Runs a command, which must report unusable input; returns what it says."""
+    code = main([str(word) for word in words])
+    said = capsys.readouterr()
+    assert code == 2, (words, code, said)
+    assert "Traceback" not in said.err and len(said.err) < 5000, said.err
+    return said.err
+
+
+DAMAGED = {
+    "deep": "[" * 200_000,
+    "deep object": '{"a":' * 200_000,
+    "numbers": '{"name": ' + "9" * 1_000_000 + "}",
+    "not a number": '{"version": NaN}',
+    "null": "null",
+    "unknown": json.dumps({"__reduce__": ["os.system", ["true"]]}),
+    "bytes": "\udcff\udcfe",
+}
+
+
+@pytest.mark.parametrize("text", DAMAGED.values(), ids=DAMAGED)
+def test_a_sent_project_with_a_hostile_configuration_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    assert main(["new", "sent", "--classes", "hand", "--projects", str(tmp_path)]) == 0
+    (tmp_path / "sent/project.json").write_bytes(text.encode("utf-8", "surrogateescape"))
+    capsys.readouterr()
+    for command in ("stats", "check"):
+        _must_fail(capsys, command, "sent", "--projects", tmp_path)
+
+
+NAMES = (
+    "<img src=x onerror=alert(1)>",
+    "$(touch hacked)",
+    "; touch hacked",
+    "`touch hacked`",
+    "-rf",
+    "--config=x",
+    "%s%n{0}",
+    "\x1b[31mred\x1b]0;title\x07",
+    "a\nb",
+    "=cmd|'calc'!A0",
+    "‮gpj.exe",
+    "..",
+    "CON",
+    "é" * 100,
+    "😀",
+    "'; DROP TABLE labels; --",
+)
+
+
+def test_recordings_with_hostile_names_are_added_exported_and_leave_nothing_outside(
+    generated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    projects, outside = tmp_path / "projects", tmp_path / "cwd"
+    outside.mkdir()
+    assert main(["new", "room", "--classes", "person", "--projects", str(projects)]) == 0
+    for number, name in enumerate(NAMES):
+        if name == "..":
+            continue
+        folder = tmp_path / f"in{number}" / name
+        folder.parent.mkdir()
+        folder.symlink_to(generated / "people")
+        # as an absolute path, which cannot be an option
+        code = main(["add", "room", str(folder), "--projects", str(projects)])
+        said = capfd.readouterr()
+        assert code in (0, 2), (name, said)
+        assert "\x1b]" not in said.out + said.err, "a title is set on the terminal"
+    for kind in ("rcv", "kitti", "coco", "yolo", "openlabel", "labelcloud", "nuscenes"):
+        out = tmp_path / "out" / kind
+        code = main(["export", "room", str(out), "--format", kind, "--projects", str(projects)])
+        said = capfd.readouterr()
+        assert code in (0, 2), (kind, said)
+        assert "internal" not in said.err and "Traceback" not in said.err, said.err
+        assert "\x1b]" not in said.out + said.err
+    made = {path.relative_to(tmp_path).parts[0] for path in tmp_path.iterdir()}
+    assert made <= {"projects", "out", "cwd", *(f"in{number}" for number in range(len(NAMES)))}
+    assert not list(tmp_path.rglob("hacked*")) and not Path("hacked").exists()

@@ -1,0 +1,149 @@
+"""WebSockets: foreign pages, malformed and endless messages, floods, and readers that do not read."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import pytest
+from live_server import PATIENCE_S, running
+from raw import MOST_GROWTH_MB, memory_mb, require_alive
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+if TYPE_CHECKING:
+    from live_server import Live
+
+    from annotator.web.settings import ServerSettings
+
+FLOOD = 20_000
+OPEN = {"type": "open", "project": "room", "frame": 1}
+
+
+@pytest.fixture
+def live(web_settings: ServerSettings) -> Iterator[Live]:
+    """A server that still answers, sends events and has not grown after each test."""
+    with running(web_settings) as server:
+        require_alive(server)
+        before = memory_mb()
+        yield server
+        require_alive(server)
+        with _events(server) as events:
+            events.send(json.dumps(OPEN))
+            assert "presence" in events.recv(timeout=PATIENCE_S)
+        assert memory_mb() - before < MOST_GROWTH_MB
+
+
+def _events(live: Live, query: str = "?project=room", **more: str) -> ClientConnection:
+    headers = {"Cookie": live.cookies(), **more}
+    return connect(live.socket_url(f"/api/events{query}"), additional_headers=headers, origin=live.url, max_size=None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("query", ["?project=..", "?project=" + "a" * 65, "?project=%00", "?project=nothing"])
+def test_a_socket_of_no_project_is_refused(live: Live, query: str) -> None:
+    with pytest.raises(InvalidStatus) as refused, _events(live, query):
+        pass
+    assert 400 <= refused.value.response.status_code < 500
+
+
+def test_a_socket_without_an_operator_is_refused(live: Live) -> None:
+    others = "; ".join(part for part in live.cookies().split("; ") if not part.startswith("annotator_operator"))
+    with pytest.raises(InvalidStatus) as refused, _events(live, Cookie=others):
+        pass
+    assert refused.value.response.status_code in (401, 403)
+
+
+MESSAGES: dict[str, str | bytes] = {
+    "binary": b"\0\1\2",
+    "pickle": b"\x80\x04.",
+    "not JSON": "{",
+    "deep": "[" * 100_000,
+    "number": "1" * 100_000,
+    "unknown": json.dumps({"type": "shutdown"}),
+    "more": json.dumps({**OPEN, "operator": "root"}),
+    "path": json.dumps({**OPEN, "project": "../../etc"}),
+    "types": json.dumps({**OPEN, "frame": [1]}),
+    "large": json.dumps({**OPEN, "project": "a" * 900_000}),
+    "too large": "a" * (20 << 20),
+    "null": "null",
+    "empty": "",
+    "frame": json.dumps({**OPEN, "frame": 2**53}),
+    "viewport": json.dumps({"type": "workbench", "id": "../1"}),
+}
+
+
+@pytest.mark.parametrize("message", MESSAGES.values(), ids=MESSAGES)
+def test_a_malformed_message_ends_its_own_connection_at_most(live: Live, message: str | bytes) -> None:
+    with _events(live) as other, _events(live) as events:
+        try:
+            events.send(message)
+            events.ping().wait(5.0)
+        except ConnectionClosed:
+            pass
+        other.send(json.dumps(OPEN))
+        while "Ada" not in other.recv(timeout=PATIENCE_S):
+            pass
+
+
+def test_frames_that_break_the_protocol_end_their_own_connection_at_most(live: Live) -> None:
+    host, port = live.url.removeprefix("http://").split(":")
+    head = (
+        f"GET /api/events?project=room HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: {live.url}\r\n"
+        f"Cookie: {live.cookies()}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    ).encode()
+    for frame in (
+        b"\x81\x05hello",  # without a mask
+        b"\xff\x80\0\0\0\0",  # reserved bits and opcode
+        b"\x81\xff" + struct.pack(">Q", 2**63 - 1) + b"\0\0\0\0a",  # 8 exabytes are announced
+        b"\x89\xfe\xff\xff\0\0\0\0" + b"a" * 70_000,  # a long ping
+        b"\x80\x80\0\0\0\0",  # the end of nothing
+        b"\x81\x84\0\0\0\0\xff\xfe\xfd\xfc",  # no UTF-8
+        b"\x88\x82\0\0\0\0\x00\x01",  # an invalid reason to close
+        b"\x01\x81\0\0\0\0[" * 50_000,  # a message in parts without end
+        b"\x00" * 10_000,
+    ):
+        with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as raw:
+            raw.sendall(head)
+            assert raw.recv(4096).startswith(b"HTTP/1.1 101")
+            with suppress(OSError):  # it has been closed already
+                raw.sendall(frame)
+
+
+def test_a_flood_of_messages_does_not_stop_the_others(live: Live) -> None:
+    with _events(live) as events:
+        try:
+            for number in range(FLOOD):
+                events.send(json.dumps({**OPEN, "frame": 1 + number % 5}))
+                if number % 2000 == 0:
+                    require_alive(live)
+        except ConnectionClosed:
+            pass  # a limit of messages
+
+
+def test_readers_that_do_not_read_are_dropped_or_kept_small(live: Live) -> None:
+    sockets = [_events(live) for _ in range(20)]
+    try:
+        for number in range(100):
+            answer = live.client.post("/api/projects/room/frames/1/changes", json=_change(live, number))
+            assert answer.status_code == 200, answer.text
+    finally:
+        for each in sockets:
+            each.close()
+
+
+def _change(live: Live, number: int) -> dict[str, object]:
+    kind = "finalise" if number % 2 == 0 else "reopen"
+    revision = live.client.get("/api/projects/room/frames/1").json()["frame"]["revision"]
+    return {"revision": revision, "changes": [{"kind": kind}]}
+
+
+def test_connections_that_come_and_go_leave_nothing(live: Live) -> None:
+    for _ in range(300):
+        with _events(live):
+            pass
+    assert len(live.context.hub._clients) <= 1

@@ -1,0 +1,55 @@
+"""The heaps that the C library gives to threads."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+# Prints how many MB 80 MB of freed pieces still take, and the heaps after 16 threads have allocated at once.
+COUNT = """
+import contextlib, ctypes, sys, threading, time
+sys.path.insert(0, sys.argv[1])
+from annotator.web.heaps import tidy_heaps
+libc = ctypes.CDLL(None)
+if not hasattr(libc, "malloc_trim"):
+    sys.exit()
+libc.malloc.restype = libc.fdopen.restype = ctypes.c_void_p
+rss = lambda: int(open("/proc/self/statm").read().split()[1]) >> 8
+def allocate():
+    barrier.wait()
+    libc.malloc(100_000)
+    barrier.wait()
+with tidy_heaps(0.01) if sys.argv[2] == "tidy" else contextlib.nullcontext():
+    barrier = threading.Barrier(16)
+    threads = [threading.Thread(target=allocate) for _ in range(16)]
+    [thread.start() for thread in threads]
+    [thread.join() for thread in threads]
+    before = rss()
+    pieces = [ctypes.c_void_p(libc.malloc(20_000)) for _ in range(4000)]
+    [ctypes.memset(piece, 1, 20_000) for piece in pieces]
+    [libc.free(piece) for piece in pieces[:-1]]
+    end = time.monotonic() + (60 if sys.argv[2] == "tidy" else 0)
+    while rss() - before > 20 and time.monotonic() < end:
+        time.sleep(0.01)
+    print("rest", rss() - before)
+out = ctypes.c_void_p(libc.fdopen(1, b"w"))
+sys.stdout.flush()
+libc.malloc_info(0, out)
+libc.fflush(out)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
+def test_threads_share_two_heaps_and_free_memory_is_returned() -> None:
+    said = {}
+    for how in ("tidy", "default"):
+        command = [sys.executable, "-c", COUNT, str(Path(__file__).parents[2]), how]
+        said[how] = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    if said["default"].count("<heap nr=") <= 2:
+        pytest.skip("this C library makes few heaps")
+    assert said["tidy"].count("<heap nr=") <= 2
+    rest = {how: int(text.split()[1]) for how, text in said.items()}
+    assert rest["tidy"] <= 20 < rest["default"], rest
