@@ -6,7 +6,7 @@ in use; if there is no base detector, the newest detector is used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from annotator.detection.base_detector import has_base
@@ -27,6 +27,8 @@ DEFAULT_VIEW_PX = 64
 FIRST_PART_S = 180.0
 # A shorter part is not begun. This includes the time to draw views and to measure.
 MIN_PART_S = 45.0
+# The first part of at least this length begins anew. In a shorter one, random weights learn too little. Seconds.
+ANEW_S = 600.0
 # The rate rises quickly, because a detector that knows objects has no bad beginning.
 WARMUP_EPOCHS = 0.5
 # More epochs than any training has.
@@ -118,6 +120,17 @@ def part_seconds(minutes: float) -> Iterator[float]:
         length = part if left - part >= MIN_PART_S else left
         yield length
         left, part = left - length, 2 * part
+
+
+def part_anew(lengths: Sequence[float], start: Start, held_out: HeldOut, config: TrainingConfig) -> int | None:
+    """The part that starts from published or random weights, with the project's classes; None if there is none.
+
+    Such a detector is better than one that continues the base detector for some projects, and much worse for others
+    (docs/detector_training.md). So it is tried only where held-out objects decide.
+    """
+    if start.model is None or not held_out.decides or config.pretrained != "auto":
+        return None
+    return next((part for part, length in enumerate(lengths) if length >= ANEW_S), None)
 
 
 def starting_config(config: TrainingConfig, start: UsedModel, seconds: float | None, seed: int) -> TrainingConfig:

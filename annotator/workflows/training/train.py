@@ -30,6 +30,7 @@ from annotator.workflows.training.rounds import (
     Choice,
     choose_start,
     image_config,
+    part_anew,
     part_seconds,
     starting_config,
 )
@@ -218,12 +219,15 @@ class _ViewTraining:
         self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)
         choice = Choice(project, held_out, start, plan.decides)
         ends: list[float | None] = [None]
+        anew = None
         if plan.view.epochs is None and (choice.origin is not None or plan.minutes is not None):
-            ends = [begin + end for end in accumulate(part_seconds(plan.minutes or FIRST_PART_S / 60))]
+            lengths = list(part_seconds(plan.minutes or FIRST_PART_S / 60))
+            ends = [begin + end for end in accumulate(lengths)]
+            anew = part_anew(lengths, start, held_out, plan.view) if plan.decides else None
         parts = []
         for number, end in enumerate(ends):
             report = None if self.report is None else partial(_in_part, self.report, number + 1, len(ends))
-            parts.append(self._part(choice, number, end, report))
+            parts.append(self._part(choice, None if number == anew else choice.origin, number, end, report))
         active = project.models.active(DetectorKind.VIEW)
         used = [part for part in parts if active is not None and part[0].model.id == active.id]
         ran, decision = (used or parts)[-1]
@@ -231,14 +235,17 @@ class _ViewTraining:
         lines = tuple(self.left_out.lines)
         return Trained(DetectorKind.VIEW, model, ran.result, ran.manifest, seconds, lines, decision)
 
-    def _part(self, choice: Choice, number: int, end_s: float | None, report: Report | None) -> tuple[Ran, Decision]:
+    def _part(
+        self, choice: Choice, origin: UsedModel | None, number: int, end_s: float | None, report: Report | None
+    ) -> tuple[Ran, Decision]:
         """One part, with views of its own.
 
         Args:
+            origin: the detector that it continues; None: published or random weights.
             number: from 0.
             end_s: when it should end, by `time.perf_counter`, without pauses; None: a run of epochs or pictures.
         """
-        plan, origin = self.plan, choice.origin
+        plan = self.plan
         drawing = plan.samples.model_copy(update={"seed": plan.samples.seed + number})
         agnostic = origin is not None and origin.class_agnostic
         samples = self._samples(origin, drawing)

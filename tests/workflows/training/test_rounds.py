@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -475,6 +476,30 @@ def test_a_round_continues_the_base_detector_for_the_time_it_is_given(labelled: 
     origins = read_manifest(trained.model.path.parent).images_by_origin["train"]
     assert origins["generated"] > 0
     assert own_model(labelled, trained.model).class_agnostic
+
+
+@pytest.mark.parametrize(
+    ("changes", "anew"),
+    [({}, [2]), ({"decides": False}, []), ({"minutes": 12.0}, []), ({"view": {"pretrained": "never"}}, [0, 1, 2, 3])],
+)
+def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
+    labelled: Project, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], anew: list[int]
+) -> None:
+    install_base()
+    origins: list[UsedModel | None] = []
+
+    def part(self: object, choice: Choice, origin: UsedModel | None, number: int, *_: object) -> None:
+        origins.append(origin)
+        if number == 3:
+            raise TrainingStoppedError("enough")
+
+    monkeypatch.setattr("annotator.workflows.training.train._ViewTraining._part", part)
+    monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)
+    view = CONFIG.model_copy(update={"epochs": None, **changes.pop("view", {})})
+    with suppress(TrainingStoppedError, TypeError):
+        train(labelled, replace(PLAN, view=view, **{"minutes": 60.0, **changes}), roles=(DetectorKind.VIEW,))
+    assert len(origins) == (3 if "minutes" in changes else 4)
+    assert [number for number, origin in enumerate(origins) if origin is None] == anew
 
 
 def test_progress_counts_the_parts_and_the_time_of_a_run_with_a_fixed_duration() -> None:
