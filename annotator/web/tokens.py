@@ -10,7 +10,7 @@ import stat
 from dataclasses import replace
 from pathlib import Path
 
-from annotator.files import make_private, private_folder
+from annotator.files import make_private, private_folder, read_file
 from annotator.types.errors import ConfigError
 from annotator.web.security import check_settings, is_loopback
 from annotator.web.settings import ServerSettings
@@ -77,7 +77,7 @@ def _key() -> bytes:
     try:
         private_folder(path.parent)
         make_private(path)
-        key = path.read_bytes()
+        key = read_file(path, MOST_BYTES)
         if len(key) != KEY_BYTES:
             key = secrets.token_bytes(KEY_BYTES)
             path.write_bytes(key)

@@ -8,13 +8,13 @@ import shutil
 import stat
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.files import ARCHIVE_ERRORS, CHUNK_BYTES
+from annotator.files import ARCHIVE_ERRORS, CHUNK_BYTES, open_file
 from annotator.project.backup.content import ModelChoice, is_content
 from annotator.project.config import CONFIG_FILE
 from annotator.project.store import DATABASE_FILE
@@ -85,7 +85,7 @@ def add_file(archive: zipfile.ZipFile, name: str, path: Path, *, packed: bool = 
     info.compress_type = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
     info._compresslevel = 1  # type: ignore[attr-defined] # `ZipFile.open` has no argument for it
     info.external_attr = (stat.S_IFREG | 0o600) << 16
-    with path.open("rb") as source, archive.open(info, "w", force_zip64=True) as target:
+    with open_file(path) as source, archive.open(info, "w", force_zip64=True) as target:
         size, sha256 = _copy(source.read, target.write)
     return BackupFile(path=name, bytes=size, sha256=sha256)
 
@@ -106,10 +106,10 @@ def open_backup(path: Path) -> Iterator[tuple[zipfile.ZipFile, BackupManifest]]:
     """
     if not path.is_file():
         raise FormatError(path, "no such file; give a file that `annotator project backup` has written")
-    with _reported(path):
-        opened = zipfile.ZipFile(path)
-    with opened as archive:
+    with ExitStack() as opened:
         with _reported(path):
+            # its list of files may be long: a project has an image for each view
+            archive = opened.enter_context(zipfile.ZipFile(opened.enter_context(open_file(path))))
             manifest = _read_manifest(path, archive)
             _check_entries(path, archive, manifest)
         yield archive, manifest

@@ -23,6 +23,8 @@ from urllib.parse import quote
 
 from sqlalchemy import Connection
 
+from annotator.files import open_file
+
 NO_TOKEN = "0" * 32
 # Attempts to read both files while another process writes.
 _ATTEMPTS = 5
@@ -88,7 +90,7 @@ class _Wal:
 def _read_wal(path: Path) -> _Wal | None:
     """Reads a WAL; None if there is none, or if SQLite would ignore it."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             header = file.read(_HEADER)
             if len(header) < _HEADER or int.from_bytes(header[:4], "big") not in _MAGIC:
                 return None

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, Table, select
 
-from annotator.files import CHUNK_BYTES
+from annotator.files import CHUNK_BYTES, open_file
 from annotator.project.backup.content import VIEW_FILE, is_regular, stored_files
 from annotator.project.backup.database_check import database_problems
 from annotator.project.backup.generation import has_foreign_wal
@@ -177,7 +177,7 @@ def _file_problems(project: Path, copy: Path) -> Iterator[str]:
 def _is_own_hash(project: Path, name: str) -> bool:
     digest = hashlib.sha256()
     try:
-        with (project / name).open("rb") as file:
+        with open_file(project / name) as file:
             while chunk := file.read(CHUNK_BYTES):
                 digest.update(chunk)
     except OSError:
