@@ -11,12 +11,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.recordings.table import READERS
-from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.recorded.own_labels import import_own_labels
-from annotator.workflows.recorded.reading import load_truth
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
@@ -66,17 +62,6 @@ def test_scans_with_a_camera_become_a_folder_of_clouds(my_loader: ModuleType, tm
     assert (recording.format, len(cloud)) == ("cloud_folder", seen.sum())
     np.testing.assert_allclose(cloud.xyz_m, in_camera[seen], atol=1e-5)
     np.testing.assert_allclose(cloud.reflectance, reflectance[seen], atol=1e-6)
-
-
-def test_links_make_recordings_of_kittis_sequences(my_loader: ModuleType, people: Project, tmp_path: Path):
-    import_own_labels(people, people.recordings.all()[0].id)
-    report = export_project(
-        people, tmp_path / "kitti_tracking", ExportFormat.KITTI_TRACKING, choose=ExportFilter(empty_frames=True)
-    )
-    run(2)
-    recording = open_recording(tmp_path / "recordings" / "0000")
-    assert (recording.format, len(recording)) == ("kitti_tracking", report.frames)
-    assert sum(len(load_truth(recording, i, recording.frame(i))) for i in range(len(recording))) == report.objects
 
 
 def test_the_page_names_every_format():

@@ -240,7 +240,7 @@ def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
     ("content", "problem"),
     [
         (b"", "is not a MATLAB file"),
-        (bomb, "is larger than 4 MiB when unpacked"),
+        (bomb, "has more than 4 MiB when unpacked"),
         (b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, 4) + b"abcd", "is damaged"),
         (b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + b"\xff" * 64, "has a damaged element"),
         ({"SUNRGBDMeta": np.eye(3)}, "SUNRGBDMeta is not a struct array"),

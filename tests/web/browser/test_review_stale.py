@@ -80,7 +80,9 @@ OVERTAKING = """async () => {
   const { createFrameState } = await load("frame_state");
   const { createState } = await load("state");
   const picture = (project, id) => ({ url: `/${project}/${id}` });
-  const frame = (revision, id = 1, project = "room") => ({ frame: { id, revision }, image: picture(project, id) });
+  const frame = (revision, id = 1, project = "room") => ({
+    frame: { id, revision }, image: picture(project, id), siblings: [],
+  });
   let answer = frame(3);
   const app = { state: createState({ frame: null }), path: () => "", api: { get: async () => answer } };
   const frames = createFrameState(app);

@@ -248,8 +248,8 @@ function createForm(app) {
         "Each picture is shown many times, with small random changes. More pictures take longer and train better; ",
         "larger pictures show small objects better. An empty field uses the number shown in grey. ",
         "A view detector that starts from another one trains for this many minutes. After the first three, it ",
-        "is used at once if it is better. Beyond three minutes, the image detector learns longer, too. A fifth of the frames is never used for training: it decides which one ",
-        "is used.",
+        "is used at once if it is better. Beyond three minutes, the image detector learns longer, too. ",
+        "A fifth of the frames is never used for training: it decides which one is used.",
       ),
     ),
   );
