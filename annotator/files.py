@@ -96,8 +96,8 @@ def link_out(folder: Path, unvisited: str = "") -> Path | None:
     left = [str(folder)]
     while left:
         place = left.pop()
-        # another process may remove temporary files meanwhile
-        with suppress(FileNotFoundError), os.scandir(place) as entries:
+        # another process may remove temporary files meanwhile; no file is reached through a folder that may not be read
+        with suppress(FileNotFoundError, PermissionError), os.scandir(place) as entries:
             for entry in entries:
                 if entry.is_symlink():
                     if not is_within(folder, Path(entry.path).relative_to(folder)):

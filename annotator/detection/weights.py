@@ -62,6 +62,10 @@ FORMATS = {
 MOST_LAYERS, DEEPEST = 20_000, 50
 
 
+# Limit of the description of a network, which is small beside its numbers.
+PICKLE_BYTES = 2**22
+
+
 def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
     """Loads a detection model in eval mode, in single precision. No code of the file is run.
 
@@ -195,6 +199,8 @@ def _network(content: bytes) -> tuple[NetworkDescription, dict[str, Any]]:
         if sum(entry.file_size for entry in archive.infolist()) > NETWORK_BYTES:
             raise pickle.UnpicklingError(f"has more than {NETWORK_BYTES >> 20} MiB")
         (name,) = (name for name in archive.namelist() if name.endswith("/data.pkl") and name.count("/") == 1)
+        if archive.getinfo(name).file_size > PICKLE_BYTES:
+            raise pickle.UnpicklingError(f"its description has more than {PICKLE_BYTES >> 20} MiB")
         checkpoint = _Reader(io.BytesIO(archive.read(name))).load()
         model = checkpoint.get("ema") or checkpoint.get("model")
         state = _state(model)

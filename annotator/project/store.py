@@ -26,6 +26,8 @@ from annotator.types.errors import RESTORE, ProjectError, ReplacedError
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
+# How long closing waits for a connection that another thread uses: one that reads is soon done.
+KEEP_WAIT_S = 5.0
 # The web server uses about this many threads at once, each with its own connection.
 THREADS = 20
 
@@ -176,9 +178,16 @@ class Store:
     def close(self) -> None:
         """Closes all connections; what a replaced database held is kept first."""
         # without a connection it is closed already; and who removes or replaces a whole project means it
-        if self.pool.checkedin() and self.file.is_same_folder() and not self.file.is_current():
+        if self._has_connection() and self.file.is_same_folder() and not self.file.is_current():
             self._keep()
         self.engine.dispose()
+
+    def _has_connection(self) -> bool:
+        """Whether a connection is free, after waiting a little for those that others use."""
+        ends_s = time.monotonic() + KEEP_WAIT_S
+        while not self.pool.checkedin() and self.pool.checkedout() and time.monotonic() < ends_s:
+            time.sleep(0.01)
+        return self.pool.checkedin() > 0
 
     def _keep(self) -> None:
         try:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from annotator.project.backup.unfinished import is_abandoned
+
 LOG = logging.getLogger("annotator.web")
 
 # Younger ones may be in use: a file is written in moments, a project created in less than a second.
@@ -27,6 +29,8 @@ def clear_leftovers(projects_root: Path) -> None:
             if path.lstat().st_mtime > oldest_s:
                 continue
             if path.is_dir() and not path.is_symlink():
+                if not is_abandoned(path):
+                    continue
                 shutil.rmtree(path)
             else:
                 path.unlink()

@@ -6,6 +6,7 @@ import os
 import shutil
 import sqlite3
 import stat
+import struct
 import threading
 import time
 import zipfile
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, some_boxes, state_of
+from time_limit import time_limit
 
 from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
 from annotator.project.backup import automatic
@@ -507,6 +509,32 @@ def test_a_backup_is_due_some_hours_after_the_first_change(tmp_path: Path) -> No
         assert BackupClock().is_due(project.path, project.store)
         project.configure(settings=project.config.settings.model_copy(update={"backup_hours": None}))
         assert not clock.is_due(project.path, project.store)
+
+
+def test_a_backup_of_more_events_than_the_project_has_says_nothing_about_it(tmp_path: Path) -> None:
+    with create_project(tmp_path, "hands", ("hand",), clock=lambda: time.time_ns() - int(5 * 3600e9)) as project:
+        project.recordings.add(tmp_path / "take", "rgbd", "take", ["0", "1"], True)
+        older = shutil.copytree(project.path, tmp_path / "older")
+        for frame in (1, 2):
+            project.boxes.set_on_image(frame, [], BoxKind.BOX, by_hand())
+        back_up_automatically(project.path, Reason.CHANGES)
+    shutil.rmtree(project.path)
+    older.rename(project.path)
+    with open_project(project.path, clock=lambda: time.time_ns() - int(5 * 3600e9)) as restored:
+        restored.boxes.set_on_image(1, [], BoxKind.BOX, by_hand())
+        assert BackupClock().is_due(restored.path, restored.store)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [struct.pack(">IIII", 0x377F0682, 3007000, 2**32 - 1, 0), struct.pack(">IIII", 0x377F0682, 3007000, 4096, 0)],
+)
+def test_a_huge_empty_wal_does_not_hold_up_an_open(full: Path, header: bytes) -> None:
+    with (full / "project.db-wal").open("wb") as file:
+        file.write(header)
+        file.truncate(2**33)
+    with time_limit(20), open_project(full) as project:
+        assert project.problems() == []
 
 
 # --- kills ------------------------------------------------------------------------------------------------------------

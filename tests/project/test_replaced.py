@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -85,6 +87,27 @@ def test_what_a_removed_database_held_is_kept(project: Project, frame: int, back
     with open_project(project.path) as anew:
         assert anew.problems() == []
         assert len(anew.labels.of_frame(frame)) == 2
+
+
+def test_what_a_replaced_database_held_is_kept_while_it_is_read(project: Project, backup: Path) -> None:
+    reads, replaced = threading.Event(), threading.Event()
+
+    def read() -> None:
+        with project.store.read():
+            reads.set()
+            replaced.wait(10)
+            time.sleep(0.2)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    assert reads.wait(10)
+    _database(project.path, backup)
+    replaced.set()
+    project.close()
+    thread.join()
+    assert len(list(project.path.parent.glob(".replaced/hands.until-*.db"))) == 1
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
 
 
 @pytest.mark.parametrize("suffix", ["-wal", "-shm"])

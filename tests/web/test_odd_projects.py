@@ -18,6 +18,7 @@ from in_process import HERE, ask
 from live_server import PATIENCE_S, wait_until
 
 from annotator.project import create_project
+from annotator.project.backup.unfinished import unfinished_folder
 from annotator.types.errors import NotFoundError
 from annotator.web import fairness, projects
 from annotator.web.app import create_app
@@ -254,6 +255,13 @@ def test_a_start_removes_what_killed_processes_left(
     assert others.exists()
     assert (root / "room" / "project.json").exists()
     assert caplog.text.count("a process that was killed had left it") == len(left)
+
+
+def test_a_start_leaves_alone_what_a_process_still_fills(web_settings: ServerSettings) -> None:
+    with unfinished_folder(web_settings.projects_root, "restored") as filled:
+        os.utime(filled, (0, 0))
+        clear_leftovers(web_settings.projects_root)
+        assert filled.exists()
 
 
 def test_a_project_that_cannot_be_written_is_shown_and_refuses_changes(

@@ -85,8 +85,8 @@ class BackupClock:
             self._backed_up[project] = _last_backed_up(project)
         with store.read() as connection:
             newest = connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one()
-            # a restored project has fewer events than its backups
-            after = min(self._backed_up[project], newest)
+            # a restored project has fewer events than its backups, which say nothing about it
+            after = self._backed_up[project] if self._backed_up[project] <= newest else 0
             first = connection.execute(select(events.c.time_ns).where(events.c.id > after).limit(1)).scalar()
         return first is not None and time.time_ns() - first >= hours * _NS_PER_HOUR
 

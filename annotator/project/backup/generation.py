@@ -33,6 +33,8 @@ _ADVANCE = (
 )
 _CHAIN = re.compile(rb"annotator-generation ([0-9a-f]{32}) ([0-9a-f]{32})")
 # SQLite's file format, sections 4.1 and 4.2: sizes of the headers of a WAL and of its frames, the two magic numbers.
+# Sizes of pages that SQLite knows.
+_PAGE_BYTES = {2**power for power in range(9, 17)}
 _HEADER, _FRAME_HEADER, _MAGIC = 32, 24, (0x377F0682, 0x377F0683)
 _TABLE_LEAF = 0x0D
 
@@ -95,10 +97,13 @@ def _read_wal(path: Path) -> _Wal | None:
             if len(header) < _HEADER or int.from_bytes(header[:4], "big") not in _MAGIC:
                 return None
             (page_bytes,), salts = struct.unpack(">I", header[8:12]), header[16:24]
+            if page_bytes not in _PAGE_BYTES:
+                return None
             has_commits = False
             chain: list[tuple[str, str]] = []
             while len(frame := file.read(_FRAME_HEADER + page_bytes)) == _FRAME_HEADER + page_bytes:
-                if frame[8:16] != salts:  # left from before the file was begun anew
+                # left from before the file was begun anew, or no page at all
+                if frame[8:16] != salts or not any(frame[:4]):
                     break
                 has_commits = has_commits or any(frame[4:8])
                 chain += _links(frame[_FRAME_HEADER:])

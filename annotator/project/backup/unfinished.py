@@ -27,7 +27,7 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
     """
     root.mkdir(parents=True, exist_ok=True)
     for left in root.glob(f".{name}.*.unfinished"):
-        if _is_abandoned(left):
+        if is_abandoned(left):
             shutil.rmtree(left, ignore_errors=True)
     folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
     private_folder(folder)
@@ -40,7 +40,7 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
             os.close(lock)
 
 
-def _is_abandoned(folder: Path) -> bool:
+def is_abandoned(folder: Path) -> bool:
     """True if no process holds the folder's lock."""
     with suppress(OSError):
         if time.time() - folder.stat().st_mtime < YOUNG_S:

@@ -6,13 +6,15 @@ Nothing here opens the file. Closing any descriptor of it would drop SQLite's lo
 from __future__ import annotations
 
 import os
+import stat
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
 
-from annotator.types.errors import ReplacedError
+from annotator.types.errors import ProjectError, ReplacedError
 
-WAL, SHARED_MEMORY = "-wal", "-shm"
+WAL, SHARED_MEMORY, JOURNAL = "-wal", "-shm", "-journal"
 
 Identity = tuple[int, ...]
 
@@ -100,10 +102,20 @@ def database_file(path: Path) -> DatabaseFile:
     with more rights has it open or has not closed it properly: then its latest changes are in the files beside it.
     """
     place = path.absolute()
+    _require_regular(place)
     is_writable = os.access(place, os.W_OK) and os.access(place.parent, os.W_OK)
     is_fixed = not is_writable and not _has_wal(place)
     identity, folder = identity_of(place, is_fixed), identity_of(place.parent)
     return DatabaseFile(path, place, identity, folder, is_writable, is_fixed)
+
+
+def _require_regular(place: Path) -> None:
+    """Refuses pipes and devices in place of the database or the files that SQLite reads beside it: it would wait."""
+    for suffix in ("", WAL, SHARED_MEMORY, JOURNAL):
+        path = place.with_name(place.name + suffix)
+        with suppress(OSError):
+            if not stat.S_ISREG(path.stat().st_mode):
+                raise ProjectError(f"{path}: is not a regular file; remove it")
 
 
 def identity_of(path: Path, is_fixed: bool = False) -> Identity | None:
