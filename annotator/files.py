@@ -295,7 +295,7 @@ def new_folder(out: Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]
         _clear_leftovers(out)
         _require_free(out, may_replace)
         out.parent.mkdir(parents=True, exist_ok=True)
-        part, lock = _locked_folder(f".{out.name}.part-", out.parent)
+        part, lock = locked_folder(lambda: Path(tempfile.mkdtemp(prefix=f".{out.name}.part-", dir=out.parent)))
     except OSError as error:
         raise FormatError(out, f"cannot be created ({error.strerror})") from error
     try:
@@ -316,7 +316,7 @@ def _clear_leftovers(out: Path) -> None:
     """
     # mkdtemp appends eight characters
     parts, olds = ([*out.parent.glob(f".{glob.escape(out.name)}.{kind}-????????")] for kind in ("part", "old"))
-    locks = [_lock(part) for part in parts]
+    locks = [lock_folder(part) for part in parts]
     try:
         if None in locks:
             return
@@ -334,20 +334,33 @@ def _clear_leftovers(out: Path) -> None:
             os.close(lock)
 
 
-def _locked_folder(prefix: str, parent: Path) -> tuple[Path, int | None]:
-    """A new temporary folder, and its lock, which the system releases when the process ends."""
+def locked_folder(make: Callable[[], Path]) -> tuple[Path, int | None]:
+    """A new folder, and the descriptor that holds its lock until it is closed or the process ends.
+
+    Args:
+        make: creates a folder under a new name.
+
+    Raises:
+        OSError: it cannot be created.
+    """
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-        lock = _lock(folder)
-        # another process may have removed it before it was locked
+        folder = make()
+        lock = lock_folder(folder, waits=True)
+        # another process may have taken it for a leftover, and removed it, before it was locked
         if folder.exists():
             return folder, lock
         if lock is not None:
             os.close(lock)
 
 
-def _lock(folder: Path) -> int | None:
-    """A descriptor that holds the lock of a folder; None if another one does, or if there are no locks here."""
+def lock_folder(folder: Path, *, waits: bool = False, is_shared: bool = False, is_told: bool = False) -> int | None:
+    """A descriptor that holds the lock of a folder; None if another one does, or if there are no locks here.
+
+    Args:
+        waits: whether to wait for the lock.
+        is_shared: hold it with others that share it, but not while one holds it alone.
+        is_told: raise BlockingIOError if another one holds it, in place of returning None.
+    """
     try:
         import fcntl
     except ImportError:  # not a POSIX system
@@ -355,10 +368,13 @@ def _lock(folder: Path) -> int | None:
     descriptor = None
     try:
         descriptor = os.open(folder, os.O_RDONLY)
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+        kind = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
+        fcntl.flock(descriptor, kind if waits else kind | fcntl.LOCK_NB)
+    except OSError as error:
         if descriptor is not None:
             os.close(descriptor)
+        if is_told and isinstance(error, BlockingIOError):
+            raise
         return None
     return descriptor
 
@@ -368,14 +384,26 @@ def _require_free(out: Path, may_replace: Callable[[Path], bool]) -> None:
         raise FormatError(out, "exists and is not a folder; choose another folder")
     if out.is_dir() and any(out.iterdir()) and not may_replace(out):
         raise FormatError(
-            out, "exists and is not empty; choose another folder, or allow overwriting an existing dataset"
+            out,
+            "exists and is not empty; choose another folder, or remove what is in it (only an older export of the same "
+            "format can be overwritten)",
         )
+
+
+def _mode_of_folders(place: Path) -> int:
+    """The rights of new folders in `place`; to read the umask itself, the whole process would have to set it."""
+    probe = place / f".{uuid.uuid4().hex}"
+    probe.mkdir()
+    try:
+        return stat.S_IMODE(probe.stat().st_mode)
+    finally:
+        probe.rmdir()
 
 
 def _put_in_place(part: Path, out: Path) -> None:
     """Renames `part` to `out`. An existing `out` is moved aside first, and restored if the renaming fails."""
     try:
-        part.chmod(0o755)
+        part.chmod(_mode_of_folders(part))
         if not out.exists():
             part.rename(out)
             return

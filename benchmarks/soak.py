@@ -124,7 +124,7 @@ def _make_project(folder: Path, frames: int) -> Path:
     for words in (
         ["new", PROJECT, "--classes", LABEL],
         ["add", PROJECT, str(recording)],
-        ["import", PROJECT, "--as-2d"],
+        ["import", PROJECT, "--as", "2d"],
     ):
         if annotator([*words, "--projects", str(projects)]) != 0:
             raise ConfigError(f"annotator {' '.join(words)} failed")

@@ -1,10 +1,12 @@
-"""Times the database of a large project: adding frames, writing proposals, querying the pending frames.
+"""Times the database of a large project: adding frames, writing and importing proposals, pending frames, statistics.
 
-python -m benchmarks.store [--frames 10000] [--json]
+python -m benchmarks.store [--frames 10000] [--imported 100000] [--reviewed 10000] [--json]
 """
 
 from __future__ import annotations
 
+import json
+import resource
 import statistics
 import time
 from collections.abc import Callable
@@ -17,13 +19,18 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from annotator.project import Project, RunShare, WriteContext, create_project
-from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
+from annotator.geometry.iou import iou_3d
+from annotator.project import Project, RunShare, WriteContext, create_project, open_project
+from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError
+from annotator.workflows.importing import BoxFormat, import_proposals, read_labels
 from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import Table, finish, guarded
+from benchmarks.worked_project import Work, worked_project
 
 LABEL = "person"
+# As many as the page asks for.
+MOST_ITEMS = 500
 
 
 @dataclass
@@ -36,6 +43,10 @@ class Arguments:
     """Number of frames that get proposals."""
     objects: int = 3
     """Number of proposals in each of these frames."""
+    reviewed: int = 0
+    """Number of frames of another project, which people have reviewed: the time of its statistics."""
+    imported: int = 100_000
+    """Number of boxes of each of two detectors to import as proposals, spread over all frames."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object as the last line."""
 
@@ -46,8 +57,10 @@ def run(args: Arguments, folder: Path) -> dict[str, float]:
     Raises:
         ConfigError: a number out of its range.
     """
-    if not 1 <= args.proposed <= args.frames or args.objects < 0:
-        raise ConfigError(f"--proposed must be 1 to --frames ({args.frames}), --objects 0 or more")
+    if not 1 <= args.proposed <= args.frames or min(args.objects, args.imported, args.reviewed) < 0:
+        raise ConfigError(
+            f"--proposed must be 1 to --frames ({args.frames}), --objects, --imported and --reviewed 0 or more"
+        )
     with create_project(folder, "long", (LABEL,)) as project:
         result = {"add_recording_ms": _milliseconds(lambda: _add(project, folder, args.frames))}
         run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}")
@@ -62,8 +75,65 @@ def run(args: Arguments, folder: Path) -> dict[str, float]:
         result["pending_ms"] = _milliseconds(lambda: project.jobs.pending(run.key))
         result["statistics_ms"] = _milliseconds(project.statistics)
         for order in Order:
-            result[f"queue_{order.value}_ms"] = _milliseconds(partial(queue, project, order))
-        return result
+            result[f"queue_{order.value}_ms"] = _milliseconds(partial(queue, project, order, most=MOST_ITEMS))
+        if args.imported:
+            result |= _imports(project, folder, args.imported)
+    return result | (_statistics(folder, args.reviewed) if args.reviewed else {})
+
+
+def _statistics(folder: Path, frames: int) -> dict[str, float]:
+    """Of a project with about three reviewed labels per frame, when they are computed and when they are known."""
+    work = Work(frames=frames, reviewed=frames)
+    worked_project(folder, "worked", work).close()
+    box = _proposal(0.0).box
+    iou_3d(box, box)  # loads the compiled code
+    with open_project(folder / "worked") as project:
+        first = _milliseconds(project.statistics)
+        return {"reviewed_statistics_ms": first, "known_statistics_ms": _milliseconds(project.statistics)}
+
+
+def _imports(project: Project, folder: Path, boxes: int) -> dict[str, float]:
+    """Imports two files with as many boxes; every second box of the second is an object of the first."""
+    result: dict[str, float] = {}
+    keys = [frame.key for frame in project.frames.of()]
+    for number, name in enumerate(("first", "second")):
+        file = folder / f"{name}.json"
+        _write_boxes(file, keys, boxes, shift_m=0.01 * number, every_other_m=2.5 * number)
+        before_mib, before_s = _peak_mib(), time.process_time()
+        result[f"import_{name}_detector_ms"] = _milliseconds(lambda: _import(project, file))  # noqa: B023
+        result[f"import_{name}_detector_cpu_ms"] = (time.process_time() - before_s) * 1000
+        result[f"import_{name}_detector_mib"] = _peak_mib() - before_mib
+    result["open_proposals"] = float(project.labels.count([ReviewState.PROPOSED]))
+    for order in Order:
+        result[f"queue_imported_{order.value}_ms"] = _milliseconds(partial(queue, project, order, most=MOST_ITEMS))
+    return result
+
+
+def _import(project: Project, file: Path) -> None:
+    import_proposals(project, read_labels(BoxFormat.BOXES, file))
+
+
+def _write_boxes(file: Path, keys: list[str], boxes: int, shift_m: float, every_other_m: float) -> None:
+    share, more = divmod(boxes, len(keys))
+    frames = {
+        key: [
+            {
+                "label": LABEL,
+                "center": [5.0 * n + shift_m + every_other_m * (n % 2), 40.1, 3.0],
+                "size": [1.0, 0.7, 0.4],
+                "rotation": np.eye(3).tolist(),
+                "score": (index * 31 + n * 7) % 100 / 100,
+            }
+            for n in range(share + (index < more))
+        ]
+        for index, key in enumerate(keys)
+    }
+    file.write_text(json.dumps(frames))
+
+
+def _peak_mib() -> float:
+    """The largest memory that this process has had so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def _add(project: Project, folder: Path, frames: int) -> None:
@@ -85,9 +155,9 @@ def main() -> None:
     args = tyro.cli(Arguments, description=__doc__)
     with TemporaryDirectory() as temporary:
         result = run(args, Path(temporary))
-    table = Table("operation", "ms")
+    table = Table("operation", "value")
     for name, value in result.items():
-        table.add(name.removesuffix("_ms"), value)
+        table.add(name, value)
     finish(result, args.json, table)
 
 

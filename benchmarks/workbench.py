@@ -1,6 +1,6 @@
 """The workbench's requirements: the operator's waiting times, and that no saved edit is lost.
 
-python -m benchmarks.workbench [--only switch,views,drag,million,kill,clients] [--json]
+python -m benchmarks.workbench [--only switch,views,drag,sheet,million,kill,clients] [--json]
 
 The browser is headless Chromium, which renders WebGL in software. On a computer with a graphics card the 3D view is
 faster.
@@ -20,12 +20,13 @@ import tyro
 
 from annotator.detection.base_detector import base_weights
 from annotator.types.errors import ConfigError
-from benchmarks import workbench_browser, workbench_edits
+from benchmarks import workbench_browser, workbench_edits, workbench_sheet
+from benchmarks.keystrokes import M
 from benchmarks.report import Table, finish, guarded
 from benchmarks.workbench_drag import first_drags
 from benchmarks.workbench_server import LABEL, PRESET, make_people, make_project, serving
 
-PARTS = ("switch", "views", "drag", "million", "kill", "clients")
+PARTS = ("switch", "views", "drag", "sheet", "million", "kill", "clients")
 KITTI = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc")
 # A depth image of this size has a million valid points.
 MILLION_PX = (1280, 800)
@@ -43,6 +44,8 @@ class Arguments:
     """Number of frame switches on each recording."""
     boxes: int = 24
     """Number of image boxes to draw on each recording."""
+    sheet_boxes: int = 100
+    """Number of boxes on the contact sheet."""
     kills: int = 50
     """How often the server is killed."""
     clients: int = 20
@@ -69,7 +72,15 @@ def run(args: Arguments) -> dict[str, Any]:
 
 
 def _measures() -> dict[str, Callable[[Arguments, Path], dict[str, Any]]]:
-    measures = (measure_switch, measure_views, measure_drag, measure_million, measure_kill, measure_clients)
+    measures = (
+        measure_switch,
+        measure_views,
+        measure_drag,
+        measure_sheet,
+        measure_million,
+        measure_kill,
+        measure_clients,
+    )
     return dict(zip(PARTS, measures, strict=True))
 
 
@@ -139,6 +150,18 @@ def _true_boxes(projects: Path, name: str, path: Path) -> list[tuple[int, tuple[
             if box is not None:
                 boxes.append((frame_id, box.xyxy))
     return boxes
+
+
+def measure_sheet(args: Arguments, folder: Path) -> dict[str, Any]:
+    """Opens the contact sheet of a long track: at once, and after the operator has looked at the selected box."""
+    recording = make_people(folder / "long", args.sheet_boxes, 640, 480)
+    result = {}
+    for name, pause_s in (("at_once", 0.0), ("after_a_look", M)):
+        projects = folder / f"sheet-{name}"
+        frame = workbench_sheet.make_track(projects, "sheet", LABEL, recording)
+        with serving(projects) as server, workbench_browser.chromium() as browser:
+            result[name] = workbench_sheet.opened(browser, server, "sheet", frame, args.sheet_boxes, pause_s)
+    return result
 
 
 def measure_million(args: Arguments, folder: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -29,6 +30,8 @@ settings.load_profile("annotator")
 
 ROOT = Path(__file__).resolve().parent.parent
 
+_ended: set[str] = set()
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("fuzz", "options of scripts/fuzz")
@@ -40,6 +43,19 @@ def pytest_configure(config: pytest.Config) -> None:
     if settings().derandomize:
         # Hypothesis also draws constants found in the loaded modules, which differ between processes
         providers._get_local_constants = providers.Constants
+
+
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_handlecrashitem(crashitem: str, report: pytest.TestReport) -> None:
+    """Lets a browser test try again if its process has ended, once; xdist starts its file again in a new process.
+
+    Chromium stopped answering once, and kept the processors busy until the time of the whole run was over. Now the
+    test's process ends after `timeout` (pyproject.toml), and its browser with it.
+    """
+    if crashitem.startswith("tests/web/browser/") and crashitem not in _ended:
+        _ended.add(crashitem)
+        report.outcome = "rerun"
+        sys.stderr.write(f"\n{crashitem}: its process has ended; the file is started again in a new one\n")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

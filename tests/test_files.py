@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from pathlib import Path
 
 import pytest
@@ -81,16 +83,28 @@ def test_what_a_killed_process_left_is_put_right(tmp_path: Path, caplog: pytest.
 def test_a_folder_that_vanishes_before_it_is_locked_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lock, removed = files._lock, list[Path]()
+    lock, removed = files.lock_folder, list[Path]()
 
-    def late(folder: Path) -> int | None:
+    def late(folder: Path, *, waits: bool = False) -> int | None:
         if not removed:
             removed.append(folder)
             folder.rmdir()
-        return lock(folder)
+        return lock(folder, waits=waits)
 
-    monkeypatch.setattr(files, "_lock", late)
+    monkeypatch.setattr(files, "lock_folder", late)
     with new_folder(tmp_path / "out", lambda _: False) as part:
         (part / "a").touch()
     assert (tmp_path / "out" / "a").exists()
     assert part != removed[0]
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o755), (0o077, 0o700), (0o002, 0o775)])
+def test_a_new_folder_follows_the_umask(tmp_path: Path, mask: int, mode: int) -> None:
+    before = os.umask(mask)
+    try:
+        with new_folder(tmp_path / "out", lambda path: False) as part:
+            (part / "file").write_text("x")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == mode
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["file"]

@@ -3,51 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
-from annotator.formats.boxes_json import read_boxes, write_boxes
-from annotator.types import Frame, Label, Proposal, Truth
+from annotator.formats.boxes_json import write_boxes
+from annotator.types import Label, Proposal, Truth
 from annotator.types.errors import ArgumentError
 from annotator.workflows.evaluating.evaluate_files import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
 from annotator.workflows.evaluating.evaluate_files import evaluate_files as evaluate_protocol
 from annotator.workflows.importing import table
-from annotator.workflows.importing.label_set import LabelSet, LeftOut
+from annotator.workflows.importing.label_set import LabelSet
 
-BOXES = "boxes"
-FORMATS = (BOXES, *table.BoxFormat)
+FORMATS = tuple(table.BoxFormat)
 Boxes = Mapping[str, Sequence[Truth | Label | Proposal]]
 """The boxes of each frame, by the frame's key."""
 
 
-@dataclass(frozen=True)
-class BoxesLabels:
-    """The content of a `boxes.json` file, as a `LabelSet`."""
-
-    path: Path
-    boxes: Mapping[str, Sequence[Truth]]
-
-    @property
-    def frames(self) -> Sequence[str]:
-        """The keys of the labelled frames."""
-        return tuple(self.boxes)
-
-    def truths(self, name: str, frame: Frame) -> list[Truth]:
-        """The objects of one of these frames, in the camera frame."""
-        return list(self.boxes[name])
-
-    def left_out_of(self, name: str) -> LeftOut:
-        """Counts of zero, since `truths` leaves nothing out."""
-        return LeftOut()
-
-
-def read_labels(path: str | Path, format: str = BOXES) -> LabelSet:
+def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES) -> LabelSet:
     """The 3D labels in a file or folder, read and checked as a whole.
 
     Args:
-        format: boxes (a `boxes.json` file), rcv, kitti, kitti-tracking, sunrgbd, openlabel, labelcloud or nuscenes.
+        format: boxes (a `boxes.json` file), rcv, kitti, kitti-tracking, sunrgbd, openlabel, labelcloud, nuscenes or
+            sustechpoints.
 
     Returns:
         the labels: `frames` has the names of the labelled frames, and `truths(name, frame)` returns the objects of one
@@ -59,10 +37,7 @@ def read_labels(path: str | Path, format: str = BOXES) -> LabelSet:
     """
     if format not in FORMATS:
         raise ArgumentError(f"format must be one of {', '.join(FORMATS)}, not {format!r}")
-    place = Path(path)
-    return (
-        BoxesLabels(place, read_boxes(place)) if format == BOXES else table.read_labels(table.BoxFormat(format), place)
-    )
+    return table.read_labels(table.BoxFormat(format), Path(path))
 
 
 def write_labels(path: str | Path, labels: Boxes) -> None:

@@ -28,7 +28,7 @@ from annotator.recordings import parse_options
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
-from annotator.workflows.detectors import Detectors, active_model, load_detector, view_model
+from annotator.workflows.detectors import Detectors, Names, active_model, image_model, load_detector, view_model
 from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
@@ -79,7 +79,7 @@ class Project:
     def __init__(self, stored: store.Project) -> None:
         self.stored = stored
         self._source = FrameSource(stored)
-        self._loaded: dict[DetectorKind, tuple[str, Detector]] = {}
+        self._loaded: dict[DetectorKind, tuple[tuple[str, Names], Detector]] = {}
 
     @property
     def path(self) -> Path:
@@ -334,9 +334,10 @@ class Project:
 
     def _detector(self, kind: DetectorKind) -> Detector:
         """The project's active detector; loaded once, and reloaded after another one is activated."""
-        model = view_model(self.stored) if kind is DetectorKind.VIEW else active_model(self.stored, kind)
-        if kind not in self._loaded or self._loaded[kind][0] != model.fingerprint:
-            self._loaded[kind] = (model.fingerprint, load_detector(model.path))
+        model = view_model(self.stored) if kind is DetectorKind.VIEW else image_model(self.stored)
+        known = (model.fingerprint, model.names)
+        if kind not in self._loaded or self._loaded[kind][0] != known:
+            self._loaded[kind] = (known, load_detector(model.path, names=model.names))
         return self._loaded[kind][1]
 
     def _detector_source(

@@ -24,7 +24,7 @@ def open_recording(path: str | Path, **options: Any) -> Recording:
         a recording of `len(recording)` frames; `recording.frame(i)` reads one; frames are not cached.
 
     Raises:
-        UnknownFormatError: no reader recognises the path; the message lists what each looked for.
+        UnknownFormatError: no reader recognises the path; `looked_for` lists what each looks for.
         ConfigError: an option that the format does not take, or an invalid value.
         RecordingError: it has no frames, or cannot be read.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from annotator.cli.import_boxes import left_out_values
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
@@ -16,6 +18,7 @@ from annotator.cli.projects import open_named
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.project import REVIEWED
 from annotator.types.errors import ConfigError
+from annotator.types.names import alternatives
 from annotator.workflows.add_recordings import Added, add_recordings
 from annotator.workflows.recorded.own_labels import OwnLabels, has_own_labels, import_own_labels
 
@@ -28,13 +31,15 @@ def run(
     name: str | None = None,
     up: tuple[float, float, float] | None = None,
     no_labels: bool = False,
+    as_new: bool = False,
     reading: Reading = AS_FILES_SAY,
     projects: Projects = None,
 ) -> None:
     """Add recordings to a project. Their files stay where they are.
 
     If a recording comes with 3D boxes (label_2, label_02.txt, boxes.json), they become labels to train the detectors
-    on. If the project already has a recording, only new frames are added.
+    on. If the project already has a recording, only new frames are added. One that was removed comes back with its
+    labels.
 
     Args:
         paths: files or folders of the recordings.
@@ -42,13 +47,14 @@ def run(
         up: direction against gravity in the camera frame (x right, y down, z forward), for a recording that does
             not contain it; 0 -1 0 for a level camera.
         no_labels: do not import the 3D boxes that come with the recordings.
+        as_new: add a recording even if it seems to be one of the project whose path is gone.
     """
     if not paths:
         raise ConfigError(f"no recording given; write annotator add {project} PATH ...")
     one = replace(reading, scene=(), camera=()).options()
     with open_named(project, projects) as opened:
         every = add_recordings(
-            opened, paths, name=name, up=up, options=one, scenes=reading.scene, cameras=reading.camera
+            opened, paths, name=name, up=up, options=one, scenes=reading.scene, cameras=reading.camera, as_new=as_new
         )
         for added in every:
             print_line(_summary(added))
@@ -60,7 +66,7 @@ def run(
                     imported = import_own_labels(
                         opened, added.recording.id, progress, [each.recording.id for each in every]
                     )
-                for line in _label_lines(imported):
+                for line in _label_lines(imported, opened.config.classes):
                     print_line(line)
         if not opened.labels.select(states=REVIEWED):
             print_line(f"next: draw boxes (annotator simulate, annotator import), then annotator train {project}")
@@ -68,13 +74,14 @@ def run(
             print_line(f"next: annotator train {project}")
 
 
-def _label_lines(imported: OwnLabels) -> list[str]:
+def _label_lines(imported: OwnLabels, classes: Sequence[str]) -> list[str]:
     counts = sorted(imported.labels.items())
     lines = [f"  {number} boxes of class {label} imported as labels" for label, number in counts]
     lines += [
-        f"  skipped: {number} boxes of class {label}, which is not in the project"
+        f"  skipped: {number} boxes of class {label}, which is not in the project; {alternatives(label, classes)}"
         for label, number in sorted(imported.other_classes.items())
     ]
+    lines += [f"  {line}" for line in left_out_values(imported.values)]
     if imported.are_partial:
         lines.append("  no labels imported: those of the recording are only of what its own camera sees")
     if imported.of_other_cameras:
@@ -86,5 +93,7 @@ def _summary(added: Added) -> str:
     recording = added.recording
     if added.is_new:
         return f"added {recording.name}: {recording.frames} frames ({recording.format})"
+    if added.came_back:
+        return f"{recording.name} is back in the project, with its labels: {recording.frames} frames"
     missing = f", {added.missing_frames} missing (their labels are kept)" if added.missing_frames else ""
     return f"{recording.name} is already in the project: {added.new_frames} new frames{missing}"

@@ -2,27 +2,42 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
 
 from annotator.cli.options import AsJson, Projects
 from annotator.cli.output import print_json, print_line
 from annotator.cli.progress import counted
 from annotator.cli.project_verify import report_problems
-from annotator.cli.projects import named_folder, open_named, projects_root
+from annotator.cli.projects import named_folder, no_project, open_named, projects_root
 from annotator.project.config import CONFIG_FILE
 from annotator.types.errors import ConfigError
 
 FAULTY = 1
+UNREADABLE = "unreadable"
+# Findings of one kind that are printed without --all.
+MOST_OF_A_KIND = 5
 
 
 def run(
-    what: str | None = None, /, *, project: str | None = None, as_json: AsJson = False, projects: Projects = None
+    what: str | None = None,
+    /,
+    *,
+    project: str | None = None,
+    list_all: Annotated[bool, arg(name="all", help="list every finding, not only the first few of each kind.")] = False,
+    as_json: AsJson = False,
+    projects: Projects = None,
 ) -> int:
     """Find errors in a dataset, or suspicious labels in a project.
 
     A dataset is checked by the rules of docs/checks.md: files, labels, boxes, calibration; the exit code is 1 if there
     are errors. A project is verified first (as by `annotator project verify --deep`; 1 if it is not sound). Its labels
-    are then checked for odd sizes, empty boxes, heading jumps, duplicates and unknown classes.
+    are then checked for odd sizes, empty boxes, heading jumps, duplicates and unknown classes (1 if recordings or
+    frames cannot be read).
 
     Args:
         what: path of a dataset, path of a folder of datasets, or name of a project.
@@ -32,8 +47,8 @@ def run(
     if name is None or (what is not None and project is not None):
         raise ConfigError("name one thing to check: annotator check PATH, or annotator check --project NAME")
     if project is None and _is_dataset(name, projects):
-        return _check_dataset(Path(name), as_json)
-    return _check_project(name, projects, as_json)
+        return _check_dataset(Path(name), list_all, as_json)
+    return _check_project(name, projects, list_all, as_json)
 
 
 def _is_dataset(what: str, projects: Path | None) -> bool:
@@ -50,10 +65,12 @@ def _is_dataset(what: str, projects: Path | None) -> bool:
     if (path / CONFIG_FILE).is_file():
         name, folder = path.resolve().name, path.resolve().parent
         raise ConfigError(f"{what} is the folder of a project; write annotator check {name} --projects {folder}")
-    return path.exists() or (not is_name and not is_project)
+    if is_name and not path.exists() and not is_project:
+        raise ConfigError(f"{what}: no such file or folder, and {no_project(what, projects_root(projects))}")
+    return path.exists() or not is_name
 
 
-def _check_project(name: str, projects: Path | None, as_json: bool) -> int:
+def _check_project(name: str, projects: Path | None, list_all: bool, as_json: bool) -> int:
     from annotator.project.backup.verify import verify
     from annotator.workflows.checking.project_labels import check_project
 
@@ -65,16 +82,33 @@ def _check_project(name: str, projects: Path | None, as_json: bool) -> int:
         report = check_project(opened)
     if as_json:
         print_json(report)
-        return 0
-    for warning in report.warnings:
-        print_line(f"{warning.recording} {warning.key}: {warning.kind}: {warning.message}")
-    for line in report.unreadable:
-        print_line(f"unreadable: {line}")
-    print_line(f"{len(report.warnings)} warnings about {report.labels} labels")
-    return 0
+        return FAULTY if report.unreadable else 0
+    lines = [(w.kind.value, f"{w.recording} {w.key}: {w.kind}: {w.message}") for w in report.warnings]
+    lines += [(UNREADABLE, f"{UNREADABLE}: {line}") for line in report.unreadable]
+    _print_grouped(lines, Counter(kind for kind, _ in lines), list_all)
+    unread = f"; {len(report.unreadable)} recordings or frames cannot be read" if report.unreadable else ""
+    print_line(f"{len(report.warnings)} warnings about {report.labels} labels{unread}")
+    return FAULTY if report.unreadable else 0
 
 
-def _check_dataset(path: Path, as_json: bool) -> int:
+def _print_grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], list_all: bool) -> None:
+    """Prints the first lines of each kind, in their order, and how many more there are.
+
+    Args:
+        lines: the kind and the text of each.
+        totals: number of findings of each kind.
+    """
+    printed: Counter[str] = Counter()
+    for kind, line in lines:
+        if list_all or printed[kind] < MOST_OF_A_KIND:
+            print_line(line)
+            printed[kind] += 1
+    for kind, total in totals.items():
+        if not list_all and total > printed[kind]:
+            print_line(f"{kind}: {total - printed[kind]} more like these; --all lists them")
+
+
+def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
     from annotator.workflows.checking.check import check_datasets
     from annotator.workflows.checking.rules import Severity
 
@@ -83,9 +117,10 @@ def _check_dataset(path: Path, as_json: bool) -> int:
     if as_json:
         print_json(report)
     else:
-        for finding in report.findings:
-            print_line(f"{finding.place}: {finding.severity} {finding.rule}: {finding.message}")
+        found = [(f.rule, f"{f.place}: {f.severity} {f.rule}: {f.message}") for f in report.findings]
+        _print_grouped(found, report.by_rule, list_all)
         for facts in report.datasets:
-            print_line(f"{facts.path}: {facts.format}, {facts.frames} frames, {facts.labels} labels")
+            only = "" if facts.labels else ", so only its files were checked"
+            print_line(f"{facts.path}: {facts.format}, {facts.frames} frames, {facts.labels} labels{only}")
         print_line(", ".join(f"{report.counts[each]} {each}s" for each in Severity))
     return FAULTY if report.counts[Severity.ERROR] else 0

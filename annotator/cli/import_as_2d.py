@@ -1,21 +1,27 @@
-"""`annotator import --as-2d`"""
+"""`annotator import --as 2d`"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.project import Project
-from annotator.types.errors import ConfigError
 from annotator.workflows.importing import BoxFormat, read_labels
 from annotator.workflows.recorded.boxes_from_3d import BoxesFrom3d, boxes_from_3d
 from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
 
 
 def import_as_2d(
-    project: Project, path: Path | None, format: str, recording: str | None, fraction: float, seed: int
+    project: Project,
+    path: Path | None,
+    format: BoxFormat | None,
+    recording: str | None,
+    names: Mapping[str, str],
+    fraction: float,
+    seed: int,
 ) -> KnownLabels:
     """Imports the 2D boxes of known 3D boxes, and prints a summary.
 
@@ -24,6 +30,7 @@ def import_as_2d(
         path: file or folder of the labels; None = those that come with the recordings, in any format.
         format: format of the labels at `path`.
         recording: name of the recording that the labels belong to; None = all.
+        names: the project's class of each class of the labels that has another name.
         fraction: share of the labelled frames to import.
         seed: seed of the choice of frames.
 
@@ -31,25 +38,19 @@ def import_as_2d(
         The 3D labels.
 
     Raises:
-        ConfigError: the format has no 3D boxes, there are no labels, or none of the project's classes.
+        ConfigError: there are no labels, or none of the project's classes.
         FormatError: the labels cannot be read, or match no frame.
     """
-    labels = _labels(project, path, format, recording)
+    if path is None or format is None:
+        labels = labels_beside(project, None if recording is None else [project.recordings.find(recording).id])
+    else:
+        labels = labels_from(project, read_labels(format, path), recording)
+    labels = labels.renamed_to(names)
     with counted("2D boxes") as progress:
         done = boxes_from_3d(project, labels, fraction=fraction, seed=seed, progress=progress)
     for line in _summary(done, len(labels.frames)):
         print_line(line)
     return labels
-
-
-def _labels(project: Project, path: Path | None, format: str, recording: str | None) -> KnownLabels:
-    if path is None:
-        return labels_beside(project, None if recording is None else [project.recordings.find(recording).id])
-    if format not in tuple(BoxFormat):
-        raise ConfigError(
-            f"{format} contains no 3D boxes; name the format of {path} with --format {'|'.join(BoxFormat)}"
-        )
-    return labels_from(project, read_labels(BoxFormat(format), path), recording)
 
 
 def _summary(done: BoxesFrom3d, labelled: int) -> list[str]:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
 
 from annotator.cli.import_as_2d import import_as_2d
 from annotator.cli.options import BoxKindOption, ProjectName, Projects, Seed
@@ -14,19 +17,46 @@ from annotator.cli.projects import open_named
 from annotator.project import Project
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
+from annotator.types.names import nearest
 from annotator.workflows.importing import (
     BoxFormat,
     FlatFormat,
+    LabelSet,
     Renamed,
+    class_names,
+    format_of,
     import_image_boxes,
     import_labels,
+    import_proposals,
     import_view_boxes,
+    new_attributes,
     read_labels,
 )
+from annotator.workflows.importing.label_set import ProposalSet
+from annotator.workflows.importing.new_attributes import FoundValues, values_of_labels, values_of_pictures
 
 FLAT = tuple(FlatFormat)
+ADVICE = "`annotator classes attribute` gives a project attributes, `annotator import --add-attributes` those of a file"
 # One enumeration of all formats, so that tyro lists them in the help.
 Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
+
+
+class As(StrEnum):
+    """What 3D boxes become."""
+
+    LABELS = "labels"
+    PROPOSALS = "proposals"
+    FLAT = "2d"
+
+
+As_ = Annotated[
+    As,
+    arg(
+        name="as",
+        help="what 3D boxes become: labels, on frames without labels; proposals, to be reviewed, on all frames; or 2d: "
+        "2D training boxes on the camera image and on the pseudo-views of the first two steps, without 3D labels.",
+    ),
+]
 
 
 def run(
@@ -34,61 +64,102 @@ def run(
     path: Path | None = None,
     /,
     *,
-    format: Format = Format.COCO,  # type: ignore[attr-defined]
+    as_: As_ = As.LABELS,
+    format: Format | None = None,
+    source: str | None = None,
+    min_score: float | None = None,
+    classes: str | None = None,
+    add_attributes: bool = False,
     pictures: Path | None = None,
-    box_kind: BoxKindOption = BoxKind.SILHOUETTE,
+    box_kind: BoxKindOption[BoxKind | None] = None,
     recording: str | None = None,
-    as_2d: bool = False,
     fraction: float = 1.0,
     seed: Seed = 0,
     projects: Projects = None,
 ) -> None:
     """Import boxes from files: 3D boxes, or 2D boxes on camera images or pseudo-views.
 
-    Frames that have no label yet get the 3D boxes as accepted labels. With --as-2d, 3D boxes only become 2D training
-    boxes, on the camera image and on the pseudo-views of the first two steps.
+    3D boxes become accepted labels, proposals or 2D boxes (--as). Proposals of several sources stay side by side: one
+    object is one proposal, with the surest box. A second import of the same source replaces the first.
 
     Args:
-        path: file or folder of the labels; default with --as-2d: the labels that come with the recordings.
-        format: coco and yolo contain 2D boxes, the other formats 3D boxes.
+        path: file or folder of the labels; default with --as 2d: the labels that come with the recordings.
+        format: format of the labels; default: recognised from the files.
+        source: with --as proposals: name under which the boxes are known, such as that of their detector; default: the
+            name of the file or folder.
+        min_score: with --as proposals: leave out boxes with a lower score; scores as in the file.
+        classes: the project's classes of the file's classes, such as Car=car,Van=car; others keep their names.
+        add_attributes: give the project the attributes of the file that it lacks, with the kind that their values have.
         pictures: with coco and yolo: folder of the labelled pseudo-views, written by `annotator views`. Without this
             option, the boxes are on camera images named like the project's frames, and on the pseudo-views listed in a
             `views.json` in the folder of those images.
         recording: name of the recording that the boxes belong to, if several have frames of the same name.
-        as_2d: import 3D boxes as 2D boxes only; the frames get no 3D labels.
-        fraction: with --as-2d: share of the labelled frames to import, above 0 and at most 1.
+        fraction: with --as 2d: share of the labelled frames to import, above 0 and at most 1.
     """
     if pictures is not None and recording is not None:
         raise ConfigError("--recording is for boxes on camera images; the boxes on --pictures are on pseudo-views")
-    if pictures is not None and format not in FLAT:
-        raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {format} contains 3D boxes")
-    if not as_2d and (fraction, seed) != (1.0, 0):
-        raise ConfigError("--fraction and --seed need --as-2d")
-    if as_2d and pictures is not None:
-        raise ConfigError("--as-2d renders its pictures from 3D boxes; leave out --pictures")
+    if as_ is not As.FLAT and (fraction, seed) != (1.0, 0):
+        raise ConfigError("--fraction and --seed need --as 2d")
+    if as_ is not As.PROPOSALS and (source, min_score) != (None, None):
+        raise ConfigError("--source and --min-score need --as proposals")
+    if as_ is As.FLAT and pictures is not None:
+        raise ConfigError("--as 2d renders its pictures from 3D boxes; leave out --pictures")
+    if as_ is As.FLAT and add_attributes:
+        raise ConfigError("--add-attributes is for labels and proposals; 2D boxes of the project have no attributes")
     with open_named(project, projects) as opened:
-        if as_2d:
-            labels = import_as_2d(opened, path, format, recording, fraction, seed)
+        names = {} if classes is None else class_names(classes, opened)
+        if path is None:
+            if as_ is not As.FLAT:
+                raise ConfigError(
+                    f"no labels given; write annotator import {project} PATH, or --as 2d for the recordings' own labels"
+                )
+            found = None
+        else:
+            found = FlatFormat(format) if format in FLAT else format_of(path) if format is None else BoxFormat(format)
+        if isinstance(found, FlatFormat) and as_ is not As.LABELS:
+            raise ConfigError(f"{path} is {found}, which contains no 3D boxes; leave out --as")
+        if pictures is not None and not isinstance(found, FlatFormat):
+            raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {found} contains 3D boxes")
+        if as_ is As.FLAT:
+            assert not isinstance(found, FlatFormat)
+            labels = import_as_2d(opened, path, found, recording, names, fraction, seed)
             print_renamed(labels.renamed)
             print_left_out({}, labels.unmatched, "frames")
             print_line(f"next: annotator train {project}")
-        elif path is None:
-            raise ConfigError(
-                f"no labels given; write annotator import {project} PATH, or --as-2d for the recordings' own labels"
-            )
-        elif format in FLAT:
-            _flat(opened, path, FlatFormat(format), pictures, box_kind, recording)
+        elif isinstance(found, FlatFormat):
+            assert path is not None
+            if add_attributes:
+                _add(opened, values_of_pictures(found, path))
+            _flat(opened, path, found, pictures, box_kind, recording, names)
         else:
-            _boxes(opened, path, BoxFormat(format), recording)
+            assert path is not None and found is not None
+            dataset = read_labels(found, path)
+            if add_attributes:
+                _add(opened, values_of_labels(dataset))
+            if as_ is As.PROPOSALS:
+                _proposals(opened, dataset, found, source, recording, min_score, names)
+            else:
+                _boxes(opened, dataset, found, recording, names)
+
+
+def _add(project: Project, found: FoundValues) -> None:
+    for each in new_attributes.add_attributes(project, found):
+        print_line(f"added: attribute {each.name} of a {each.of}: {each.values_text()}")
 
 
 def _flat(
-    project: Project, path: Path, format: FlatFormat, pictures: Path | None, kind: BoxKind, recording: str | None
+    project: Project,
+    path: Path,
+    format: FlatFormat,
+    pictures: Path | None,
+    kind: BoxKind | None,
+    recording: str | None,
+    names: Mapping[str, str],
 ) -> None:
     if pictures is None:
-        done = import_image_boxes(project, path, kind, recording, format)
+        done = import_image_boxes(project, path, kind, recording, format, names)
     else:
-        done = import_view_boxes(project, path, pictures, kind, format)
+        done = import_view_boxes(project, path, pictures, kind, format, names)
     counts = {"camera images": done.pictures - done.views, "pseudo-views": done.views}
     where = " and ".join(f"{number} {what}" for what, number in counts.items() if number) or "no image"
     print_line(f"{done.boxes} boxes on {where}")
@@ -96,20 +167,66 @@ def _flat(
         print_line(f"replaced: the boxes on {done.replaced} camera images")
     if done.finalised:
         print_line(f"unchanged: {done.finalised} images of finalised frames")
+    if done.values.set:
+        print_line(f"attributes: {done.values.set} values for the 3D labels and frames that these images show")
+    if done.values.kept:
+        print_line(f"unchanged: {done.values.kept} values of labels and frames, which differ from those of the file")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     print_renamed(done.renamed)
-    print_left_out(done.other_classes, done.unmatched, "images")
+    for line in left_out_values(done.values.left_out):
+        print_line(line)
+    print_left_out(done.other_classes, done.unmatched, "images", project.config.classes)
 
 
-def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | None) -> None:
-    labels = read_labels(format, path)
+def _proposals(
+    project: Project,
+    labels: ProposalSet,
+    format: BoxFormat,
+    source: str | None,
+    recording: str | None,
+    min_score: float | None,
+    names: Mapping[str, str],
+) -> None:
     with counted(f"import {format}") as progress:
-        done = import_labels(project, labels, recording, progress)
-    classes = ", ".join(f"{number} {name}" for name, number in sorted(done.labels.items())) or "no box"
-    print_line(f"{done.frames} frames: {classes}")
+        done = import_proposals(
+            project, labels, source, recording=recording, min_score=min_score, names=names, progress=progress
+        )
+    print_line(f"{done.source}: {_by_class(done.proposals)} proposed on {done.frames} frames")
+    for number, what in (
+        (done.merged, "merged: {} boxes with proposals of other sources"),
+        (done.covered, "skipped: {} boxes of objects that have been reviewed"),
+        (done.unsure, "skipped: {} boxes with a lower score"),
+        (done.finalised, "unchanged: {} finalised frames"),
+    ):
+        if number:
+            print_line(what.format(number))
+    if done.scaled is not None:
+        print_line(f"scaled: scores from {done.scaled.low:g} to {done.scaled.high:g} are now 0 to 1")
+    for line in done.unreadable:
+        print_line(f"unreadable: {line}")
+    print_renamed(done.renamed)
+    for line in left_out_values(done.values):
+        print_line(line)
+    print_left_out(done.other_classes, done.unmatched, "frames")
+    if done.proposals:
+        print_line(f"next: annotator serve, to review {project.config.name}")
+
+
+def _by_class(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{number} {name}" for name, number in sorted(counts.items())) or "no box"
+
+
+def _boxes(
+    project: Project, labels: LabelSet, format: BoxFormat, recording: str | None, names: Mapping[str, str]
+) -> None:
+    with counted(f"import {format}") as progress:
+        done = import_labels(project, labels, recording, progress, names)
+    print_line(f"{done.frames} frames: {_by_class(done.labels)}")
     if done.already:
-        print_line(f"unchanged: {done.already} frames that already have labels or are finalised")
+        print_line(
+            f"unchanged: {done.already} frames that already have labels or are finalised; --as proposals adds to them"
+        )
     if done.not_reviewed:
         print_line(f"skipped: {done.not_reviewed} boxes that are not accepted")
     if done.scores:
@@ -117,7 +234,15 @@ def _boxes(project: Project, path: Path, format: BoxFormat, recording: str | Non
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     print_renamed(done.renamed)
-    print_left_out(done.other_classes, done.unmatched, "frames")
+    for line in left_out_values(done.values):
+        print_line(line)
+    print_left_out(done.other_classes, done.unmatched, "frames", project.config.classes)
+
+
+def left_out_values(values: Mapping[str, int]) -> list[str]:
+    """Lines that say which values of attributes were left out."""
+    lines = [f"skipped: {number} values of attribute {what}" for what, number in sorted(values.items())]
+    return [*lines, ADVICE] if lines else []
 
 
 def print_renamed(renamed: Renamed | None) -> None:
@@ -125,9 +250,14 @@ def print_renamed(renamed: Renamed | None) -> None:
         print_line(f"recording {renamed.named} of the labels was assigned to {', '.join(renamed.taken_for)}")
 
 
-def print_left_out(other_classes: Mapping[str, int], unmatched: Sequence[str], what: str) -> None:
+def print_left_out(
+    other_classes: Mapping[str, int], unmatched: Sequence[str], what: str, known: Sequence[str] = ()
+) -> None:
+    """Prints what an import left out; `known` are the project's classes."""
     for label, number in other_classes.items():
-        print_line(f"skipped: {number} boxes of class {label}, which is not in the project")
+        near = nearest(label, known)
+        meant = "" if near is None else f"; did you mean {near!r}?"
+        print_line(f"skipped: {number} boxes of class {label}, which is not in the project{meant}")
     if unmatched:
         names = ", ".join(unmatched[:5]) + (" ..." if len(unmatched) > 5 else "")
         print_line(f"skipped: {len(unmatched)} {what} that match no frame of the project: {names}")

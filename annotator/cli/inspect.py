@@ -10,7 +10,7 @@ from annotator.cli.options import AsJson
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.recordings.ros.topics import TopicReport
-from annotator.types.errors import InputError, RecordingError
+from annotator.types.errors import InputError, RecordingError, UnknownFormatError
 from annotator.workflows.inspect import FrameReport, RecordingReport, bag_topics, inspect_recording
 
 
@@ -23,6 +23,10 @@ def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = Fal
     options = reading.options()
     try:
         report = inspect_recording(path, options)
+    except UnknownFormatError as error:
+        if not as_json:
+            print_facts(line.partition(": ")[::2] for line in error.looked_for)
+        raise
     except InputError:
         # the topics of a bag among which the error asks to choose
         if not as_json:

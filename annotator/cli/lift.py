@@ -44,7 +44,7 @@ def run(
     detector: str | None = None,
     rename: Annotated[tuple[str, ...], arg(metavar="NAME=CLASS ...")] = (),
     detector_size: int = WEIGHTS_SIZE_PX,
-    box_kind: BoxKindOption = BoxKind.SILHOUETTE,
+    box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
     backend: BackendOption[Backend] = "auto",
     projects: Projects = None,
 ) -> int:

@@ -99,13 +99,26 @@ def _dispatch(words: list[str]) -> int:
     if words[0] in GROUPS and (len(words) == 1 or words[1] in HELP_FLAGS):
         sys.stdout.write(_group_help(words[0]))
         return 0 if len(words) > 1 else USAGE_ERROR
+    words = _in_order(words)
     length = 2 if words[0] in GROUPS else 1
     name = " ".join(words[:length])
     command = COMMANDS.get(name)
     if command is None:
         raise _unknown_command(name)
-    _refuse_old_options(name, words[length:])
+    options = _options(words[length:])
+    _refuse_old_options(name, options)
+    _refuse_repeated_options(options)
     return _run(name, command, words[length:])
+
+
+def _in_order(words: list[str]) -> list[str]:
+    """`classes PROJECT add NAME` as `classes add PROJECT NAME`, and `classes PROJECT` as `classes list PROJECT`."""
+    if words[0] != "classes" or f"classes {words[1]}" in COMMANDS or words[1].startswith("-"):
+        return words
+    is_command = len(words) > 2 and f"classes {words[2]}" in COMMANDS
+    if not is_command and len(words) > 2 and not words[2].startswith("-"):
+        return words  # an unknown command
+    return [words[0], words[2] if is_command else "list", words[1], *words[3 if is_command else 2 :]]
 
 
 def _help() -> str:
@@ -139,19 +152,37 @@ def _unknown_command(name: str) -> Exception:
     return ConfigError(f"unknown command {name!r}; {meant}")
 
 
-def _refuse_old_options(name: str, words: list[str]) -> None:
+def _options(words: list[str]) -> list[str]:
+    """The names of the options among the words before a bare `--`."""
+    before = words[: words.index("--") if "--" in words else None]
+    return [word.partition("=")[0] for word in before if word.startswith("--")]
+
+
+def _refuse_old_options(name: str, options: list[str]) -> None:
     """Refuses options of version 0.1.
 
     Raises:
         ConfigError: an option was renamed; the message gives the new name.
     """
     renamed = {"--root": "--projects"} | RENAMED_OPTIONS.get(name, {})
-    for word in words[: words.index("--") if "--" in words else None]:
-        old = word.partition("=")[0]
+    for old in options:
         if old in renamed:
             from annotator.types.errors import ConfigError
 
             raise ConfigError(f"{old} is now {renamed[old]}: annotator {name} ... {renamed[old]} ...")
+
+
+def _refuse_repeated_options(options: list[str]) -> None:
+    """Refuses an option that is given twice: tyro would use the last one only, and not say so.
+
+    Raises:
+        ConfigError: the message shows how to give several values.
+    """
+    for option in options:
+        if options.count(option) > 1:
+            from annotator.types.errors import ConfigError
+
+            raise ConfigError(f"{option} is given twice; give it once, with all its values: {option} A B")
 
 
 def _run(name: str, command: Command, words: list[str]) -> int:

@@ -7,8 +7,6 @@ from typing import Annotated, TypeVar
 
 from tyro.conf import arg
 
-from annotator.types import BoxKind
-
 Value = TypeVar("Value")
 
 ProjectName = Annotated[str, arg(help="name of the project.")]
@@ -26,10 +24,11 @@ AsJson = Annotated[bool, arg(name="json", help="print one JSON object.")]
 Seed = Annotated[int, arg(help="seed of the random choices, 0 or more.")]
 Clear = Annotated[bool, arg(help="remove what the project has set: the recording's files decide again.")]
 ModelsOption = Annotated[Value, arg(help="detectors to include: all, those in use (active), or none.")]
+Yes = Annotated[bool, arg(help="do it without asking.")]
 Limit = Annotated[int | None, arg(help="stop after this many frames; default: no limit.")]
 
 BoxKindOption = Annotated[
-    BoxKind,
+    Value,
     arg(
         name="box-kind",
         help="what the 2D boxes enclose: silhouette = the visible part of the object, box = its projected 3D box.",

@@ -15,12 +15,14 @@ AUTHOR = "annotator project move"
 def run(project: ProjectName, recording: RecordingName, path: Path, /, *, projects: Projects = None) -> None:
     """Set the new path of a moved recording. All its frames must be at the new path; labels and boxes are kept.
 
+    A recording that was removed comes back with its labels.
+
     Args:
         path: new path of the recording.
     """
     with open_named(project, projects) as opened:
-        before = opened.recordings.find(recording)
+        before = opened.recordings.find(recording, removed=True)
         now = move_recording(opened, before.id, path, AUTHOR)
-    new = now.frames - before.frames
+    new = now.frames - before.frames if before.removed_by is None else 0
     grown = f" ({new} new)" if new > 0 else ""
     print_line(f"{now.name}: {now.frames} frames{grown}, now at {now.path}")

@@ -39,20 +39,30 @@ def named_folder(name: str, projects: Path | None) -> Path:
     """The folder of the project of this name, which may be damaged.
 
     Raises:
-        ConfigError: there is no such project (the message lists the existing ones), or the name is a path.
+        ConfigError: there is no such project (the message names the one that is probably meant, or those that exist),
+            or the name is a path.
     """
-    from annotator.project import list_projects
     from annotator.project.config import check_name
 
     folder = projects_root(projects)
     try:
         check_name(name)
     except ConfigError as error:
-        raise ConfigError(f"{error}; --projects names the folder of projects") from error
+        if len(Path(name).parts) != 1:
+            raise ConfigError(f"{error}; --projects names the folder of projects") from error
+        raise ConfigError(no_project(name, folder)) from error
     if not (folder / name).is_dir():
-        known = ", ".join(project.path.name for project in list_projects(folder)) or "none"
         raise ConfigError(
-            f"{folder} has no project {name!r} (it has: {known}); "
-            f"create it with `annotator new {name} --classes ...`, or name another folder with --projects"
+            f"{no_project(name, folder)}; create it with `annotator new {name} --classes ...`, or name another folder "
+            "with --projects"
         )
     return folder / name
+
+
+def no_project(name: str, folder: Path) -> str:
+    """Says that a folder of projects has none of this name, and which is probably meant."""
+    from annotator.project import list_projects
+    from annotator.types.names import alternatives
+
+    others = alternatives(name, [each.path.name for each in list_projects(folder)])
+    return f"{folder} has no project {name!r} ({others})"

@@ -16,7 +16,7 @@ def run(
     recording: RecordingName,
     /,
     *,
-    box_kind: BoxKindOption = BoxKind.SILHOUETTE,
+    box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
     every: int = 1,
     projects: Projects = None,
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from annotator.cli.options import AsJson, ProjectName, Projects
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
+from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.training.held_out import measured_ious
@@ -15,7 +16,7 @@ from annotator.workflows.training.model_report import decision_of
 
 
 def run(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects = None) -> None:
-    """Show a project's progress: frames, labels, 2D boxes, effort per box, runs, models."""
+    """Show a project's progress: frames, labels, 2D boxes, people, effort per box, hours left, runs, models."""
     with open_named(project, projects) as opened:
         statistics = reported_statistics(opened)
         newest = opened.models.all(DetectorKind.VIEW)[-1:]
@@ -46,6 +47,8 @@ def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
         yield f"  suggested by {detector}", f"{suggested.as_suggested} as suggested, {suggested.corrected} corrected"
     if counts.labels.by_kind[BoxKind.SILHOUETTE]:
         yield "  around what is seen only", counts.labels.by_kind[BoxKind.SILHOUETTE]
+    for name, values in counts.attributes.items():
+        yield f"  {name}", ", ".join(f"{value} in {number}" for value, number in values.items())
     yield "2D boxes on camera images", f"{counts.image_boxes.boxes} on {counts.image_boxes.pictures} images"
     yield "2D boxes on pseudo-views", f"{counts.view_boxes.boxes} on {counts.view_boxes.pictures} views"
     yield "boxes with measured effort", counts.effort.boxes
@@ -56,9 +59,32 @@ def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
         yield "proposals accepted unchanged", f"{counts.accepted_untouched:.0%} of the reviewed ones"
     if counts.iou_proposal_to_final is not None:
         yield "IoU of proposal and final box", f"{counts.iou_proposal_to_final:.3f}"
+    yield from _progress(counts.progress)
     yield "runs", counts.runs
     yield "models", counts.models
     yield "view detector", counts.view_detector or "none"
+
+
+def _progress(progress: Progress) -> Iterator[tuple[str, object]]:
+    earliest, latest, forecast = progress.pace.earliest, progress.pace.latest, progress.forecast
+    if earliest is not None and latest is not None:
+        change = (
+            f"{earliest.seconds_a_box:.1f} for the first quarter of the boxes, {latest.seconds_a_box:.1f} for the last"
+        )
+        yield "seconds per box over time", change
+    for person in sorted({entry.person for entry in progress.days}):
+        days = [entry for entry in progress.days if entry.person == person]
+        boxes, hours = sum(entry.boxes for entry in days), sum(entry.hours for entry in days)
+        if any(entry.boxes or entry.rejected for entry in days):  # others are commands, such as `annotator follow`
+            on = "1 day" if len(days) == 1 else f"{len(days)} days"
+            yield f"labelled by {person}", f"{boxes} boxes in {hours:.1f} hours on {on}"
+    yield "frames left", forecast.frames_left
+    if forecast.hours_left is not None and forecast.frames_left > 0:
+        left = forecast.hours_left
+        yield (
+            "  hours of work left",
+            f"{left.expected:.1f} (between {left.low:.1f} and {left.high:.1f} in 8 of 10 cases)",
+        )
 
 
 def _listed(counts: Mapping[Any, int]) -> str:

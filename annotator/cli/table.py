@@ -38,11 +38,25 @@ COMMANDS: dict[str, Command] = {
     "up": Command("annotator.cli.up:run", "show or set which way is up in a recording"),
     "calibrate": Command("annotator.cli.calibrate:run", "show or correct where clouds lie relative to images"),
     "project move": Command("annotator.cli.project_move:run", "set the new path of a moved recording"),
+    "project remove": Command("annotator.cli.project_remove:run", "remove a recording, or a whole project"),
+    "project rename": Command("annotator.cli.project_rename:run", "rename a project"),
     "project backup": Command("annotator.cli.project_backup:run", "write a backup, also while a server runs"),
     "project restore": Command("annotator.cli.project_restore:run", "make a project of a backup"),
     "project verify": Command("annotator.cli.project_verify:run", "check whether a project is sound"),
     "project repair": Command("annotator.cli.project_repair:run", "repair a project, or save what is readable"),
-    "project copy": Command("annotator.cli.project_copy:run", "take in a project that somebody else has sent"),
+    "project copy": Command(
+        "annotator.cli.project_copy:run", "copy a project, or take in one that somebody else has sent"
+    ),
+    "classes list": Command("annotator.cli.classes:show", "list classes, numbers of their boxes, and attributes"),
+    "classes add": Command("annotator.cli.classes:add", "add a class"),
+    "classes rename": Command("annotator.cli.classes:rename", "rename a class; its boxes follow"),
+    "classes merge": Command("annotator.cli.classes:merge", "give the boxes of classes to another class"),
+    "classes remove": Command("annotator.cli.classes:remove", "remove a class"),
+    "classes order": Command("annotator.cli.classes:order", "set the order of the classes"),
+    "classes style": Command("annotator.cli.classes:style", "set the colour and the key of a class"),
+    "classes attribute": Command("annotator.cli.classes:attribute", "add or change an attribute"),
+    "classes rename-attribute": Command("annotator.cli.classes:rename_attribute", "rename an attribute or a choice"),
+    "classes remove-attribute": Command("annotator.cli.classes:remove_attribute", "remove an attribute"),
     "generate": Command("annotator.cli.generate:run", "generate a synthetic recording with ground truth"),
     "doctor": Command(
         "annotator.cli.doctor:run", "report packages, devices and detector backends, and run a self-test"
@@ -51,7 +65,10 @@ COMMANDS: dict[str, Command] = {
     "completion": Command("annotator.cli.completion:run", "print a shell's completion script"),
 }
 
-GROUPS: dict[str, str] = {"project": "manage a project as a whole"}
+GROUPS: dict[str, str] = {
+    "project": "manage a project as a whole",
+    "classes": "show and change the classes and attributes of a project",
+}
 """First words of the two-word commands, and their summaries in `annotator --help`."""
 
 RENAMED_COMMANDS: dict[str, str] = {"move": "project move"}
@@ -60,7 +77,7 @@ RENAMED_COMMANDS: dict[str, str] = {"move": "project move"}
 RENAMED_OPTIONS: dict[str, dict[str, str]] = {
     "evaluate": {"--frames": "--frame-list"},
     "export": {"--pictures": "--boxes-on"},
-    "import": {"--kind": "--box-kind"},
+    "import": {"--as-2d": "--as 2d", "--kind": "--box-kind"},
     "live": {"--frames": "--limit", "--token": "--token-file FILE"},
     "serve": {"--token": "--token-file FILE"},
     "simulate": {"--operator": "--box-kind"},

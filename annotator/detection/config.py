@@ -116,7 +116,7 @@ class TrainingConfig(BaseModel):
 
 
 class DetectorConfig(BaseModel):
-    """Settings for running a trained detector. Device, backend and threads are not part of its fingerprint."""
+    """Settings for running a trained detector. Device, backend, threads and names are not part of its fingerprint."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -140,4 +140,7 @@ class DetectorConfig(BaseModel):
     threads: int | None = Field(None, ge=1, description="processor threads; None: all cores available to the process")
     edge_errors: dict[str, EdgeErrors] = Field(
         {}, description="expected errors of edges by class; boxes of other classes have no `edge_sigma_px`"
+    )
+    names: dict[str, str | None] = Field(
+        {}, description="names of classes that were renamed after the training; None: boxes of the class are left out"
     )

@@ -60,8 +60,6 @@ FORMATS = {
 }
 # Layers of a network; the largest one of ultralytics has some 1,500.
 MOST_LAYERS, DEEPEST = 20_000, 50
-
-
 # Limit of the description of a network, which is small beside its numbers.
 PICKLE_BYTES = 2**22
 
@@ -154,8 +152,38 @@ class _Inert:
         self.state = state
 
 
-class _Reader(pickle.Unpickler):
+class _Unhashable(tuple[Any, ...]):
+    """A tuple of a pickle. Nested ones that share their parts would take exponential time to hash."""
+
+    __slots__ = ()
+    __hash__ = None  # type: ignore[assignment]
+
+
+def _load_marked_tuple(reader: Any) -> None:
+    items = reader.pop_mark()  # also sets another `append`
+    reader.append(_Unhashable(items))
+
+
+def _tuple_loader(length: int) -> Callable[[Any], None]:
+    def load(reader: Any) -> None:
+        items = [reader.stack.pop() for _ in range(length)]
+        reader.append(_Unhashable(reversed(items)))
+
+    return load
+
+
+# in Python, because the one in C makes tuples and memory of its own
+class _Reader(pickle._Unpickler):
     """Reads a pickle without any of its functions and classes."""
+
+    dispatch = {  # noqa: RUF012
+        **pickle._Unpickler.dispatch,
+        pickle.TUPLE[0]: _load_marked_tuple,
+        pickle.EMPTY_TUPLE[0]: _tuple_loader(0),
+        pickle.TUPLE1[0]: _tuple_loader(1),
+        pickle.TUPLE2[0]: _tuple_loader(2),
+        pickle.TUPLE3[0]: _tuple_loader(3),
+    }
 
     def find_class(self, module: str, name: str) -> Any:
         known = NAMES.get((module, name))
@@ -174,6 +202,7 @@ class _Tensors(NamedTuple):
 
     archive: zipfile.ZipFile
     folder: str
+    storages: dict[tuple[str, str], Any]
 
     def read(self, value: Any) -> Any:
         """A tensor as torch describes it: `_rebuild_tensor_v2` of a storage, possibly inside `_rebuild_parameter`."""
@@ -183,8 +212,11 @@ class _Tensors(NamedTuple):
         if type(value).__name__ != "_rebuild_tensor_v2":
             raise pickle.UnpicklingError(f"has a {type(value).__name__} in place of a tensor")
         (_, storage, key, _, _), offset, size, stride = value.args[:4]
-        content = self.archive.read(f"{self.folder}/data/{key}")
-        numbers = torch.frombuffer(bytearray(content), dtype=getattr(torch, FORMATS[storage.__name__]))
+        known = str(key), FORMATS[storage.__name__]
+        if known not in self.storages:
+            content = bytearray(self.archive.read(f"{self.folder}/data/{key}"))
+            self.storages[known] = torch.frombuffer(content, dtype=getattr(torch, known[1]))
+        numbers = self.storages[known]
         last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
         if min((offset, *stride, *(n - 1 for n in size))) < 0 or last >= len(numbers):
             raise pickle.UnpicklingError("has a tensor that exceeds its storage")
@@ -214,7 +246,7 @@ def _network(content: bytes) -> tuple[NetworkDescription, dict[str, Any]]:
             end2end=_state(head).get("_end2end"),
         )
         tensors: dict[str, Any] = {}
-        _collect(model, "", _Tensors(archive, name.partition("/")[0]), tensors, [MOST_LAYERS])
+        _collect(model, "", _Tensors(archive, name.partition("/")[0], {}), tensors, [MOST_LAYERS])
         return described, tensors
 
 

@@ -66,8 +66,9 @@ class YoloDetector:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Class names, in the order of the class numbers."""
-        return self._network.facts.labels
+        """Class names, in the order of the class numbers; a renamed one by its present name."""
+        names = (self._config.names.get(label, label) for label in self._network.facts.labels)
+        return tuple(dict.fromkeys(name for name in names if name is not None))
 
     @property
     def backend(self) -> Backend:
@@ -140,8 +141,11 @@ class YoloDetector:
         for k in np.flatnonzero(wide_enough):
             x_min, y_min, x_max, y_max = edges[k].tolist()
             label, score = facts.labels[numbers[kept[k]]], float(scores[kept[k]])
+            name = config.names.get(label, label)
+            if name is None:
+                continue
             errors = None if spreads is None else self._edge_sigma_px(label, *(part[k] for part in spreads))
-            yield int(picture[kept[k]]), Box2D(label, x_min, y_min, x_max, y_max, score, errors)
+            yield int(picture[kept[k]]), Box2D(name, x_min, y_min, x_max, y_max, score, errors)
 
     def _edge_sigma_px(
         self, label: str, spread_px: np.ndarray, scale: np.ndarray

@@ -66,7 +66,14 @@ def _rows(path: Path, lines: Iterator[str], scored: bool) -> Iterator[BoxRow]:
 def _head(path: Path, names: list[str], scored: bool) -> list[str]:
     head = [name.strip() for name in names]
     needed = [*TEXTS, *NUMBERS, *([SCORE] if scored else [])]
-    if missing := [name for name in needed if name not in head]:
+    if (missing := [name for name in needed if name not in head]) == [SCORE]:
+        raise FormatError(
+            path,
+            "has no column score, so these are labels and no results; add the column (1.0 if all are equally certain), "
+            "and give DETECTIONS before TRUTH",
+            1,
+        )
+    if missing:
         raise FormatError(path, f"the first line must name the columns {','.join(needed)}; {missing[0]} is missing", 1)
     if unknown := [name for name in head if name not in (*needed, SCORE)]:
         raise FormatError(path, f"the column {unknown[0]!r} is unknown; use only {','.join(needed)}", 1)

@@ -4,20 +4,22 @@
 
 A frame has one object or a list of objects. Metres, camera frame. `rotation` is 3x3, a list of rows; its columns are
 the box's axes. `size` holds the full lengths along them. Optional: `corners` (8x3, checked against the rest) and
-`track` (the object's number in the recording). Other keys are ignored.
+`track` (the object's number in the recording), `score` (of a detector), and `attributes` (values by name). Other keys
+are ignored.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.formats.json_file import BoundedTrack, read_json, unique_keys, write_text
+from annotator.formats.json_file import BoundedTrack, write_text
+from annotator.formats.json_stream import read_pairs
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
@@ -40,6 +42,8 @@ class BoxEntry(BaseModel):
     rotation: tuple[Vector, Vector, Vector]
     corners: Annotated[tuple[Vector, ...], Field(min_length=8, max_length=8)] | None = None
     track: BoundedTrack | None = None
+    score: Number | None = None
+    attributes: dict[str, bool | int | Number | str] = Field(default_factory=dict)
 
 
 def read_boxes(path: Path) -> dict[str, list[Truth]]:
@@ -48,10 +52,13 @@ def read_boxes(path: Path) -> dict[str, list[Truth]]:
     Raises:
         FormatError: the file is missing or not JSON, or an entry is not a valid box; names the frame.
     """
-    return {
-        key: [entry_truth(entry, path, key, number) for number, entry in enumerate(entries)]
-        for key, entries in read_entries(path).items()
-    }
+    return dict(each_frame(path))
+
+
+def each_frame(path: Path) -> Iterator[tuple[str, list[Truth]]]:
+    """Yields what `read_boxes` returns, frame by frame. Raises as `read_boxes`."""
+    for key, entries in each_entries(path):
+        yield key, [entry_truth(entry, path, key, number) for number, entry in enumerate(entries)]
 
 
 def write_boxes(path: Path, frames: Mapping[str, Sequence[Truth]]) -> None:
@@ -71,19 +78,18 @@ def _entry(truth: Truth) -> dict[str, object]:
         "size": truth.box.size_m.tolist(),
         "rotation": truth.box.rotation.tolist(),
     }
-    return entry if truth.track_id is None else entry | {"track": truth.track_id}
+    entry |= {} if truth.track_id is None else {"track": truth.track_id}
+    return entry | ({"attributes": dict(truth.attributes)} if truth.attributes else {})
 
 
-def read_entries(path: Path) -> dict[str, list[object]]:
-    """Returns each frame's entries, unchecked, by frame key; `entry_truth` checks one.
+def each_entries(path: Path) -> Iterator[tuple[str, list[object]]]:
+    """Yields each frame's key and entries, unchecked; `entry_truth` checks one.
 
     Raises:
         FormatError: the file is missing, or is not a JSON object.
     """
-    content = read_json(path, unique_keys)
-    if not isinstance(content, dict):
-        raise FormatError(path, "must be a JSON object with one entry per frame")
-    return {key: value if isinstance(value, list) else [value] for key, value in content.items()}
+    for key, value in read_pairs(path):
+        yield key, value if isinstance(value, list) else [value]
 
 
 def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
@@ -113,4 +119,4 @@ def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:
                 f"frame {key}, {entry.label}: corners differ by up to {gaps.max():.3f} m from center, size "
                 "and rotation; write rotation row by row and size as full lengths",
             )
-    return Truth(entry.label, box, entry.track)
+    return Truth(entry.label, box, entry.track, entry.score, attributes=entry.attributes)

@@ -2,22 +2,25 @@
 
 A COCO `bbox` is [x, y, width, height] in edge coordinates: an image covers [0, width] x [0, height]. In annotator the
 centre of the first pixel is (0, 0), so 0.5 is subtracted. Source: the COCO data format page ("object detection") and
-`coco.py` of its API.
+`coco.py` of its API. `attributes` of an annotation are an object of values by name, as CVAT writes them; `box_kind` and
+`attributes` of an image are annotator's own.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.json_file import read_model, write_text
-from annotator.formats.reading import OnFault, raise_fault
-from annotator.types import Box2D
+from annotator.formats.reading import OnFault, known_kind, raise_fault
+from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 
 EDGE_TO_CENTRE_PX = -0.5
@@ -31,12 +34,18 @@ class CocoImage:
         file_name: as in the file, usually relative to the image folder; unique within the file.
         width_px, height_px: image size.
         boxes: in file order, clipped to the image; the centre of the first pixel is (0, 0).
+        box_kind: what they enclose, if known.
+        values: attributes of each box; () if none has any.
+        attributes: of the image.
     """
 
     file_name: str
     width_px: int
     height_px: int
     boxes: tuple[Box2D, ...]
+    box_kind: BoxKind | None = None
+    values: tuple[Values, ...] = ()
+    attributes: Values = field(default_factory=dict)
 
 
 # Other fields of COCO files (licences, segmentations, ...) are ignored.
@@ -60,6 +69,8 @@ class _Image(_Part):
     file_name: str = Field(min_length=1)
     width: Side
     height: Side
+    box_kind: object = None
+    attributes: object = None
 
 
 class _Annotation(_Part):
@@ -69,6 +80,7 @@ class _Annotation(_Part):
     bbox: tuple[Number, Number, Number, Number]
     iscrowd: int = 0
     score: float = Field(1.0, ge=0, le=1)
+    attributes: object = None
 
 
 class _File(_Part):
@@ -101,13 +113,34 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
 
     images = {image.id: image for image in file.images}
     names = {category.id: category.name for category in file.categories}
-    boxes: dict[int, list[Box2D]] = {image.id: [] for image in file.images}
+    boxes: dict[int, list[tuple[Box2D, Values]]] = {image.id: [] for image in file.images}
     for annotation in file.annotations:
         try:
-            boxes.setdefault(annotation.image_id, []).append(_box(path, annotation, images, names))
+            box = _box(path, annotation, images, names)
         except FormatError as fault:
             on_fault(fault)
-    return [CocoImage(i.file_name, i.width, i.height, tuple(boxes[i.id])) for i in file.images]
+        else:
+            boxes[annotation.image_id].append((box, _values(annotation.attributes)))
+    return [_image(image, boxes[image.id]) for image in file.images]
+
+
+def _image(image: _Image, pairs: Sequence[tuple[Box2D, Values]]) -> CocoImage:
+    values = tuple(each for _, each in pairs) if any(each for _, each in pairs) else ()
+    size, boxes = (image.width, image.height), tuple(box for box, _ in pairs)
+    return CocoImage(image.file_name, *size, boxes, known_kind(image.box_kind), values, _values(image.attributes))
+
+
+def _values(content: object) -> Values:
+    """Returns the values by name; other tools also write lists of names, and values of other kinds, read as JSON."""
+    if isinstance(content, list):
+        return from_dotted(map(str, content))
+    named = content.items() if isinstance(content, dict) else ()
+    scalars = (bool, int, float, str)
+    return {
+        str(name): value if isinstance(value, scalars) else json.dumps(value)
+        for name, value in named
+        if value is not None
+    }
 
 
 def _require_unique(path: Path, what: str, values: Iterable[Hashable]) -> None:
@@ -158,19 +191,25 @@ def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] =
     _require_unique(path, "file_name", (image.file_name for image in images))
     others = {box.label for image in images for box in image.boxes} - set(classes)
     ids = {name: number for number, name in enumerate([*dict.fromkeys(classes), *sorted(others)], 1)}
-    pairs = [(image_id, box) for image_id, image in enumerate(images, 1) for box in image.boxes]
+    every = [
+        (image_id, box, values)
+        for image_id, image in enumerate(images, 1)
+        for box, values in zip(image.boxes, image.values or repeat(NO_VALUES), strict=False)
+    ]
     content = {
         "images": [
             {"id": image_id, "file_name": image.file_name, "width": image.width_px, "height": image.height_px}
+            | ({} if image.box_kind is None else {"box_kind": image.box_kind.value})
+            | ({"attributes": dict(image.attributes)} if image.attributes else {})
             for image_id, image in enumerate(images, 1)
         ],
-        "annotations": [_annotation(number, image_id, box, ids) for number, (image_id, box) in enumerate(pairs, 1)],
+        "annotations": [_annotation(number, *each, ids) for number, each in enumerate(every, 1)],
         "categories": [{"id": number, "name": name, "supercategory": ""} for name, number in ids.items()],
     }
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
-def _annotation(number: int, image_id: int, box: Box2D, ids: Mapping[str, int]) -> dict[str, object]:
+def _annotation(number: int, image_id: int, box: Box2D, values: Values, ids: Mapping[str, int]) -> dict[str, object]:
     entry: dict[str, object] = {
         "id": number,
         "image_id": image_id,
@@ -181,4 +220,6 @@ def _annotation(number: int, image_id: int, box: Box2D, ids: Mapping[str, int]) 
     }
     if box.score != 1.0:
         entry["score"] = box.score
+    if values:
+        entry["attributes"] = dict(values)
     return entry

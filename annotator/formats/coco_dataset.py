@@ -51,7 +51,9 @@ class CocoWriter:
         part = picture.part or WHOLE
         (self._folder / part / picture.file_name).write_bytes(picture.content)
         size = (picture.width_px, picture.height_px)
-        self._images[part].append(CocoImage(picture.file_name, *size, picture.boxes))
+        self._images[part].append(
+            CocoImage(picture.file_name, *size, picture.boxes, picture.box_kind, picture.values, picture.attributes)
+        )
 
     def finish(self) -> Mapping[str, Path]:
         (self._folder / ANNOTATIONS).mkdir()

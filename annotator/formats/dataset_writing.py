@@ -15,7 +15,8 @@ from typing import Literal, Protocol
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.types import Box2D, Frame, Label
+from annotator.formats.attributes import Values
+from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.types.errors import FormatError
 
 # Bytes of UTF-8. File systems take 255, which must do for a number, a suffix and the name of a temporary file, too.
@@ -31,12 +32,14 @@ class DatasetItem:
         frame: image, cloud and camera.
         labels: the labels to export; boxes in the camera frame.
         split: the frame's part of the dataset, such as "train"; None for a dataset without parts.
+        attributes: values of the frame's attributes.
     """
 
     recording: str
     frame: Frame
     labels: Sequence[Label]
     split: str | None = None
+    attributes: Values = field(default_factory=dict)
 
 
 @dataclass
@@ -92,6 +95,9 @@ class LabelledPicture:
         width_px, height_px: image size.
         boxes: within the image; () if it has no objects.
         part: part of the dataset, such as "train"; None for a dataset without parts.
+        box_kind: what the boxes enclose.
+        values: attributes of each box; () if none has any.
+        attributes: of the frame.
     """
 
     file_name: str
@@ -100,6 +106,9 @@ class LabelledPicture:
     height_px: int
     boxes: tuple[Box2D, ...]
     part: str | None = None
+    box_kind: BoxKind = BoxKind.SILHOUETTE
+    values: tuple[Values, ...] = ()
+    attributes: Values = field(default_factory=dict)
 
 
 class PictureWriter(Protocol):

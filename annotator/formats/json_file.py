@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -19,7 +20,7 @@ from annotator.types.label import MOST_TRACK
 
 # The largest label file in common use, COCO's training labels, takes 450 MB.
 MAX_BYTES = 2**30
-SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
+SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 Model = TypeVar("Model", bound=BaseModel)
 PairsHook = Callable[[list[tuple[str, object]]], object]
@@ -68,8 +69,18 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
         data = read_file(path, MAX_BYTES)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    with json_faults(path):
+        text = data.decode("utf-8-sig")
+        content: object = json.loads(text, object_pairs_hook=pairs_hook)
+    require_encodable(path, text, content)
+    return content
+
+
+@contextmanager
+def json_faults(path: Path) -> Iterator[None]:
+    """Converts the errors of parsing JSON into FormatErrors; a KeyError names a key that occurs twice."""
     try:
-        content: object = json.loads(data.decode("utf-8-sig"), object_pairs_hook=pairs_hook)
+        yield
     except UnicodeDecodeError as error:
         raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
     except json.JSONDecodeError as error:
@@ -81,13 +92,19 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     except ValueError as error:
         # an integer of thousands of digits
         raise FormatError(path, f"has a number that cannot be read ({error})") from error
-    if SURROGATE.search(data):
-        _require_encodable(path, content)
-    return content
 
 
-def _require_encodable(path: Path, content: object) -> None:
-    r"""Rejects unpaired surrogates (`\ud800`): valid JSON escapes, but they cannot be encoded as UTF-8."""
+def require_encodable(path: Path, text: str, content: object) -> None:
+    r"""Rejects unpaired surrogates (`\ud800`): valid JSON escapes, but they cannot be encoded as UTF-8.
+
+    Args:
+        text: the JSON of `content`.
+
+    Raises:
+        FormatError: there is one.
+    """
+    if SURROGATE.search(text) is None:
+        return
     try:
         json.dumps(content, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from enum import StrEnum
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.dataset_writing import DatasetItem
+from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import IMAGE_UP
-from annotator.types import ReviewState
+from annotator.types import OrientedBox, ReviewState
 
 
 class Lost(StrEnum):
@@ -25,11 +26,16 @@ class Lost(StrEnum):
     NAME: characters of a class name that the format cannot store.
     TIME: capture times of frames.
     SOLID: 3D boxes; the 2D boxes around their projections were written.
-    KIND: the information that 2D boxes enclose whole objects (projected 3D boxes), not only the visible parts.
+    KIND: the information that some 2D boxes of an image are projected 3D boxes, where the others are drawn around what
+        is seen.
     SAME: duplicate boxes of one class in a file, and duplicate images.
     OPEN: images with unreviewed proposals, left out.
     GRAVITY: the direction of gravity, where it differs from the image's downward direction.
     LEVEL: gravity is unknown; the format needs it, so the image's downward direction was used.
+    ROUNDED: digits of a box that the format's rounding drops.
+    CUT: points of a scan outside the camera's view.
+    ATTRIBUTE: values of attributes.
+    SAID: what sources of boxes, such as detectors, said of objects before the review.
     UNREADABLE: frames whose files cannot be read, left out on request.
     """
 
@@ -49,9 +55,15 @@ class Lost(StrEnum):
     OPEN = "open"
     GRAVITY = "gravity"
     LEVEL = "level"
+    ROUNDED = "rounded"
+    CUT = "cut"
+    ATTRIBUTE = "attribute"
+    SAID = "said"
     UNREADABLE = "unreadable"
 
 
+# Corners that move less are unchanged, metres.
+LEAST_ROUNDING_M = 1e-6
 # A box with a smaller tilt counts as upright, radians: angles in files are rounded to two to six decimals.
 LEAST_TILT_RAD = 1e-3
 
@@ -67,11 +79,15 @@ _WORDS = {
     Lost.NAME: "boxes have a class name that was written with other characters",
     Lost.TIME: "frames have a capture time",
     Lost.SOLID: "boxes are 3D boxes; the 2D boxes around their projections were written",
-    Lost.KIND: "boxes enclose the whole object, not only its visible part; import them with --box-kind box",
+    Lost.KIND: "boxes are projected 3D boxes on images whose other boxes are drawn around what is seen",
     Lost.SAME: "boxes or images are duplicates and were left out",
     Lost.OPEN: "images with reviewed boxes also have unreviewed proposals and were left out",
     Lost.GRAVITY: "frames have a gravity direction other than the image's downward direction",
     Lost.LEVEL: "frames have no known gravity direction; the image's downward direction was used",
+    Lost.ROUNDED: "boxes were rounded",
+    Lost.CUT: "frames have a scan with points outside the camera's view, which were left out",
+    Lost.ATTRIBUTE: "values of attributes have no place in the format",
+    Lost.SAID: "boxes were proposed by other software; which one said what has no place in the format",
     Lost.UNREADABLE: "frames cannot be read and were left out",
 }
 
@@ -83,7 +99,7 @@ class Loss(BaseModel):
         kind: what was lost.
         count: the number of boxes (or frames, or images).
         message: the count and what was lost, as text.
-        most: the largest loss where it can be measured: radians for TILT.
+        most: the largest loss where it can be measured: radians for TILT; metres, of a corner, for ROUNDED.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -99,17 +115,31 @@ class Losses:
 
     def __init__(self) -> None:
         self._counts: Counter[Lost] = Counter()
-        self._tilt_rad = 0.0
+        self._tilt_rad = self._rounding_m = 0.0
+        self._values: Counter[str] = Counter()
 
     def add(self, kind: Lost, count: int = 1) -> None:
         """Counts `count` boxes (or frames, or images)."""
         self._counts[kind] += count
+
+    def add_values(self, names: Iterable[str]) -> None:
+        """Counts values of attributes, each by the attribute's name."""
+        before = self._values.total()
+        self._values.update(list(names))  # a mapping would count by its values
+        self.add(Lost.ATTRIBUTE, self._values.total() - before)
 
     def add_tilt(self, tilt_rad: float) -> None:
         """Counts a box that was written upright, unless its tilt is below `LEAST_TILT_RAD`."""
         if tilt_rad > LEAST_TILT_RAD:
             self._counts[Lost.TILT] += 1
             self._tilt_rad = max(self._tilt_rad, tilt_rad)
+
+    def add_rounding(self, before: OrientedBox, after: OrientedBox) -> None:
+        """Counts a box that was rounded, unless its corners move by less than `LEAST_ROUNDING_M`."""
+        moved_m = float(np.linalg.norm(box_corners(after) - box_corners(before), axis=1).max())
+        if moved_m > LEAST_ROUNDING_M:
+            self._counts[Lost.ROUNDED] += 1
+            self._rounding_m = max(self._rounding_m, moved_m)
 
     def report(self) -> tuple[Loss, ...]:
         """Returns one line for each kind, in the order of `Lost`."""
@@ -118,6 +148,11 @@ class Losses:
     def _line(self, kind: Lost) -> Loss:
         count = self._counts[kind]
         message = f"{count} {_WORDS[kind]}"
+        if kind is Lost.ROUNDED:
+            most = f" (corners move by up to {self._rounding_m * 1000:.2g} mm)"
+            return Loss(kind=kind, count=count, message=message + most, most=self._rounding_m)
+        if kind is Lost.ATTRIBUTE:
+            message += f" ({', '.join(f'{number} {name}' for name, number in sorted(self._values.items()))})"
         if kind is not Lost.TILT:
             return Loss(kind=kind, count=count, message=message)
         most = f" (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)"
@@ -139,8 +174,11 @@ def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> No
         Lost.GRAVITY: frame.up is not None and float(np.linalg.norm(frame.up - IMAGE_UP)) > LEAST_TILT_RAD,
         Lost.SCORE: sum(label.score is not None for label in item.labels),
         Lost.TRACK: sum(label.track_id is not None for label in item.labels),
+        Lost.SAID: sum(bool(label.said) for label in item.labels),
         Lost.STATE: sum(label.state is not ReviewState.ACCEPTED for label in item.labels),
     }
+    if Lost.ATTRIBUTE in kinds:
+        losses.add_values([*item.attributes, *(name for label in item.labels for name in label.attributes)])
     for kind in kinds:
-        if counts[kind]:
+        if kind is not Lost.ATTRIBUTE and counts[kind]:
             losses.add(kind, int(counts[kind]))

@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 
 from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import decode_image
+from annotator.types import BoxKind
 from annotator.types.errors import FormatError
 
 OnFault = Callable[[FormatError], None]
@@ -24,6 +25,11 @@ def raise_fault(fault: FormatError) -> None:
         FormatError: always.
     """
     raise fault
+
+
+def known_kind(value: object) -> BoxKind | None:
+    """Returns what 2D boxes enclose, as annotator writes it; None for anything else, since other tools do not."""
+    return next((kind for kind in BoxKind if kind.value == value), None)
 
 
 # Maximum number of characters that a message quotes from an invalid text.

@@ -2,23 +2,28 @@
 
     images/PART/FILE
     labels/PART/STEM.txt
-    data.yaml           path, train, val[, test], names
+    data.yaml           path, train, val[, test], names, box_kind, other_box_kind
 
 `path` is written empty: Ultralytics then uses the folder of `data.yaml`, so the dataset can be moved (a relative path
-would be resolved against the current directory). Source: `check_det_dataset` in its `data/utils.py`.
+would be resolved against the current directory). `box_kind` is annotator's own: what the boxes of the images enclose,
+except of those that `other_box_kind` lists. Source: `check_det_dataset` in its `data/utils.py`.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.yolo import dump_boxes
+from annotator.types import BoxKind
 from annotator.types.errors import ConfigError
 
 PARTS = ("train", "val", "test")
 DATA_YAML = "data.yaml"
+NO_KINDS: Mapping[str, BoxKind] = MappingProxyType({})
 
 
 class YoloWriter:
@@ -43,6 +48,7 @@ class YoloWriter:
         self._folder, self._classes = folder, tuple(classes)
         self._numbers = {name: number for number, name in enumerate(classes)}
         self._parts = tuple(part for part in PARTS if part in parts) or ("train",)
+        self._kinds: dict[str, BoxKind] = {}
         for part in self._parts:
             for kind in ("images", "labels"):
                 (folder / kind / part).mkdir(parents=True)
@@ -53,14 +59,19 @@ class YoloWriter:
         (self._folder / "images" / part / picture.file_name).write_bytes(picture.content)
         label = (self._folder / "labels" / part / picture.file_name).with_suffix(".txt")
         label.write_text(text, encoding="ascii")
+        self._kinds[picture.file_name] = picture.box_kind
 
     def finish(self) -> Mapping[str, Path]:
-        (self._folder / DATA_YAML).write_text(data_yaml(self._classes, self._parts), encoding="utf-8")
+        (self._folder / DATA_YAML).write_text(data_yaml(self._classes, self._parts, self._kinds), encoding="utf-8")
         return {part: self._folder / "images" / part for part in self._parts}
 
 
-def data_yaml(classes: Sequence[str], parts: Sequence[str]) -> str:
-    """Returns the text of `data.yaml`; without a part `val`, the training images are also used for validation."""
+def data_yaml(classes: Sequence[str], parts: Sequence[str], kinds: Mapping[str, BoxKind] = NO_KINDS) -> str:
+    """Returns the text of `data.yaml`; without a part `val`, the training images are also used for validation.
+
+    Args:
+        kinds: what the boxes of each image enclose.
+    """
     import yaml
 
     folders = {part: part for part in parts} | {"val": "val" if "val" in parts else "train"}
@@ -69,6 +80,11 @@ def data_yaml(classes: Sequence[str], parts: Sequence[str]) -> str:
         **{part: f"images/{folders[part]}" for part in PARTS if part in folders},
         "names": dict(enumerate(classes)),
     }
+    if kinds:
+        ((most, _),) = Counter(kinds.values()).most_common(1)
+        content["box_kind"] = most.value
+        if others := [name for name, kind in kinds.items() if kind is not most]:
+            content["other_box_kind"] = others
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
     return f"# an empty path is the folder of this file\n{text}"
 

@@ -11,18 +11,19 @@ outside, as in a moved dataset, its parts are looked up beside `data.yaml`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.files import is_within, why_missing
 from annotator.formats.json_file import first_problem
-from annotator.formats.reading import OnFault, raise_fault
+from annotator.formats.reading import OnFault, known_kind, raise_fault
 from annotator.formats.text_folder import read_text
 from annotator.formats.yolo import YoloBox, parse_boxes
 from annotator.formats.yolo_dataset import DATA_YAML, PARTS
+from annotator.types import BoxKind
 from annotator.types.errors import FormatError
 
 CLASSES = "classes.txt"
@@ -45,6 +46,7 @@ class YoloPicture:
         picture: the image file; None if only its labels exist.
         label_file: may be missing.
         boxes: in the order of the label file.
+        box_kind: what they enclose, if known.
     """
 
     file_name: str
@@ -52,6 +54,7 @@ class YoloPicture:
     picture: Path | None
     label_file: Path
     boxes: tuple[YoloBox, ...]
+    box_kind: BoxKind | None = None
 
 
 class _DataYaml(BaseModel):
@@ -63,6 +66,17 @@ class _DataYaml(BaseModel):
     val: str | list[str] | None = None
     test: str | list[str] | None = None
     names: dict[int, str] | list[str]
+    box_kind: object = None
+    other_box_kind: object = None
+
+    def with_kinds(self, pictures: Iterable[YoloPicture]) -> list[YoloPicture]:
+        """Returns the images with what their boxes enclose, if annotator has written it."""
+        kind, listed = known_kind(self.box_kind), self.other_box_kind if isinstance(self.other_box_kind, list) else []
+        if kind is None:
+            return list(pictures)
+        other = BoxKind.BOX if kind is BoxKind.SILHOUETTE else BoxKind.SILHOUETTE
+        names = {name for name in listed if isinstance(name, str)}
+        return [replace(each, box_kind=other if each.file_name in names else kind) for each in pictures]
 
 
 def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
@@ -91,7 +105,7 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
                 by_label_file.setdefault(picture.label_file, picture)
     if not by_label_file:
         raise FormatError(file, "names no image: train, val and test are empty")
-    return list(by_label_file.values())
+    return data.with_kinds(by_label_file.values())
 
 
 def _read_yaml(file: Path) -> _DataYaml:

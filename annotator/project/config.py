@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from annotator.files import is_within, read_file, write_atomic
+from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.types.errors import RESTORE, ConfigError, ProjectError
 
 CONFIG_FILE = "project.json"
@@ -41,6 +53,19 @@ def check_name(name: str) -> str:
     return name
 
 
+def free_path(root: Path, name: str) -> Path:
+    """The folder of a new project of that name in the projects folder `root`.
+
+    Raises:
+        ConfigError: an invalid name.
+        ProjectError: the name is taken.
+    """
+    path = root / check_name(name)
+    if os.path.lexists(path):
+        raise ProjectError(f"{path} exists already; choose another name")
+    return path
+
+
 def _check_classes(classes: tuple[str, ...]) -> tuple[str, ...]:
     if not classes:
         raise ValueError("a project needs at least one class")
@@ -52,6 +77,11 @@ def _check_classes(classes: tuple[str, ...]) -> tuple[str, ...]:
     if len(set(classes)) < len(classes):
         raise ValueError(f"class names must be unique, not {', '.join(classes)}")
     return classes
+
+
+def _require_different(names: list[str], problem: str) -> None:
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"{problem} {twice[0]!r}; each must have its own")
 
 
 class ProjectSettings(BaseModel):
@@ -85,6 +115,8 @@ class ProjectConfig(BaseModel):
         format_version: of this file.
         created_ns: when the project was created, UTC nanoseconds since the epoch.
         classes: permitted class names of boxes, in the detectors' order.
+        class_styles: colours and keys of classes; a class without an entry has those by default.
+        attributes: of boxes, tracks and frames, in the page's order.
         settings: defaults for the commands.
     """
 
@@ -94,7 +126,32 @@ class ProjectConfig(BaseModel):
     format_version: int = Field(FORMAT_VERSION, ge=1)
     created_ns: int = Field(ge=0)
     classes: Annotated[tuple[str, ...], AfterValidator(_check_classes)]
+    class_styles: dict[str, ClassStyle] = Field(default_factory=dict)
+    attributes: tuple[Attribute, ...] = ()
     settings: ProjectSettings = ProjectSettings()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ProjectConfig:
+        names = [attribute.name for attribute in self.attributes]
+        _require_different(names, "two attributes have the name")
+        keys = [*(style.key for style in self.class_styles.values()), *(each.key for each in self.attributes)]
+        _require_different([key for key in keys if key is not None], "two classes or attributes have the key")
+        used = {*self.class_styles, *(name for attribute in self.attributes for name in attribute.classes)}
+        if unknown := sorted(used - set(self.classes)):
+            known = ", ".join(self.classes)
+            raise ValueError(
+                f"class_styles or attributes name the class {unknown[0]!r}, which is not in classes ({known})"
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_unused(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        unused = [name for name in ("class_styles", "attributes") if not getattr(self, name)]
+        return {name: value for name, value in handler(self).items() if name not in unused}
+
+    def attributes_of(self, label: str) -> tuple[Attribute, ...]:
+        """The attributes of a class's boxes and tracks."""
+        return tuple(attribute for attribute in self.attributes if attribute.is_of(label))
 
 
 def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, created_ns: int) -> ProjectConfig:
@@ -107,7 +164,7 @@ def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, c
     try:
         return ProjectConfig(name=name, created_ns=created_ns, classes=classes, settings=settings)
     except ValidationError as error:
-        raise ConfigError(f"project {name}: {_first_problem(error)}") from error
+        raise ConfigError(f"project {name}: {first_problem(error)}") from error
 
 
 def read_config(folder: Path) -> ProjectConfig:
@@ -134,7 +191,12 @@ def read_config(folder: Path) -> ProjectConfig:
             )
         return ProjectConfig.model_validate_json(content)
     except ValidationError as error:
-        raise ProjectError(f"{path}: {_first_problem(error)}; repair it or {RESTORE}") from error
+        raise ProjectError(f"{path}: {first_problem(error)}; repair it or {RESTORE}") from error
+
+
+def config_bytes(config: ProjectConfig) -> bytes:
+    """The content of `project.json`."""
+    return (config.model_dump_json(indent=2) + "\n").encode()
 
 
 def write_config(folder: Path, config: ProjectConfig) -> None:
@@ -145,7 +207,7 @@ def write_config(folder: Path, config: ProjectConfig) -> None:
     """
     path = folder / CONFIG_FILE
     try:
-        write_atomic(path, (config.model_dump_json(indent=2) + "\n").encode())
+        write_atomic(path, config_bytes(config))
     except OSError as error:
         raise ProjectError(f"{path}: cannot be written: {error}") from error
 
@@ -156,7 +218,8 @@ class _Version(BaseModel):
     format_version: int
 
 
-def _first_problem(error: ValidationError) -> str:
+def first_problem(error: ValidationError) -> str:
+    """The first problem of a file or value, with its place."""
     detail = error.errors()[0]
     where = ".".join(str(part) for part in detail["loc"])
     # pydantic prefixes the messages of custom validators

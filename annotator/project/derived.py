@@ -5,16 +5,21 @@ from __future__ import annotations
 from sqlalchemy import Connection, delete, insert, update
 
 from annotator.project.adjusting.moving import adjust
+from annotator.project.classes.applying import relabel, set_frame_values
 from annotator.project.derived_labels import (
     change_label,
+    change_values,
     create_label,
     link_label,
+    put_imported,
     put_label,
     replace_proposals,
     restore_label,
     track_values,
 )
 from annotator.project.event_types import (
+    ClassesChanged,
+    FrameAttributesSet,
     FrameFinalised,
     FrameReopened,
     ImageBoxesRemoved,
@@ -22,6 +27,7 @@ from annotator.project.event_types import (
     ImageBoxesSet,
     ImageBoxesState,
     LabelAccepted,
+    LabelAttributesSet,
     LabelCreated,
     LabelDeleted,
     LabelEdited,
@@ -29,6 +35,7 @@ from annotator.project.event_types import (
     LabelRejected,
     LabelRestored,
     LabelTracked,
+    ProposalsImported,
     ProposalsReplaced,
     RecordingAdjusted,
     TracksLinked,
@@ -40,6 +47,7 @@ from annotator.project.event_types import (
 from annotator.project.events import Event, read_events
 from annotator.project.records import BOXES_2D
 from annotator.project.schema import DERIVED, frames, image_labels, revertible, view_labels
+from annotator.project.tidying.removed import hide_removed
 from annotator.project.undo_state import read_state, target_of
 from annotator.types.errors import ProjectError
 
@@ -75,6 +83,8 @@ def _apply(connection: Connection, event: Event) -> None:
             _put_view_boxes(connection, event, payload.view, ViewBoxesState.model_validate(state))
         case ProposalsReplaced():
             replace_proposals(connection, event, payload)
+        case ProposalsImported():
+            put_imported(connection, event, payload)
         case TracksLinked():
             for linked in payload.labels:
                 link_label(connection, event, linked)
@@ -82,6 +92,14 @@ def _apply(connection: Connection, event: Event) -> None:
             create_label(connection, event, payload)
         case LabelTracked():
             put_label(connection, event, payload.uid, track_values(payload.track_id))
+            change_values(connection, payload.uid, payload.attributes)
+        case LabelAttributesSet():
+            put_label(connection, event, payload.uid, {})
+            change_values(connection, payload.uid, payload.attributes)
+        case FrameAttributesSet():
+            set_frame_values(connection, event.frame_id, payload.attributes, event.id)
+        case ClassesChanged():
+            relabel(connection, payload.change)
         case FrameFinalised() | FrameReopened():
             _set_finalised(connection, event, isinstance(payload, FrameFinalised))
         case LabelAccepted() | LabelEdited() | LabelRejected() | LabelDeleted():
@@ -109,6 +127,7 @@ def rebuild(connection: Connection) -> int:
     for event in read_events(connection):
         apply_event(connection, event)
         count += 1
+    hide_removed(connection)
     return count
 
 

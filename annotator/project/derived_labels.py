@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from sqlalchemy import Connection, case, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, case, delete, func, insert, select, update
 
+from annotator.project.classes.applying import values_of
+from annotator.project.classes.attributes import values_json
 from annotator.project.event_types import (
     LabelAccepted,
     LabelChange,
@@ -16,25 +19,89 @@ from annotator.project.event_types import (
     LabelRejected,
     LabelRestored,
     LinkedLabel,
+    ProposalsImported,
     ProposalsReplaced,
     ProposedObject,
 )
 from annotator.project.events import Event
-from annotator.project.records import ProposalRecord, box_2d_json, suggestion_json
+from annotator.project.records import (
+    OWN,
+    OwnColumns,
+    ProposalRecord,
+    SaidRecord,
+    box_2d_json,
+    said_json,
+    suggestion_json,
+    track_of,
+)
 from annotator.project.schema import labels
+from annotator.project.tidying.removed import is_hidden, next_label_id
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
+from annotator.types.label import AttributeValue
 
 Value = str | int | float | None
 
 
 def replace_proposals(connection: Connection, event: Event, payload: ProposalsReplaced) -> None:
-    """Applies an automatic pass: its proposals replace the unreviewed labels of the frame."""
-    unreviewed = (labels.c.frame_id == event.frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
-    connection.execute(delete(labels).where(unreviewed))
+    """Applies an automatic pass: its proposals replace the unreviewed labels of the frame, except imported ones."""
+    replaced = (labels.c.source != Source.IMPORTED.value) & labels.c.uid.not_in(payload.kept)
+    connection.execute(delete(labels).where(_is_open(event), replaced))
     rows = [_proposed_row(event, entry, payload) for entry in payload.objects if entry.covered_by is None]
     if rows:
-        connection.execute(insert(labels), rows)
+        _insert(connection, rows)
+
+
+def _is_open(event: Event) -> ColumnElement[bool]:
+    return (labels.c.frame_id == event.frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
+
+
+def put_imported(connection: Connection, event: Event, payload: ProposalsImported) -> None:
+    """Applies what other software says: replaces the open imported proposals, beside ours."""
+    hidden = (labels.c.source == Source.IMPORTED.value) | labels.c.uid.in_(payload.hidden)
+    columns = _own_columns(connection, event, payload.hidden) if payload.keeps_ours else {}
+    connection.execute(delete(labels).where(_is_open(event), hidden, labels.c.uid.not_in(payload.kept)))
+    for own in payload.ours:
+        same = _is_open(event) & (labels.c.uid == own.uid)
+        connection.execute(update(labels).where(same).values(said=said_json(own.said)))
+    groups = [tuple(_with_columns(each, columns.get(each.uid)) for each in group) for group in payload.objects]
+    if rows := [_imported_row(event, group) for group in groups]:
+        _insert(connection, rows)
+
+
+def _own_columns(connection: Connection, event: Event, uids: Collection[str]) -> dict[str, OwnColumns]:
+    """What the table alone knows of open proposals of ours, by uid."""
+    columns = [labels.c[name] for name in OwnColumns.model_fields]
+    rows = connection.execute(select(labels.c.uid, *columns).where(_is_open(event), labels.c.uid.in_(uids)))
+    return {
+        row.uid: OwnColumns.model_validate({name: row._mapping[name] for name in OwnColumns.model_fields})
+        for row in rows
+    }
+
+
+def _with_columns(said: SaidRecord, own: OwnColumns | None) -> SaidRecord:
+    return said if own is None else said.model_copy(update={"own": own})
+
+
+def _imported_row(event: Event, group: tuple[SaidRecord, ...]) -> dict[str, Value]:
+    shown = group[0]
+    is_ours = shown.source == OWN
+    own = shown.own or OwnColumns(author=shown.source)
+    return own.model_dump() | {
+        "uid": shown.uid,
+        "frame_id": event.frame_id,
+        "label": shown.label,
+        "box": shown.box.model_dump_json(),
+        "score": shown.score,
+        "state": ReviewState.PROPOSED.value,
+        "track_id": track_of(group),
+        "box_kind": shown.box_kind.value,
+        "said": said_json(group[1:] if is_ours else group),
+        "attributes": values_json(shown.attributes),
+        "time_ns": event.time_ns,
+        "source": (Source.AUTO if is_ours else Source.IMPORTED).value,
+        "event_id": event.id,
+    }
 
 
 def _proposed_row(event: Event, entry: ProposedObject, payload: ProposalsReplaced) -> dict[str, Value]:
@@ -50,6 +117,7 @@ def _proposed_row(event: Event, entry: ProposedObject, payload: ProposalsReplace
         "track_linked": entry.track_id is not None,
         "run_id": payload.run,
         "box_kind": payload.box_kind.value,
+        "attributes": values_json(entry.attributes),
     } | _proposal_values(event, proposal)
     # the source of a proposal is AUTO, whoever started the pass
     return row | _authorship(event) | {"source": Source.AUTO.value}
@@ -83,6 +151,8 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
         "track_id": payload.track_id,
         "track_linked": False,
         "box_kind": payload.box_kind.value,
+        "attributes": values_json(payload.attributes),
+        "said": said_json(payload.said),
     }
     row |= _authorship(event)
     if isinstance(payload, LabelCreated):
@@ -94,7 +164,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
         row |= {"track_linked": payload.track_id is not None}
         if payload.proposal is not None:
             row |= {"score": payload.proposal.score} | _proposal_values(event, payload.proposal)
-    connection.execute(insert(labels), row)
+    _insert(connection, [row])
 
 
 def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> None:
@@ -115,6 +185,7 @@ def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> Non
         raise ProjectError(
             f"label {linked.uid} is not in this frame, or has been reviewed since; link the tracks again"
         )
+    change_values(connection, linked.uid, linked.attributes)
 
 
 def change_label(connection: Connection, event: Event, payload: LabelChange) -> None:
@@ -128,6 +199,18 @@ def change_label(connection: Connection, event: Event, payload: LabelChange) -> 
         _require_one(payload.uid, connection.execute(delete(labels).where(same)).rowcount)
     else:
         put_label(connection, event, payload.uid, _new_values(payload))
+        if isinstance(payload, LabelEdited):
+            change_values(connection, payload.uid, payload.attributes)
+
+
+def change_values(connection: Connection, uid: str, changed: Mapping[str, AttributeValue | None]) -> None:
+    """Sets values of a label's attributes; None removes one."""
+    if not changed:
+        return
+    same = labels.c.uid == uid
+    present = values_of(connection.execute(select(labels.c.attributes).where(same)).scalar())
+    new = {name: value for name, value in (present | dict(changed)).items() if value is not None}
+    connection.execute(update(labels).where(same).values(attributes=values_json(new)))
 
 
 def put_label(connection: Connection, event: Event, uid: str, values: dict[str, Any]) -> None:
@@ -187,19 +270,31 @@ def restore_label(connection: Connection, event: Event, payload: LabelRestored) 
     if connection.execute(select(labels.c.id).where(same, labels.c.frame_id != event.frame_id)).first():
         raise ProjectError(f"label {payload.uid} is in another frame")
     connection.execute(delete(labels).where(same))
-    row: dict[str, Value] = former.model_dump(exclude={"box", "image_box", "suggestion", "place"}, mode="json")
+    row: dict[str, Value] = former.model_dump(
+        exclude={"box", "image_box", "suggestion", "said", "place", "attributes"}, mode="json"
+    )
     row |= {
         "uid": payload.uid,
         "frame_id": event.frame_id,
         "box": former.box.model_dump_json(),
         "image_box": box_2d_json(former.image_box),
         "suggestion": suggestion_json(former.suggestion),
+        "said": said_json(former.said),
+        "attributes": values_json(former.attributes),
         "event_id": event.id,
     }
     # the former row id restores the order of the frame's labels, unless another label uses it now
-    if not connection.execute(select(labels.c.id).where(labels.c.id == former.place)).first():
+    taken = connection.execute(select(labels.c.id).where(labels.c.id == former.place)).first() is not None
+    if not taken and not is_hidden(connection, former.place):
         row["id"] = former.place
-    connection.execute(insert(labels), row)
+    _insert(connection, [row])
+
+
+def _insert(connection: Connection, rows: list[dict[str, Value]]) -> None:
+    """Inserts labels; those without an id get the next ones."""
+    if (first := next_label_id(connection)) is not None:
+        rows = [{"id": number} | row for number, row in enumerate(rows, first)]
+    connection.execute(insert(labels), rows)
 
 
 def _authorship(event: Event) -> dict[str, Value]:

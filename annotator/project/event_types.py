@@ -11,13 +11,17 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
-from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, ViewGeometry
+from annotator.project.classes.attributes import Attribute, AttributeName, ClassStyle, Value
+from annotator.project.classes.relabelling import Relabelling
+from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, SaidRecord, ViewGeometry
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, LostObject, ReviewState, Source, Suggestion
 from annotator.types.label import MOST_TRACK
 
 ViewId = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Uid = Annotated[str, Field(min_length=1, max_length=64)]
 ClassName = Annotated[str, Field(min_length=1)]
+Values = dict[str, Value]
+ChangedValues = dict[AttributeName, Value | None]
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
@@ -39,6 +43,8 @@ class LabelState(BaseModel):
         place: id of its row, which orders the labels of a frame.
         track_linked: True if linking assigned the track id, not a person or a file.
         box_kind: what the 3D box encloses.
+        said: what each source says of the object, if other software proposed it.
+        attributes: values by name.
     """
 
     model_config = EXACT
@@ -64,6 +70,8 @@ class LabelState(BaseModel):
     expected_iou_loss: float | None = None
     suggestion: Suggestion | None = None
     box_kind: BoxKind = BoxKind.BOX
+    said: tuple[SaidRecord, ...] = ()
+    attributes: Values = Field(default_factory=dict)
 
 
 class ImageBoxesState(BaseModel):
@@ -138,6 +146,7 @@ class ProposedObject(BaseModel):
         uid: of the label created from it.
         covered_by: uid of the reviewed label of the same object; if set, no label was created.
         track_id: the object's id over the recording, if the pass followed it from another frame.
+        attributes: values by name; the store fills them in.
     """
 
     model_config = EXACT
@@ -146,16 +155,18 @@ class ProposedObject(BaseModel):
     proposal: ProposalRecord
     covered_by: Uid | None = None
     track_id: TrackId | None = None
+    attributes: Values = Field(default_factory=dict)
 
 
 class ProposalsReplaced(_Payload):
-    """An automatic pass: its proposals replace all unreviewed labels.
+    """An automatic pass: its proposals replace all unreviewed labels but `kept`.
 
     Attributes:
         run: id of the batch run, if it was part of one.
         objects: every proposal with its trace, also those covered by a reviewed label.
         lost: frustums without a resulting box.
         box_kind: what the proposed boxes enclose.
+        kept: uids of open proposals that stay, because a person has set values of their attributes.
     """
 
     kind: Literal["proposals_replaced"] = "proposals_replaced"
@@ -163,9 +174,56 @@ class ProposalsReplaced(_Payload):
     objects: tuple[ProposedObject, ...]
     lost: tuple[LostObject, ...] = ()
     box_kind: BoxKind = BoxKind.BOX
+    kept: tuple[Uid, ...] = ()
 
     def classes(self) -> set[str]:
         return {entry.proposal.label for entry in self.objects}
+
+
+class OwnProposal(BaseModel):
+    """An open proposal of ours, and what other sources say of its object."""
+
+    model_config = EXACT
+
+    uid: Uid
+    said: tuple[SaidRecord, ...]
+
+
+class CoveredBox(BaseModel):
+    """A box that is not proposed, because the reviewed label with the uid `by` covers it."""
+
+    model_config = EXACT
+
+    said: SaidRecord
+    by: Uid
+
+
+class ProposalsImported(_Payload):
+    """The proposals of other software, after one source has changed what it says, or after an automatic pass.
+
+    Attributes:
+        source: which has changed; the others are repeated.
+        objects: what the sources say of each object, the shown box first; they replace all open imported proposals
+            but `kept`.
+        ours: all open proposals of ours that stay.
+        hidden: uids of those that do not: a surer box of other software is shown.
+        covered: boxes of `source` that are not proposed.
+        kept: as in `ProposalsReplaced`; the other fields leave them out.
+        keeps_ours: whether the tables keep the further columns of hidden ones; not so in older logs, whose rebuilt
+            tables must stay as they are.
+    """
+
+    kind: Literal["proposals_imported"] = "proposals_imported"
+    source: str
+    objects: tuple[tuple[SaidRecord, ...], ...]
+    ours: tuple[OwnProposal, ...] = ()
+    hidden: tuple[Uid, ...] = ()
+    covered: tuple[CoveredBox, ...] = ()
+    kept: tuple[Uid, ...] = ()
+    keeps_ours: bool = False
+
+    def classes(self) -> set[str]:
+        return {group[0].label for group in self.objects}
 
 
 class LabelCreated(_Payload):
@@ -176,6 +234,8 @@ class LabelCreated(_Payload):
         image_box: box on the camera image that the label was made from, if any.
         suggestion: the detector that suggested its boxes, if the operator accepted any.
         box_kind: what the 3D box encloses.
+        attributes: values by name; the store adds those of its track, and defaults.
+        said: what sources said of the object in the dataset that it was imported from.
     """
 
     kind: Literal["label_created"] = "label_created"
@@ -189,6 +249,8 @@ class LabelCreated(_Payload):
     image_box: Box2D | None = None
     suggestion: Suggestion | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Values = Field(default_factory=dict)
+    said: tuple[SaidRecord, ...] = ()
 
     @model_validator(mode="after")
     def _reviewed(self) -> LabelCreated:
@@ -209,6 +271,8 @@ class LabelProposed(_Payload):
     Attributes:
         proposal: with its trace, if the recursion found the box.
         box_kind: what the box encloses.
+        attributes: as in `LabelCreated`.
+        said: what other software says of the object, if this takes the place of its proposal.
     """
 
     kind: Literal["label_proposed"] = "label_proposed"
@@ -218,17 +282,24 @@ class LabelProposed(_Payload):
     track_id: TrackId | None = None
     proposal: ProposalRecord | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Values = Field(default_factory=dict)
+    said: tuple[SaidRecord, ...] = ()
 
     def classes(self) -> set[str]:
         return {self.label}
 
 
 class LabelTracked(_Payload):
-    """Changes the label's track, or removes it from its track; its box and review state stay."""
+    """Changes the label's track, or removes it from its track; its box and review state stay.
+
+    Attributes:
+        attributes: values of the new track; the store fills them in.
+    """
 
     kind: Literal["label_tracked"] = "label_tracked"
     uid: Uid
     track_id: TrackId | None
+    attributes: ChangedValues = Field(default_factory=dict)
 
 
 class LinkedLabel(BaseModel):
@@ -237,6 +308,7 @@ class LinkedLabel(BaseModel):
     Attributes:
         track_id: the new track id; None keeps the label's own, given by a person or a file.
         box: smoothed over its track; None keeps the label's box, as required for a reviewed label.
+        attributes: values of its track that it lacks.
     """
 
     model_config = EXACT
@@ -244,6 +316,7 @@ class LinkedLabel(BaseModel):
     uid: Uid
     track_id: TrackId | None = None
     box: BoxRecord | None = None
+    attributes: Values = Field(default_factory=dict)
 
 
 class TracksLinked(_Payload):
@@ -268,6 +341,7 @@ class LabelEdited(_Payload):
         suggestion: the detector that suggested boxes for the new 3D box, if the operator accepted any. None = the
             operator made the 3D box, and an earlier suggestion counts as corrected if the box is another one.
         box_kind: what the new 3D box encloses; None = as before.
+        attributes: values that follow from a new class or track, None = no value; the store fills them in.
     """
 
     kind: Literal["label_edited"] = "label_edited"
@@ -278,9 +352,18 @@ class LabelEdited(_Payload):
     image_box: Box2D | None = None
     suggestion: Suggestion | None = None
     box_kind: BoxKind | None = None
+    attributes: ChangedValues = Field(default_factory=dict)
 
     def classes(self) -> set[str]:
         return {self.label}
+
+
+class LabelAttributesSet(_Payload):
+    """Sets values of the label's attributes; None removes one. Its box and review state stay."""
+
+    kind: Literal["label_attributes_set"] = "label_attributes_set"
+    uid: Uid
+    attributes: ChangedValues
 
 
 class LabelRejected(_Payload):
@@ -354,6 +437,30 @@ class FrameReopened(_Payload):
     kind: Literal["frame_reopened"] = "frame_reopened"
 
 
+class FrameAttributesSet(_Payload):
+    """Replaces all values of the frame's attributes."""
+
+    kind: Literal["frame_attributes_set"] = "frame_attributes_set"
+    attributes: Values
+
+
+class ClassesChanged(_Payload):
+    """Changes the project's classes or attributes. It belongs to no frame.
+
+    Attributes:
+        names: the classes after it.
+        styles: colours and keys after it.
+        attributes: after it.
+        change: what happens to the stored labels.
+    """
+
+    kind: Literal["classes_changed"] = "classes_changed"
+    names: tuple[str, ...]
+    styles: dict[str, ClassStyle] = Field(default_factory=dict)
+    attributes: tuple[Attribute, ...] = ()
+    change: Relabelling = Relabelling()
+
+
 class RecordingAdjusted(_Payload):
     """Sets the up direction and the correction of the calibration of the frame's recording, for all its frames.
 
@@ -375,6 +482,7 @@ Payload = (
     ImageBoxesSet
     | ViewBoxesSet
     | ProposalsReplaced
+    | ProposalsImported
     | TracksLinked
     | LabelCreated
     | LabelProposed
@@ -391,6 +499,9 @@ Payload = (
     | FrameFinalised
     | FrameReopened
     | RecordingAdjusted
+    | LabelAttributesSet
+    | FrameAttributesSet
+    | ClassesChanged
 )
 
 PAYLOAD: TypeAdapter[Payload] = TypeAdapter(Annotated[Payload, Field(discriminator="kind")])

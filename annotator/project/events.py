@@ -8,12 +8,21 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select
 
-from annotator.project.event_types import PAYLOAD, Payload, ViewBoxesRemoved, ViewBoxesRestored, ViewBoxesSet
+from annotator.project.event_types import (
+    PAYLOAD,
+    ClassesChanged,
+    Payload,
+    ViewBoxesRemoved,
+    ViewBoxesRestored,
+    ViewBoxesSet,
+)
 from annotator.project.records import parsed
 from annotator.project.schema import AnyRow, events
 from annotator.types import Source
 
 _BATCH = 50
+# The `view_id` of changes of the classes, which belong to no frame and to no view.
+CLASSES = "classes"
 
 
 @dataclass(frozen=True)
@@ -26,12 +35,12 @@ class Effort:
 
 @dataclass(frozen=True)
 class Event:
-    """One change of a frame, or of a pseudo-view that belongs to no frame.
+    """One change of a frame, of a pseudo-view that belongs to no frame, or of the classes.
 
     Attributes:
         id: increases with every event of the project.
         frame_id: the frame, or None.
-        view_id: the pseudo-view, for boxes on one.
+        view_id: the pseudo-view, for boxes on one; `CLASSES` for a change of the classes.
         revision: of the frame (or of the view, where there is no frame) after the event.
         author: name of the operator or program.
         time_ns: UTC nanoseconds since the epoch.
@@ -73,7 +82,9 @@ def insert_event(
     effort: Effort | None = None,
 ) -> Event:
     """Appends one row; `content` is the JSON of `payload`."""
-    view_id = payload.view if isinstance(payload, ViewBoxesSet | ViewBoxesRestored | ViewBoxesRemoved) else None
+    view_id = CLASSES if isinstance(payload, ClassesChanged) else None
+    if isinstance(payload, ViewBoxesSet | ViewBoxesRestored | ViewBoxesRemoved):
+        view_id = payload.view
     row = {
         "frame_id": frame_id,
         "view_id": view_id,

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, select
 
-from annotator.project.event_types import FrameFinalised, FrameReopened
-from annotator.project.schema import AnyRow, frames
+from annotator.project.classes.applying import frame_values, values_of
+from annotator.project.event_types import FrameAttributesSet, FrameFinalised, FrameReopened
+from annotator.project.schema import AnyRow, frame_attributes, frames
+from annotator.project.tidying.removed import KEPT
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types.errors import NotFoundError, ProjectError
+from annotator.types.label import AttributeValue
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class Frames:
 
     def of(self, recordings: Sequence[int] | None = None) -> tuple[StoredFrame, ...]:
         """The frames of some recordings (default: all) in order; those without an index come last."""
-        query = select(frames).order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)
+        query = select(frames).where(KEPT).order_by(frames.c.recording_id, frames.c.position.nulls_last(), frames.c.id)
         if recordings is not None:
             query = query.where(frames.c.recording_id.in_(recordings))
         with self.writer.store.read() as connection:
@@ -86,6 +89,30 @@ class Frames:
             query = query.where(frames.c.recording_id.in_(recordings))
         with self.writer.store.read() as connection:
             return int(connection.execute(query).scalar_one())
+
+    def attributes(self) -> dict[int, dict[str, AttributeValue]]:
+        """Values of the attributes of all frames that have any, by the frame's id."""
+        with self.writer.store.read() as connection:
+            return {row.frame_id: values_of(row.attributes) for row in connection.execute(select(frame_attributes))}
+
+    def attributes_of(self, frame_id: int) -> dict[str, AttributeValue]:
+        """Values of the attributes of one frame."""
+        with self.writer.store.read() as connection:
+            return frame_values(connection, frame_id)
+
+    def set_attributes(
+        self, frame_id: int, changed: Mapping[str, AttributeValue | None], context: WriteContext
+    ) -> Receipt:
+        """Sets values of a frame's attributes; None removes one.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError: as `Writer.to_frame`.
+            ProjectError: no such frame or attribute, or another kind of value.
+        """
+        with self.writer.store.write() as connection:
+            both = frame_values(connection, frame_id) | dict(changed)
+            values = {name: value for name, value in both.items() if value is not None}
+            return self.writer.to_frame_in(connection, frame_id, (FrameAttributesSet(attributes=values),), context)
 
     def finalise(self, frame_id: int, context: WriteContext) -> Receipt:
         """Protects a frame from automatic passes.
@@ -113,7 +140,7 @@ def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
     Raises:
         NotFoundError: no such frame.
     """
-    row = connection.execute(select(frames).where(frames.c.id == frame_id)).first()
+    row = connection.execute(select(frames).where(frames.c.id == frame_id, KEPT)).first()
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     return frame_of(row)

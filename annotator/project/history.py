@@ -2,7 +2,7 @@
 
 The log is append-only: an undo appends events that restore the state before an action, and is an action itself. So a
 redo is the undo of an undo. The order of an operator's actions determines both stacks: a new action empties the redo
-stack. Automatic passes and imports are not actions and cannot be undone.
+stack. Automatic passes, and imports by programs, are not actions and cannot be undone.
 """
 
 from __future__ import annotations
@@ -15,17 +15,22 @@ from datetime import UTC, datetime
 from sqlalchemy import Connection, select, true
 
 from annotator.project.adjusting.adjustment import adjustment_of
-from annotator.project.adjusting.moving import Moves
+from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import LabelState, Payload
 from annotator.project.events import Effort
-from annotator.project.records import parsed
+from annotator.project.records import parsed, said_of
 from annotator.project.schema import AnyRow, events, frames, recordings, revertible
+from annotator.project.sources.bring import said_again
+from annotator.project.tidying.removed import removed_recordings
 from annotator.project.undo_state import (
     FRAME,
     IMAGE,
     LABEL,
     RECORDING,
+    SOURCE,
+    VALUES,
     VIEW,
+    Since,
     present_state,
     read_state,
     restoring,
@@ -36,7 +41,14 @@ from annotator.types import Source
 from annotator.types.errors import HistoryError
 
 # Events of automatic passes and imports that may change a target after an action.
-PASSES = ("proposals_replaced", "tracks_linked", "image_boxes_set", "view_boxes_set", "label_edited")
+PASSES = (
+    "proposals_replaced",
+    "proposals_imported",
+    "tracks_linked",
+    "image_boxes_set",
+    "view_boxes_set",
+    "label_edited",
+)
 
 # Event kind -> verb for the page; the first kind that occurs in an action names the action.
 VERBS = (
@@ -47,6 +59,8 @@ VERBS = (
     ("label_edited", "edit"),
     ("label_accepted", "accept"),
     ("label_tracked", "track"),
+    ("label_attributes_set", "set attributes of"),
+    ("frame_attributes_set", "set attributes of the frame"),
     ("frame_finalised", "finalise"),
     ("frame_reopened", "reopen"),
     ("view_boxes_set", "draw on a view"),
@@ -61,10 +75,12 @@ class Step:
     Attributes:
         action: the action to revert: the original one, or its latest undo or redo.
         original: the operator's original action.
+        recording: id of the recording that it changed.
     """
 
     action: str
     original: str
+    recording: int
 
 
 @dataclass(frozen=True)
@@ -99,16 +115,16 @@ class _Stacks:
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
 
-    def add(self, action: str, undoes: str | None) -> None:
+    def add(self, action: str, undoes: str | None, recording: int) -> None:
         """Updates both stacks with the operator's next action."""
         if undoes is None:
-            self.undo.append(Step(action, action))
+            self.undo.append(Step(action, action, recording))
             self.redo.clear()
             return
         for source, target in ((self.undo, self.redo), (self.redo, self.undo)):
             index = next((n for n in reversed(range(len(source))) if source[n].action == undoes), None)
             if index is not None:
-                target.append(Step(action, source[index].original))
+                target.append(Step(action, source[index].original, recording))
                 # the entries above were skipped, because other authors have changed their targets
                 del source[index:]
                 return
@@ -136,10 +152,10 @@ class History:
         """Reverts the operator's last action.
 
         Args:
-            skip: skip actions whose targets another author has changed since.
+            skip: skip actions whose targets another author has changed since, or whose classes were removed.
 
         Raises:
-            HistoryError: the stack is empty, or another author has changed the same target since.
+            HistoryError: the stack is empty, another author has changed the target since, or its class is gone.
         """
         return self._revert(author, is_undo=True, skip=skip, effort=effort)
 
@@ -154,11 +170,11 @@ class History:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
             for step in reversed(steps):
                 rows = _changes_of(connection, step.action)
-                moves = Moves(connection)
-                payloads_by_frame = _restoring_by_frame(rows, moves)
+                since = Since(connection)
+                payloads_by_frame = self._restoring_by_frame(connection, rows, since)
                 if not payloads_by_frame:
                     continue
-                conflict = _conflict(connection, rows, moves)
+                conflict = self._removed_class(payloads_by_frame) or _conflict(connection, rows, since)
                 if conflict is None:
                     break
                 if not skip:
@@ -169,7 +185,8 @@ class History:
                     )
             else:
                 raise HistoryError(
-                    f"{author} has nothing left to {'undo' if is_undo else 'redo'}: others have changed the same data"
+                    f"{author} has nothing left to {'undo' if is_undo else 'redo'}: others have changed the same data, "
+                    "or its class was removed"
                 )
             parts = []
             for frame_id, payloads in payloads_by_frame.items():
@@ -184,12 +201,30 @@ class History:
             words = self._description(connection, step)
             return Reverted(parts[0].frame_id, receipts[0], words, step.original, others)
 
+    def _restoring_by_frame(
+        self, connection: Connection, rows: Sequence[AnyRow], since: Since
+    ) -> dict[int, list[Payload]]:
+        """The events that revert an action, by frame in its order; frames with nothing to restore are omitted."""
+        by_frame: dict[int, list[AnyRow]] = {}
+        for row in rows:
+            by_frame.setdefault(row.frame_id, []).append(row)
+        config = read_config(self._writer.folder)
+        payloads = {id: _restoring(connection, part, since, config) for id, part in by_frame.items()}
+        return {frame_id: part for frame_id, part in payloads.items() if part}
+
+    def _removed_class(self, payloads_by_frame: dict[int, list[Payload]]) -> str | None:
+        """Says which class would be needed that the project no longer has, if any."""
+        used = {name for payloads in payloads_by_frame.values() for payload in payloads for name in payload.classes()}
+        gone = sorted(used - set(read_config(self._writer.folder).classes)) if used else []
+        return f"the class {gone[0]!r} was removed" if gone else None
+
     def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
         """Both stacks as of the transaction; only events since the last call are read."""
         with self._lock:
             stacks = self._stacks_by_author.setdefault(author, _Stacks())
             query = (
-                select(events.c.id, events.c.action, events.c.undoes)
+                select(events.c.id, events.c.action, events.c.undoes, frames.c.recording_id)
+                .join(frames, frames.c.id == events.c.frame_id)
                 .where(events.c.author == author, events.c.action.is_not(None), events.c.id > stacks.last)
                 .order_by(events.c.id)
             )
@@ -197,11 +232,15 @@ class History:
                 stacks.last = row.id
                 if row.action not in stacks.known:
                     stacks.known.add(row.action)
-                    stacks.add(row.action, row.undoes)
+                    stacks.add(row.action, row.undoes, row.recording_id)
                 else:
                     # an action that is written in several calls has its place since the first
                     self._words.pop(row.action, None)
-            return list(stacks.undo), list(stacks.redo)
+            removed = removed_recordings(connection)
+            undo, redo = (
+                [step for step in stack if step.recording not in removed] for stack in (stacks.undo, stacks.redo)
+            )
+            return undo, redo
 
     def _description(self, connection: Connection, step: Step) -> str:
         if step.original not in self._words:
@@ -227,12 +266,12 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
     return list(connection.execute(query).all())
 
 
-def _conflict(connection: Connection, rows: Sequence[AnyRow], moves: Moves) -> str | None:
+def _conflict(connection: Connection, rows: Sequence[AnyRow], since: Since) -> str | None:
     """Describes a target that has changed since the action, and by whom; None if all are unchanged."""
     last_rows = {(row.frame_id, row.target): row for row in rows}
     for row in last_rows.values():
         present = read_state(connection, row.frame_id, row.target)
-        after = present_state(moves, row.frame_id, row.target, row.after, row.id)
+        after = present_state(since, row.frame_id, row.target, row.after, row.id)
         if not same_state(row.target, present, after):
             author, when = _last_change(connection, row)
             return f"{_target_name(row.target, row.after or row.before)} was changed by {author} since{when}"
@@ -264,27 +303,24 @@ def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
     return change.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
 
 
-def _restoring_by_frame(rows: Sequence[AnyRow], moves: Moves) -> dict[int, list[Payload]]:
-    """The events that revert an action, per frame in the action's order; frames with nothing to restore are omitted."""
-    by_frame: dict[int, list[AnyRow]] = {}
-    for row in rows:
-        by_frame.setdefault(row.frame_id, []).append(row)
-    payloads = {frame_id: _restoring(part, moves) for frame_id, part in by_frame.items()}
-    return {frame_id: part for frame_id, part in payloads.items() if part}
-
-
-def _restoring(rows: Sequence[AnyRow], moves: Moves) -> list[Payload]:
+def _restoring(connection: Connection, rows: Sequence[AnyRow], since: Since, config: ProjectConfig) -> list[Payload]:
     """The events that restore each target of an action to its state before the action, the last target first.
 
     Targets that the action itself has restored, such as a label that it created and deleted, need no event.
     """
     last = {row.target: row for row in rows}
     first = {row.target: row for row in reversed(rows)}
-    return [
-        restoring(target, present_state(moves, row.frame_id, target, row.before, row.id))
-        for target, row in first.items()
-        if not (row.before == last[target].after and (row.before is None or target == FRAME))
-    ]
+    payloads: list[Payload] = []
+    for target, row in first.items():
+        if row.before == last[target].after and (row.before is None or target == FRAME):
+            continue
+        state = present_state(since, row.frame_id, target, row.before, row.id)
+        kind, _, name = target.partition(":")
+        is_said = kind == SOURCE
+        payloads.append(
+            said_again(connection, row.frame_id, name, said_of(state), config) if is_said else restoring(target, state)
+        )
+    return payloads
 
 
 # --- descriptions for the page ----------------------------------------------------------------------------------------
@@ -300,7 +336,9 @@ def _target_name(target: str, state: str | None) -> str:
         IMAGE: "the boxes on the image",
         VIEW: "the box on the view",
         FRAME: "the frame",
+        VALUES: "the attributes of the frame",
         RECORDING: "the recording",
+        SOURCE: f"what {target.partition(':')[2]} says",
     }[kind]
 
 
@@ -308,7 +346,9 @@ def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
     """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
     where = _frame_range(connection, rows)
     if rows[0].source == Source.IMPORTED.value:
-        return f"import 2D boxes ({where})"
+        kind, _, name = rows[0].target.partition(":")
+        what = {SOURCE: f"boxes of {name}", LABEL: "3D boxes"}.get(kind, "2D boxes")
+        return f"import {what} ({where})"
     if rows[0].target.startswith(RECORDING):
         return _adjustment_words(connection, rows[0])
     kinds = {row.kind for row in rows}

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sqlalchemy import Connection, Select, func, select
 
-from annotator.project.event_types import LabelAccepted, LabelCreated, LabelDeleted, LabelEdited, LabelRejected, Origin
-from annotator.project.records import BoxRecord, box_2d_of, parsed, storable, suggestion_of
+from annotator.project.classes.applying import values_of
+from annotator.project.classes.attributes import AttributeOf
+from annotator.project.classes.completing import labels_of_tracks
+from annotator.project.classes.kept import kept_proposals
+from annotator.project.config import read_config
+from annotator.project.event_types import (
+    LabelAccepted,
+    LabelAttributesSet,
+    LabelCreated,
+    LabelDeleted,
+    LabelEdited,
+    LabelRejected,
+    Origin,
+)
+from annotator.project.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
+from annotator.project.review.waiting import By, Formula, WaitingProposal, waiting, waiting_sources, worst_of_frames
 from annotator.project.schema import AnyRow, frames, labels
-from annotator.project.writing import Receipt, WriteContext, Writer
+from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
-from annotator.types.label import MOST_TRACK
+from annotator.types.label import MOST_TRACK, AttributeValue, Said
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
 QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement", "expected_iou_loss")
@@ -35,6 +49,8 @@ class NewLabel:
         suggestion: as in `Label`.
         image_box: box on the camera image that it was drawn from, if any.
         box_kind: what the box encloses.
+        attributes: values by name; those of its track and defaults are added.
+        said: what sources of boxes said of the object before.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
@@ -48,6 +64,8 @@ class NewLabel:
     suggestion: Suggestion | None = None
     image_box: Box2D | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    said: tuple[Said, ...] = ()
 
     def __post_init__(self) -> None:
         # the limit of the database and of exported files
@@ -67,6 +85,7 @@ class StoredLabel:
         origin: how an operator made it, if one did.
         image_box: box on the camera image that it was drawn from, if any.
         track_linked: True if linking assigned the track id, not a person or a file.
+        said: what each source says of the object, if other software proposed it; of ours, only the others.
     """
 
     frame_id: int
@@ -76,6 +95,7 @@ class StoredLabel:
     origin: Origin | None = None
     image_box: Box2D | None = None
     track_linked: bool = False
+    said: tuple[SaidRecord, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,7 +104,7 @@ class LabelSignals:
 
     Attributes:
         frame_id, quality: as in `StoredLabel`.
-        uid, label, score, track_id: as in `Label`.
+        uid, label, score, track_id, attributes: as in `Label`.
     """
 
     frame_id: int
@@ -93,6 +113,7 @@ class LabelSignals:
     score: float | None
     quality: Quality | None
     track_id: int | None = None
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -188,13 +209,43 @@ class Labels:
         classes: Collection[str] | None = None,
     ) -> tuple[LabelSignals, ...]:
         """The same labels as `select`, in the same order, without their boxes."""
-        names = ("frame_id", "uid", "label", "score", "track_id", "proposal_event_id", *QUALITY)
+        names = ("frame_id", "uid", "label", "score", "track_id", "proposal_event_id", "attributes", *QUALITY)
         ordered = _in_order(_filtered(select(*(labels.c[name] for name in names)), states, recordings, classes))
         with self.writer.store.read() as connection:
             return tuple(
-                LabelSignals(row.frame_id, row.uid, row.label, row.score, _quality(row), row.track_id)
+                LabelSignals(
+                    row.frame_id,
+                    row.uid,
+                    row.label,
+                    row.score,
+                    _quality(row),
+                    row.track_id,
+                    values_of(row.attributes),
+                )
                 for row in connection.execute(ordered)
             )
+
+    def waiting(
+        self,
+        formula: Formula,
+        by: By,
+        *,
+        recordings: Collection[int] | None = None,
+        classes: Collection[str] | None = None,
+        attribute: tuple[str, str | None] | None = None,
+        source: str | None = None,
+        most: int | None = None,
+    ) -> tuple[tuple[WaitingProposal, ...], int]:
+        """The first open proposals in an order, and the number of all, as `review.waiting.waiting`."""
+        return waiting(self.writer.store, formula, by, recordings, classes, attribute, source, most)
+
+    def waiting_sources(self) -> dict[str, int]:
+        """The number of objects that each source sees among the open proposals, as `review.waiting.waiting_sources`."""
+        return waiting_sources(self.writer.store)
+
+    def worst_of_frames(self, formula: Formula, recordings: Collection[int] | None = None) -> dict[int, float]:
+        """The greatest doubt of each frame's open proposals, as `review.waiting.worst_of_frames`."""
+        return worst_of_frames(self.writer.store, formula, recordings)
 
     def frames(
         self, *, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None
@@ -204,11 +255,17 @@ class Labels:
         with self.writer.store.read() as connection:
             return frozenset(connection.execute(query).scalars())
 
-    def create(self, frame_id: int, new: Sequence[NewLabel], context: WriteContext) -> Created:
-        """Adds labels, all or none; `context.source` distinguishes drawn labels from imported ones."""
+    def create(
+        self, frame_id: int, new: Sequence[NewLabel], context: WriteContext, action: str | None = None
+    ) -> Created:
+        """Adds labels, all or none; `context.source` distinguishes drawn labels from imported ones.
+
+        Args:
+            action: id of an action over several frames (`new_action`) that they are a part of.
+        """
         with storable("a label"):
             payloads = [_created(entry) for entry in new]
-        receipt = self.writer.to_frame(frame_id, payloads, context)
+        receipt = self.writer.to_frame(frame_id, payloads, context, action)
         return Created(tuple(payload.uid for payload in payloads), receipt)
 
     def accept(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
@@ -229,6 +286,41 @@ class Labels:
         with storable(f"label {uid}"):
             payload = LabelEdited(uid=uid, label=label, box=BoxRecord.of(box), track_id=track_id)
         return self.writer.to_frame(frame_id, (payload,), context)
+
+    def set_attributes(
+        self, frame_id: int, uid: str, changed: Mapping[str, AttributeValue | None], context: WriteContext
+    ) -> tuple[tuple[int, Receipt], ...]:
+        """Sets values of a label's attributes (None removes one); those of its track in all labels of the track.
+
+        A proposal of which a person has set values is not replaced by automatic passes (`classes/kept.py`).
+
+        Returns:
+            The changed frames with their receipts, that of the label first.
+        """
+        of_track = {each.name for each in read_config(self.writer.folder).attributes if each.of is AttributeOf.TRACK}
+        along = {name: value for name, value in changed.items() if name in of_track}
+        # tells the label from those of its track that follow
+        context = replace(context, effort_target=context.effort_target or uid)
+        with self.writer.store.write() as connection:
+            payloads = {frame_id: [LabelAttributesSet(uid=uid, attributes=dict(changed))]}
+            revisions = {frame_id: context.revision}
+            track = connection.execute(select(labels.c.track_id).where(labels.c.uid == uid)).scalar()
+            if along and track is not None:
+                for row in connection.execute(labels_of_tracks(frame_id, [track])):
+                    if row.uid != uid:
+                        revisions.setdefault(row.frame_id, row.revision)
+                        same = LabelAttributesSet(uid=row.uid, attributes=along)
+                        payloads.setdefault(row.frame_id, []).append(same)
+            parts = []
+            for id, of_frame in payloads.items():
+                parts.append(FramePart(id, of_frame, replace(context, revision=revisions[id])))
+                context = replace(context, effort=None)  # counted once, on the label's frame
+            return tuple(zip(payloads, self.writer.to_frames_in(connection, parts), strict=True))
+
+    def kept(self, frame_id: int) -> frozenset[str]:
+        """Uids of the frame's proposals that no automatic pass replaces, as `kept_proposals`."""
+        with self.writer.store.read() as connection:
+            return kept_proposals(connection, read_config(self.writer.folder).attributes, frame_id)
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""
@@ -251,6 +343,8 @@ def _created(entry: NewLabel) -> LabelCreated:
         suggestion=entry.suggestion,
         image_box=entry.image_box,
         box_kind=entry.box_kind,
+        attributes=dict(entry.attributes),
+        said=tuple(map(SaidRecord.of, entry.said)),
     )
 
 
@@ -274,6 +368,7 @@ def _label(row: AnyRow) -> Label:
         None if row.state == ReviewState.EDITED else row.expected_iou_loss,
         suggestion_of(row.suggestion),
         BoxKind(row.box_kind),
+        values_of(row.attributes),
     )
 
 
@@ -281,7 +376,8 @@ def stored_label(row: AnyRow) -> StoredLabel:
     """The label of a table row."""
     origin = None if row.origin is None else Origin(row.origin)
     image_box = box_2d_of(row.image_box)
-    return StoredLabel(row.frame_id, _label(row), _quality(row), row.run_id, origin, image_box, row.track_linked)
+    linked, said = row.track_linked, said_of(row.said)
+    return StoredLabel(row.frame_id, _label(row), _quality(row), row.run_id, origin, image_box, linked, said)
 
 
 def _quality(row: AnyRow) -> Quality | None:

@@ -27,7 +27,7 @@ class StoredModel:
         id: within the project.
         role: camera images or pseudo-views.
         path: absolute path of the weights.
-        created_ns: UTC nanoseconds since the epoch.
+        created_ns: when the labels of its training were read, UTC nanoseconds since the epoch.
         labels: the class names that it detects.
         box_kind: what its boxes enclose, as in its training data.
         metrics: by name, from the training.
@@ -71,8 +71,12 @@ class Models:
         fingerprint: str,
         manifest: Path | None = None,
         activate: bool = True,
+        created_ns: int | None = None,
     ) -> StoredModel:
         """Adds a trained model; by default it becomes the active one of its role.
+
+        Args:
+            created_ns: as in `StoredModel`: classes that are renamed later are translated; None = now.
 
         Raises:
             ProjectError: a file is missing, or lies outside the project's folder.
@@ -83,7 +87,7 @@ class Models:
         row = {
             "role": role.value,
             "path": self._stored_path(path),
-            "created_ns": self.store.clock(),
+            "created_ns": self.store.clock() if created_ns is None else created_ns,
             "labels": _LABELS.dump_json(tuple(labels)).decode(),
             "box_kind": box_kind.value,
             "metrics": _METRICS.dump_json(dict(metrics)).decode(),

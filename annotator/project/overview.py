@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sqlalchemy import ScalarSelect, bindparam, func, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
+from annotator.project.classes.applying import frame_values
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, stored_label
 from annotator.project.project import Project
 from annotator.project.schema import frames, image_labels, labels, recordings
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
+from annotator.types.label import AttributeValue
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +31,7 @@ class FramePage:
         labels: in the order of their creation, rejected ones included.
         image_boxes: on the camera image, or None if it is unlabelled.
         view_boxes: on its pseudo-views.
+        attributes: values of the frame's own attributes.
     """
 
     frame: StoredFrame
@@ -38,6 +41,7 @@ class FramePage:
     labels: tuple[StoredLabel, ...]
     image_boxes: ImageBoxes | None
     view_boxes: tuple[ViewBoxes, ...]
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +81,8 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         query = select(labels).where(labels.c.frame_id == frame_id).order_by(labels.c.id)
         stored = tuple(map(stored_label, connection.execute(query)))
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
-    return FramePage(frame, previous, following, name, stored, boxes, views)
+        values = frame_values(connection, frame_id)
+    return FramePage(frame, previous, following, name, stored, boxes, views, values)
 
 
 def neighbours(project: Project, frame: StoredFrame) -> tuple[int | None, int | None]:
@@ -107,7 +112,7 @@ _HEAD = (
         _beside(is_before=False).label("next"),
     )
     .join(recordings, recordings.c.id == frames.c.recording_id)
-    .where(frames.c.id == bindparam("frame"))
+    .where(frames.c.id == bindparam("frame"), recordings.c.removed_ns.is_(None))
 )
 
 

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection
 
-from annotator.files import link_out, sync_folder
+from annotator.files import sync_folder
 from annotator.project.adjusting.adjustments import Adjustments
 from annotator.project.backup.automatic import back_up_before_upgrade
-from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER
+from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.boxes import Boxes
+from annotator.project.classes.applying import ClassChanges, made_changes
+from annotator.project.classes.config_change import prepare_config, take_config
+from annotator.project.classes.counting import ClassCounts, class_counts, require_fitting, value_counts
+from annotator.project.classes.edit import ClassEdit, with_classes
+from annotator.project.classes.relabelling import Relabelling
 from annotator.project.config import (
     CONFIG_FILE,
     ProjectConfig,
@@ -25,21 +31,25 @@ from annotator.project.config import (
     read_config,
     write_config,
 )
+from annotator.project.event_types import ClassesChanged
 from annotator.project.frames import Frames
 from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
 from annotator.project.log import Log
 from annotator.project.models import Models
+from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
-from annotator.project.schema import labels
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.project.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
+from annotator.project.tidying.in_use import mark_in_use
+from annotator.project.tidying.removed import with_removed
 from annotator.project.views import Views
 from annotator.project.writing import Writer
 from annotator.types.errors import ProjectError
 
+AUTHOR = "annotator"
 _FOLDERS = (MODELS_FOLDER, VIEWS_FOLDER)
 
 
@@ -64,7 +74,7 @@ class Project:
     """
 
     def __init__(self, path: Path, store: Store, readable: Sequence[Path] | None = None) -> None:
-        writer = Writer(store, path)
+        self._writer = writer = Writer(store, path)
         self.path = path
         self.store = store
         self.views = Views(path / VIEWS_FOLDER)
@@ -78,6 +88,8 @@ class Project:
         self.models = Models(store, path)
         self.log = Log(writer)
         self.history = History(writer)
+        self._review = ReviewReader()
+        self._in_use = mark_in_use(self, path)
 
     @property
     def config(self) -> ProjectConfig:
@@ -94,7 +106,7 @@ class Project:
         return self.path / MODELS_FOLDER
 
     def configure(
-        self, *, classes: Sequence[str] | None = None, settings: ProjectSettings | None = None
+        self, *, classes: Sequence[str] | None = None, settings: ProjectSettings | None = None, author: str = AUTHOR
     ) -> ProjectConfig:
         """Changes the classes or the settings; None leaves them as they are.
 
@@ -102,18 +114,81 @@ class Project:
             ConfigError: invalid class names.
             ProjectError: boxes have a class that would be removed, or `project.json` cannot be written.
         """
-        # the lock prevents concurrent changes of the file, and new boxes of a removed class
-        with self.store.write() as connection:
-            old = self.config
-            names = old.classes if classes is None else tuple(classes)
-            new = new_config(old.name, names, settings or old.settings, old.created_ns)
-            if removed := sorted(_used_classes(connection) - set(new.classes)):
+
+        def edited(old: ProjectConfig) -> ClassEdit:
+            new = old if classes is None else with_classes(old, classes)
+            return ClassEdit(new.model_copy(update={"settings": settings or old.settings}))
+
+        return self.change_classes(edited, author)
+
+    def change_classes(self, edit: Callable[[ProjectConfig], ClassEdit], author: str) -> ProjectConfig:
+        """Changes the classes and attributes, with the labels that follow; one event of the project.
+
+        Args:
+            edit: one of `annotator.project.classes.edit`, applied to the present configuration.
+
+        Raises:
+            ConfigError, NotFoundError: as the edit.
+            ProjectError: boxes have a class that would be removed, stored values would not fit an attribute, or
+                `project.json` cannot be written.
+        """
+        ahead: Path | None = None
+        try:
+            # the lock prevents concurrent changes of the file, and new boxes of a removed class
+            with self.store.write() as connection:
+                old = take_config(self.path, connection)
+                made = edit(old)
+                new = made.config
+                if self._has_changed_classes(connection, old, made, author):
+                    ahead = prepare_config(self.path, new, connection)
+                elif new != old:
+                    write_config(self.path, new)
+        except BaseException:
+            if ahead is not None:
+                with suppress(Exception), self.store.read() as connection:  # the next one does it, if this fails
+                    take_config(self.path, connection)
+            raise
+        with self.store.read() as connection:
+            return take_config(self.path, connection) if ahead is not None else new
+
+    def _has_changed_classes(self, connection: Connection, old: ProjectConfig, made: ClassEdit, author: str) -> bool:
+        new = made.config
+        is_same = all(getattr(new, name) == getattr(old, name) for name in ("classes", "class_styles", "attributes"))
+        if is_same and made.change == Relabelling():
+            return False
+        payload = ClassesChanged(
+            names=new.classes, styles=new.class_styles, attributes=new.attributes, change=made.change
+        )
+        with with_removed(connection):
+            self._writer.to_classes_in(connection, payload, author)
+            if removed := sorted(set(class_counts(connection)) & set(old.classes) - set(new.classes)):
                 raise ProjectError(
-                    f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed while boxes use it; "
-                    "delete or relabel these boxes first"
+                    f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed while boxes use it; merge "
+                    "it into another class, or delete or relabel these boxes first, also those of recordings that "
+                    "were removed"
                 )
-            write_config(self.path, new)
-        return new
+            require_fitting(connection, old.attributes, new.attributes)
+        return True
+
+    def class_changes(self, since_ns: int) -> tuple[Relabelling, ...]:
+        """What changes of the classes after a time (UTC nanoseconds since the epoch) did to labels, in order."""
+        with self.store.read() as connection:
+            return ClassChanges(connection).after_time(since_ns)
+
+    def class_changes_after(self, event_id: int) -> tuple[tuple[str, Relabelling], ...]:
+        """The changes of the classes after an event, with their authors, in order."""
+        with self.store.read() as connection:
+            return tuple((made.author, made.change) for made in made_changes(connection, event_id))
+
+    def value_counts(self) -> dict[str, dict[str, int]]:
+        """How often each value of an attribute occurs, by attribute."""
+        with self.store.read() as connection:
+            return value_counts(connection)
+
+    def class_counts(self) -> dict[str, ClassCounts]:
+        """Numbers of boxes by class name, also of names that are no class of the project."""
+        with self.store.read() as connection:
+            return class_counts(connection)
 
     @property
     def is_current(self) -> bool:
@@ -122,7 +197,7 @@ class Project:
 
     def statistics(self) -> Statistics:
         """Counts of frames, labels and boxes, and the results of the review."""
-        return read_statistics(self.store)
+        return read_statistics(self.store, self._review)
 
     def problems(self) -> list[str]:
         """Problems that a full check of the database finds; empty for a sound one."""
@@ -131,6 +206,7 @@ class Project:
     def close(self) -> None:
         """Closes the database."""
         self.store.close()
+        self._in_use()
 
     def __enter__(self) -> Project:
         return self
@@ -197,7 +273,7 @@ def open_project(
             model that leads out of its folder.
     """
     read_config(path)
-    _require_own_files(path)
+    require_own_files(path)
     store = open_store(
         path / DATABASE_FILE,
         busy_timeout_s=busy_timeout_s,
@@ -214,24 +290,13 @@ def open_project(
     project = Project(path, store, readable)
     try:
         project.models.all()  # refuses paths of other folders
+        if os.access(path, os.W_OK):
+            with store.read() as connection:
+                take_config(path, connection)
     except BaseException:
         project.close()
         raise
     return project
-
-
-def _require_own_files(path: Path) -> None:
-    """Refuses a project with links that lead out of it: somebody may have sent it, to read or replace other files."""
-    try:
-        # images of views are many; `Views` refuses links
-        link = link_out(path, VIEWS_FOLDER)
-    except OSError as error:
-        raise ProjectError(f"{error.filename}: cannot be read: {error.strerror}") from error
-    if link is not None:
-        raise ProjectError(
-            f"{link}: is a link that leads out of the project, which has all its files in its own folder; remove the "
-            "link, or put what it leads to in its place"
-        )
 
 
 def list_projects(root: Path) -> tuple[ListedProject, ...]:
@@ -256,12 +321,3 @@ def _listed(path: Path) -> ListedProject:
         return ListedProject(path, read_config(path), None)
     except ProjectError as error:
         return ListedProject(path, None, str(error))
-
-
-def _used_classes(connection: Connection) -> set[str]:
-    """Class names of the stored 2D and 3D boxes."""
-    on_images = "SELECT json_extract(box.value, '$.label') FROM {table}, json_each({table}.boxes) AS box"
-    used = set(connection.execute(select(labels.c.label).distinct()).scalars())
-    for table in ("image_labels", "view_labels"):
-        used |= set(connection.exec_driver_sql(on_images.format(table=table)).scalars())
-    return used

@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
-from annotator.geometry.iou import iou_3d_matrix
 from annotator.project.adjusting.moving import Moves
+from annotator.project.classes.kept import kept_proposals
+from annotator.project.config import read_config
 from annotator.project.event_types import ProposalsReplaced, ProposedObject
 from annotator.project.events import Event, event_of
 from annotator.project.jobs import read_run, record_result
-from annotator.project.labels import read_labels
-from annotator.project.records import BoxRecord, ProposalRecord, parsed, storable
+from annotator.project.labels import NewLabel, read_labels
+from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
 from annotator.project.schema import events, frames, labels
+from annotator.project.sources.bring import Brought, beside_new_pass, bring, used_tracks
+from annotator.project.sources.covering import covered_by
 from annotator.project.writing import Receipt, WriteContext, Writer, require_writable
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import RESTORE, ProjectError
-
-# Minimum exact 3D IoU at which a proposal and a label of one class count as the same object.
-SAME_OBJECT_IOU = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,8 +39,9 @@ class Replaced:
     """Result of an automatic pass.
 
     Attributes:
-        uids: of the new labels, in the proposals' order; None for a proposal that a reviewed label covers.
-        covered: number of covered proposals.
+        uids: of the new labels, in the proposals' order; None for a proposal that a reviewed label covers, or that a
+            surer proposal of other software hides.
+        covered: number of such proposals.
         receipt: of the write.
     """
 
@@ -105,8 +104,11 @@ class Proposals:
     ) -> Replaced:
         """Replaces the unreviewed labels of a frame with new proposals.
 
-        Accepted, edited and rejected labels stay. A proposal is covered if its exact 3D IoU with one of them, of the
-        same class, is 0.5 or more: it gets no label, and the log stores it with the uid of the covering label.
+        Accepted, edited and rejected labels stay, and proposals of which a person has set values. A proposal is
+        covered if its exact 3D IoU with one of them, of the same class, is 0.5 or more: it gets no label, and the log
+        stores it with the uid of the covering label.
+        Proposals of other software stay as well. If one of them is surer of the same object, it hides ours
+        (`sources/merge.py`).
 
         Args:
             context: its source is normally AUTO, so that a pass over a finalised frame is rejected.
@@ -124,10 +126,16 @@ class Proposals:
             where = require_writable(connection, frame_id, context)
             if run is not None:
                 read_run(connection, run.run_id)
-            reviewed = [label for label in read_labels(connection, frame_id) if label.state is not ReviewState.PROPOSED]
-            covering = covered_by(proposals, [*reviewed, *others])
-            # two boxes of a frame never share a track: the reviewed label keeps it
-            taken = {label.track_id for label in reviewed if label.state is not ReviewState.REJECTED}
+            config = read_config(self.writer.folder)
+            kept = kept_proposals(connection, config.attributes, frame_id)
+            staying = [
+                label
+                for label in read_labels(connection, frame_id)
+                if label.state is not ReviewState.PROPOSED or label.uid in kept
+            ]
+            covering = covered_by(proposals, [*staying, *others])
+            # two boxes of a frame never share a track: the label that stays keeps it
+            taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
             ids = [None if id in taken else id for id in track_ids or [None] * len(proposals)]
             with storable(f"{where}: a proposal"):
                 objects = tuple(
@@ -137,14 +145,36 @@ class Proposals:
                     for each, cover, id in zip(proposals, covering, ids, strict=True)
                 )
                 payload = ProposalsReplaced(
-                    run=run.run_id if run else None, objects=objects, lost=tuple(lost), box_kind=box_kind
+                    run=run.run_id if run else None,
+                    objects=objects,
+                    lost=tuple(lost),
+                    box_kind=box_kind,
+                    kept=tuple(sorted(kept)),
                 )
-            receipt = self.writer.to_frame_in(connection, frame_id, (payload,), context)
+            own = [_own(entry, box_kind) for entry in objects if entry.covered_by is None]
+            beside = beside_new_pass(connection, frame_id, own, config.classes, kept)
+            payloads = (payload,) if beside is None else (payload, beside)
+            receipt = self.writer.to_frame_in(connection, frame_id, payloads, context)
             if run is not None:
                 time_ns = self.writer.store.clock()
                 record_result(connection, run.run_id, frame_id, run.seconds, time_ns=time_ns, proposals=len(proposals))
-        uids = tuple(entry.uid if entry.covered_by is None else None for entry in objects)
+        hidden = frozenset[str]() if beside is None else frozenset(beside.hidden)
+        uids = tuple(entry.uid if entry.covered_by is None and entry.uid not in hidden else None for entry in objects)
         return Replaced(uids, uids.count(None), receipt)
+
+    def bring(
+        self,
+        source: str,
+        boxes: Mapping[int, Sequence[NewLabel]],
+        author: str | None = None,
+        action: str | None = None,
+    ) -> dict[int, Brought]:
+        """Makes boxes of other software the proposals of some frames, as `sources.bring.bring`."""
+        return bring(self.writer, source, boxes, author, action)
+
+    def used_tracks(self, recording_id: int, source: str) -> frozenset[int]:
+        """Track ids of a recording, without those that the labels of this source have."""
+        return used_tracks(self.writer, recording_id, source)
 
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""
@@ -173,34 +203,17 @@ class Proposals:
             return None if row is None else _pass(event_of(row), Moves(connection).since(frame_id, row.id))
 
 
-@runtime_checkable
-class Boxed(Protocol):
-    """A class name with a 3D box, such as a `Proposal` or a `Label`."""
-
-    @property
-    def label(self) -> str:
-        """Class name."""
-
-    @property
-    def box(self) -> OrientedBox:
-        """Camera frame."""
-
-
-def covered_by(proposals: Sequence[Boxed], reviewed: Iterable[Label]) -> list[str | None]:
-    """For each proposal, the uid of the reviewed label of its class with the greatest 3D IoU, if 0.5 or more."""
-    covering: list[str | None] = [None] * len(proposals)
-    labels = list(reviewed)
-    for name in {label.label for label in labels}:
-        indices = [index for index, proposal in enumerate(proposals) if proposal.label == name]
-        candidates = [label for label in labels if label.label == name]
-        if not indices:
-            continue
-        iou = iou_3d_matrix([proposals[index].box for index in indices], [label.box for label in candidates])
-        for index, row in zip(indices, iou, strict=True):
-            best = int(np.argmax(row))
-            if row[best] >= SAME_OBJECT_IOU:
-                covering[index] = candidates[best].uid
-    return covering
+def _own(entry: ProposedObject, box_kind: BoxKind) -> SaidRecord:
+    """What a new proposal says, to be compared with boxes of other software."""
+    return SaidRecord(
+        uid=entry.uid,
+        source=OWN,
+        label=entry.proposal.label,
+        score=entry.proposal.score,
+        box=entry.proposal.box,
+        track_id=entry.track_id,
+        box_kind=box_kind,
+    )
 
 
 def _payload(event: Event) -> ProposalsReplaced:

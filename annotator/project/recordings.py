@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +14,17 @@ from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from annotator.files import is_within
 from annotator.project.adjusting.adjustment import adjustment_in
-from annotator.project.schema import AnyRow, adjustments, frames, moves, recordings
+from annotator.project.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
 from annotator.project.store import Store
+from annotator.project.tidying.removed import hide_removed, show_again
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
+from annotator.types.names import alternatives
 
 # Maximum number of frame keys listed in an error message.
 MOST_NAMED = 5
+# Of recordings: not removed.
+_THERE = recordings.c.removed_ns.is_(None)
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,8 @@ class StoredRecording:
         options: how its reader reads it, as JSON; "" = as the reader decides.
         correction: of its calibration; `up` is in the corrected camera frame.
         adjusted: id of the event that set `up` and `correction`; 0 = as the recording was added.
+        fingerprint: of a frame's content, as it was given when the recording was added; None = not known.
+        removed_by: who has removed it from the project; None = nobody.
     """
 
     id: int
@@ -51,6 +58,8 @@ class StoredRecording:
     options: str = ""
     correction: Correction = NO_CORRECTION
     adjusted: int = 0
+    fingerprint: str | None = None
+    removed_by: str | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,7 @@ class Recordings:
         is_sequence: bool,
         up: Sequence[float | int] | np.ndarray | None = None,
         options: str = "",
+        fingerprint: str | None = None,
     ) -> StoredRecording:
         """Registers a recording and its frames, at revision 0.
 
@@ -89,16 +99,19 @@ class Recordings:
             name: "-2", "-3" ... is appended if another recording has this name.
             keys: the frames' keys, in the recording's order.
             up: vector against gravity in the camera frame (3,), any length.
-            options: as in `StoredRecording`.
+            options, fingerprint: as in `StoredRecording`.
 
         Raises:
-            ProjectError: the recording is in the project already, a key occurs twice, or `up` is not a direction.
+            ProjectError: the recording is in the project already or was removed from it, a key occurs twice, or `up` is
+                not a direction.
         """
         path = path.resolve()
         _require_unique(path, keys)
         with self.store.write() as connection:
             same = (recordings.c.path == str(path), recordings.c.options == options)
-            if connection.execute(select(recordings.c.id).where(*same)).first():
+            if (there := connection.execute(select(recordings.c.removed_ns).where(*same)).first()) is not None:
+                if there.removed_ns is not None:
+                    raise ProjectError(f"{path} was removed from the project; `annotator add` brings it back")
                 raise ProjectError(f"{path} is in the project already; scan it again to find new frames")
             row = {
                 "path": str(path),
@@ -108,22 +121,33 @@ class Recordings:
                 "up": None if up is None else json.dumps(_unit(path, up)),
                 "added_ns": self.store.clock(),
                 "options": options,
+                "fingerprint": fingerprint,
             }
             key = connection.execute(insert(recordings), row).inserted_primary_key
             assert key is not None  # one row was inserted
             _insert_frames(connection, key[0], list(enumerate(keys)))
             return _recording(connection, key[0])
 
-    def rescan(self, recording_id: int, keys: Sequence[str]) -> Rescan:
+    def rescan(self, recording_id: int, keys: Sequence[str], fingerprint: str | None = None) -> Rescan:
         """Updates a recording's frames: new ones are added; missing ones stay, without an index.
+
+        A removed recording comes back with its labels.
+
+        Args:
+            fingerprint: as in `StoredRecording`; kept if none is known yet.
 
         Raises:
             ProjectError: no such recording, or a key occurs twice.
         """
         with self.store.write() as connection:
-            _require_unique(_recording(connection, recording_id).path, keys)
+            before = _recording(connection, recording_id, removed=True)
+            _require_unique(before.path, keys)
             known = _positions(connection, recording_id)
             new = _update_frames(connection, recording_id, known, keys)
+            if before.fingerprint is None and fingerprint is not None:
+                same = recordings.c.id == recording_id
+                connection.execute(update(recordings).where(same).values(fingerprint=fingerprint))
+            _bring_back(connection, before)
         present = set(keys)
         return Rescan(new, tuple(key for key in known if key not in present))
 
@@ -135,6 +159,8 @@ class Recordings:
         self, moved: Mapping[int, tuple[Path, Sequence[str]]], author: str
     ) -> tuple[StoredRecording, ...]:
         """Changes the paths of moved recordings, all or none; their frames, labels and boxes stay as they are.
+
+        Those that were removed come back.
 
         Args:
             moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
@@ -151,37 +177,80 @@ class Recordings:
 
     def _move(self, connection: Connection, recording_id: int, path: Path, keys: Sequence[str], author: str) -> None:
         _require_unique(path, keys)
-        before = _recording(connection, recording_id)
-        taken = select(recordings.c.name).where(
+        before = _recording(connection, recording_id, removed=True)
+        taken = select(recordings.c.id, recordings.c.name, recordings.c.removed_ns).where(
             recordings.c.path == str(path),
             recordings.c.options == before.options,
             recordings.c.id != recording_id,
         )
-        other = connection.execute(taken).scalar()
-        if other is not None:
-            raise ProjectError(f"{path} is in the project already, as recording {other}")
+        other = connection.execute(taken).first()
+        if other is not None and other.removed_ns is None:
+            raise ProjectError(
+                f"{path} is in the project already, as recording {other.name}; to have the labels of {before.name} "
+                f"there, first run `annotator project remove PROJECT {shlex.quote(other.name)}`"
+            )
+        if other is not None:  # a removed one gives its place up; `project move` can still bring it back
+            same = recordings.c.id == other.id
+            connection.execute(update(recordings).where(same).values(path=f"{path}.removed-{other.id}"))
         known = _positions(connection, recording_id)
-        _require_same(before, path, known, keys)
+        # a removed one has no latest scan
+        needed = known if before.removed_by is None else dict.fromkeys(_used_keys(connection, recording_id), 0)
+        _require_same(before, path, needed, keys)
         _update_frames(connection, recording_id, known, keys)
         if path != before.path:
             same = recordings.c.id == recording_id
             connection.execute(update(recordings).where(same).values(path=str(path)))
             row = {"recording_id": recording_id, "path_before": str(before.path), "path_after": str(path)}
             connection.execute(insert(moves), row | {"author": author, "time_ns": self.store.clock()})
+        _bring_back(connection, before)
+
+    def remove(self, recording_id: int, author: str) -> None:
+        """Takes a recording out of the project; its labels stay in the log, and come back with it.
+
+        Raises:
+            NotFoundError: no such recording.
+        """
+        with self.store.write() as connection:
+            _recording(connection, recording_id)
+            values = {"removed_ns": self.store.clock(), "removed_by": author}
+            connection.execute(update(recordings).where(recordings.c.id == recording_id).values(values))
+            hide_removed(connection)
+
+    def removed(self) -> tuple[StoredRecording, ...]:
+        """The recordings that were removed, in the order they were added."""
+        with self.store.read() as connection:
+            query = _query().where(recordings.c.removed_ns.is_not(None)).order_by(recordings.c.id)
+            return tuple(map(_stored, connection.execute(query)))
+
+    def label_counts(self) -> dict[int, int]:
+        """Numbers of labels by recording id, also of removed recordings."""
+        stored = select(frames.c.recording_id, func.count()).join(labels, labels.c.frame_id == frames.c.id)
+        hidden = select(removed_rows.c.recording_id, func.count()).where(removed_rows.c.label_id.is_not(None))
+        with self.store.read() as connection:
+            return {
+                recording: number
+                for query, by in ((stored, frames.c.recording_id), (hidden, removed_rows.c.recording_id))
+                for recording, number in connection.execute(query.group_by(by))
+            }
+
+    def used_keys(self, recording_id: int) -> frozenset[str]:
+        """Keys of the frames, also of a removed recording, that the latest scan has found or that have events."""
+        with self.store.read() as connection:
+            return frozenset(_used_keys(connection, recording_id))
 
     def all(self) -> tuple[StoredRecording, ...]:
         """All recordings, in the order they were added."""
         with self.store.read() as connection:
-            return tuple(map(_stored, connection.execute(_query().order_by(recordings.c.id))))
+            return tuple(map(_stored, connection.execute(_query().where(_THERE).order_by(recordings.c.id))))
 
-    def get(self, recording_id: int) -> StoredRecording:
-        """One recording.
+    def get(self, recording_id: int, *, removed: bool = False) -> StoredRecording:
+        """One recording; with `removed`, also one that was removed.
 
         Raises:
             NotFoundError: no such recording.
         """
         with self.store.read() as connection:
-            return _recording(connection, recording_id)
+            return _recording(connection, recording_id, removed=removed)
 
     def require_readable(self, recording: StoredRecording) -> None:
         """Checks the place of a recording before it is opened.
@@ -198,21 +267,23 @@ class Recordings:
     def at(self, path: Path) -> tuple[StoredRecording, ...]:
         """The recordings of a path, which differ in their options, in the order of their addition."""
         with self.store.read() as connection:
-            query = _query().where(recordings.c.path == str(path)).order_by(recordings.c.id)
+            query = _query().where(recordings.c.path == str(path), _THERE).order_by(recordings.c.id)
             return tuple(map(_stored, connection.execute(query)))
 
-    def find(self, name: str) -> StoredRecording:
-        """The recording of that name.
+    def find(self, name: str, *, removed: bool = False) -> StoredRecording:
+        """The recording of that name; with `removed`, also one that was removed.
 
         Raises:
-            NotFoundError: no such recording; the message lists the existing ones.
+            NotFoundError: no such recording; the message says which is probably meant, or which there are.
         """
-        stored = self.all()
-        for recording in stored:
+        stored, gone = self.all(), self.removed()
+        for recording in (*stored, *(gone if removed else ())):
             if recording.name == name:
                 return recording
-        names = ", ".join(recording.name for recording in stored) or "none"
-        raise NotFoundError(f"the project has no recording {name!r}; it has: {names}")
+        if name in {recording.name for recording in gone}:
+            raise NotFoundError(f"recording {name!r} was removed from the project; `annotator add` brings it back")
+        names = [recording.name for recording in stored]
+        raise NotFoundError(f"the project has no recording {name!r}; {alternatives(name, names)}")
 
 
 def _query() -> Any:
@@ -229,11 +300,26 @@ def _query() -> Any:
     return select(recordings, count.label("frames"), *adjusted).outerjoin(adjustments)
 
 
-def _recording(connection: Connection, recording_id: int) -> StoredRecording:
+def _bring_back(connection: Connection, before: StoredRecording) -> None:
+    """Puts a removed recording back into the project, with its labels and boxes."""
+    if before.removed_by is not None:
+        back = {"removed_ns": None, "removed_by": None}
+        connection.execute(update(recordings).where(recordings.c.id == before.id).values(back))
+        show_again(connection, before.id)
+
+
+def _recording(connection: Connection, recording_id: int, *, removed: bool = False) -> StoredRecording:
+    """A recording; with `removed`, also one that was removed."""
     row = connection.execute(_query().where(recordings.c.id == recording_id)).first()
-    if row is None:
+    if row is None or (row.removed_ns is not None and not removed):
         raise NotFoundError(f"the project has no recording with id {recording_id}")
     return _stored(row)
+
+
+def _used_keys(connection: Connection, recording_id: int) -> Sequence[str]:
+    used = frames.c.position.is_not(None) | (frames.c.revision > 0)
+    query = select(frames.c.key).where(frames.c.recording_id == recording_id, used).order_by(frames.c.id)
+    return connection.execute(query).scalars().all()
 
 
 def _positions(connection: Connection, recording_id: int) -> dict[str, int | None]:
@@ -256,6 +342,8 @@ def _stored(row: AnyRow) -> StoredRecording:
         row.options,
         set_.correction,
         event_id,
+        row.fingerprint,
+        row.removed_by,
     )
 
 

@@ -6,18 +6,21 @@ stored as centre, rotation matrix and size, bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import json
+import uuid
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_serializer
 from pydantic_core import PydanticSerializationError
 from scipy.spatial.transform import RigidTransform
 
-from annotator.types import Box2D, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
+from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
 from annotator.types.errors import RESTORE, ProjectError
+from annotator.types.label import Said
 from annotator.types.proposal import Matrix3
 
 ROTATION_TOLERANCE = 1e-6
@@ -43,8 +46,13 @@ def parsed(read: Callable[[str], Stored], text: str) -> Stored:
 
 
 def _rotation(matrix: Matrix3) -> Matrix3:
-    array = np.array(matrix)
-    if not (np.abs(array.T @ array - np.eye(3)).max() <= ROTATION_TOLERANCE and np.linalg.det(array) > 0):
+    # without numpy, which takes several times as long for so few numbers
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    lengths = (a * a + d * d + g * g, b * b + e * e + h * h, c * c + f * f + i * i)
+    angles = (a * b + d * e + g * h, a * c + d * f + g * i, b * c + e * f + h * i)
+    is_unit = all(abs(length - 1) <= ROTATION_TOLERANCE for length in lengths)
+    is_square = all(abs(angle) <= ROTATION_TOLERANCE for angle in angles)
+    if not (is_unit and is_square and a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0):
         raise ValueError("not a rotation matrix (orthonormal, determinant +1)")
     return matrix
 
@@ -113,6 +121,85 @@ class ProposalRecord(BaseModel):
         return Proposal(self.label, self.score, self.box.box(), self.image_box, self.trace, self.quality)
 
 
+# The source of our own proposals beside those of other software.
+OWN = "annotator"
+
+
+class OwnColumns(BaseModel):
+    """Columns of a proposal of ours that other software hides, for when it is shown again.
+
+    Attributes:
+        author: who made the pass, or asked for the proposal.
+    """
+
+    model_config = EXACT
+
+    author: str
+    view_disagreement: float | None = None
+    kept_share: float | None = None
+    last_change: float | None = None
+    image_agreement: float | None = None
+    expected_iou_loss: float | None = None
+    proposal_event_id: int | None = None
+    run_id: int | None = None
+    track_linked: bool = False
+
+
+class SaidRecord(BaseModel):
+    """What one source says of an object.
+
+    Attributes:
+        uid: of the label, if this is the box that is shown.
+        source: name of the detector, person or file; `OWN` for annotator's own proposals.
+        score: certainty in 0..1, if known.
+        track_id: the object's id over the recording, if known.
+        box_kind: what the box encloses.
+        attributes: values by name.
+        own: further columns of a hidden proposal of ours.
+    """
+
+    model_config = EXACT
+
+    uid: Annotated[str, Field(min_length=1, max_length=64)]
+    source: Annotated[str, Field(min_length=1, max_length=200)]
+    label: Annotated[str, Field(min_length=1)]
+    score: Annotated[float, Field(ge=0, le=1)] | None
+    box: BoxRecord
+    track_id: int | None
+    box_kind: BoxKind
+    attributes: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
+    own: OwnColumns | None = None
+
+    @classmethod
+    def of(cls, said: Said) -> SaidRecord:
+        """The record of what a source said, with a new uid."""
+        return cls(
+            uid=uuid.uuid4().hex,
+            source=said.source,
+            label=said.label,
+            score=said.score,
+            box=BoxRecord.of(said.box),
+            track_id=said.track_id,
+            box_kind=said.box_kind,
+        )
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        # as in projects from before these had attributes, or columns of ours
+        content = handler(self)
+        empty = {name for name in ("attributes", "own") if not getattr(self, name)}
+        return {name: value for name, value in content.items() if name not in empty}
+
+    def said(self) -> Said:
+        """What the source said."""
+        return Said(self.source, self.label, self.box.box(), self.score, self.track_id, self.box_kind)
+
+
+def track_of(group: Sequence[SaidRecord]) -> int | None:
+    """The track id of an object: that of the first source that knows it."""
+    return next((each.track_id for each in group if each.track_id is not None), None)
+
+
 class ViewGeometry(BaseModel):
     """Pose and scale of a pseudo-view, as in `PseudoView`.
 
@@ -147,6 +234,7 @@ class ViewGeometry(BaseModel):
 
 _BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)
 _SUGGESTION: TypeAdapter[Suggestion] = TypeAdapter(Suggestion)
+_SAID: TypeAdapter[tuple[SaidRecord, ...]] = TypeAdapter(tuple[SaidRecord, ...])
 BOXES_2D: TypeAdapter[tuple[Box2D, ...]] = TypeAdapter(tuple[Box2D, ...], config=ConfigDict(extra="forbid"))
 
 
@@ -168,6 +256,21 @@ def suggestion_json(suggestion: Suggestion | None) -> str | None:
 def suggestion_of(content: str | None) -> Suggestion | None:
     """The suggestion of a database column, or None."""
     return None if content is None else parsed(_SUGGESTION.validate_json, content)
+
+
+def said_json(said: tuple[SaidRecord, ...]) -> str | None:
+    """What the sources say of an object as JSON for a database column; None if they say nothing."""
+    return _SAID.dump_json(said).decode() if said else None
+
+
+def said_of(content: str | None) -> tuple[SaidRecord, ...]:
+    """What the sources say of an object, from a database column."""
+    return () if content is None else parsed(_SAID.validate_json, content)
+
+
+def sources_of(content: str | None) -> tuple[str, ...]:
+    """The names of the sources in a database column that `said_of` reads; their boxes are not parsed."""
+    return () if content is None else parsed(lambda text: tuple(each["source"] for each in json.loads(text)), content)
 
 
 @contextmanager

@@ -54,6 +54,9 @@ recordings = Table(
     Column("up", Text),
     Column("added_ns", Integer, nullable=False),
     Column("options", Text, nullable=False),
+    Column("removed_ns", Integer),
+    Column("removed_by", Text),
+    Column("fingerprint", Text),
 )
 
 moves = Table(
@@ -124,6 +127,16 @@ labels = Table(
     Column("expected_iou_loss", Float),
     Column("suggestion", Text),
     Column("box_kind", Text, nullable=False, server_default="box"),
+    Column("attributes", Text, nullable=False, server_default="{}"),
+    Column("said", Text),
+)
+
+frame_attributes = Table(
+    "frame_attributes",
+    METADATA,
+    Column("frame_id", Integer, ForeignKey("frames.id"), primary_key=True),
+    Column("attributes", Text, nullable=False),
+    Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
 )
 
 image_labels = Table(
@@ -175,6 +188,16 @@ adjustments = Table(
     Column("event_id", Integer, ForeignKey("events.id"), nullable=False),
 )
 
+removed_rows = Table(
+    "removed_rows",
+    METADATA,
+    Column("id", Integer, primary_key=True),
+    Column("recording_id", Integer, ForeignKey("recordings.id"), nullable=False),
+    Column("name", Text, nullable=False),
+    Column("label_id", Integer),
+    Column("content", Text, nullable=False),
+)
+
 runs = Table(
     "runs",
     METADATA,
@@ -216,4 +239,4 @@ models = Table(
     Column("active", Boolean, nullable=False),
 )
 
-DERIVED = (labels, image_labels, view_labels, revertible, adjustments)
+DERIVED = (labels, image_labels, view_labels, revertible, adjustments, frame_attributes, removed_rows)

@@ -7,9 +7,11 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
-from annotator.project.efforts import EffortStatistics, read_review
+from annotator.project.classes.counting import value_counts
+from annotator.project.efforts import EffortStatistics
 from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
+from annotator.project.progress.report import Progress, ReviewReader
 from annotator.project.schema import (
     events,
     frame_results,
@@ -22,6 +24,7 @@ from annotator.project.schema import (
     view_labels,
 )
 from annotator.project.store import Store
+from annotator.project.tidying.removed import KEPT
 from annotator.types import BoxKind, ReviewState, Source
 
 
@@ -70,7 +73,8 @@ class Statistics(BaseModel):
         frames_with_proposals: with at least one unreviewed proposal.
         frames_failed: with a failed latest automatic pass.
         suggested: by the name of the detector.
-        effort, accepted_untouched, iou_proposal_to_final: as in `ReviewStatistics`.
+        attributes: by name, then by value: labels that are not rejected, and frames, with that value.
+        effort, accepted_untouched, iou_proposal_to_final, progress: as in `Review`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -88,13 +92,18 @@ class Statistics(BaseModel):
     events: int
     runs: int
     models: int
+    attributes: dict[str, dict[str, int]] = {}
     effort: EffortStatistics
     accepted_untouched: float | None
     iou_proposal_to_final: float | None
+    progress: Progress
 
 
-def read_statistics(store: Store) -> Statistics:
+def read_statistics(store: Store, reader: ReviewReader) -> Statistics:
     """Counts everything, within one transaction.
+
+    Args:
+        reader: of the project; it keeps what takes long to compute.
 
     Raises:
         ProjectError: the database cannot be read.
@@ -102,10 +111,11 @@ def read_statistics(store: Store) -> Statistics:
     present = select(func.count()).where(frames.c.position.is_not(None))
     proposed = labels.c.state == ReviewState.PROPOSED.value
     failed = (frame_results.c.status == Status.FAILED.value) & frame_results.c.id.in_(latest_results())
+    failed &= frame_results.c.frame_id.in_(select(frames.c.id).where(KEPT))
     with store.read() as connection:
-        review = read_review(connection)
+        review = reader.read(connection)
         return Statistics(
-            recordings=_rows(connection, recordings),
+            recordings=_number(connection, select(func.count()).where(recordings.c.removed_ns.is_(None))),
             frames=_number(connection, present),
             frames_finalised=_number(connection, present.where(frames.c.finalised.is_(True))),
             frames_with_labels=_number(connection, select(func.count(distinct(labels.c.frame_id)))),
@@ -118,9 +128,11 @@ def read_statistics(store: Store) -> Statistics:
             events=_rows(connection, events),
             runs=_rows(connection, runs),
             models=_rows(connection, models),
+            attributes=value_counts(connection),
             effort=review.effort,
             accepted_untouched=review.accepted_untouched,
             iou_proposal_to_final=review.iou_proposal_to_final,
+            progress=review.progress,
         )
 
 

@@ -21,7 +21,7 @@ from annotator.project.database.file import DatabaseFile, database_file
 from annotator.project.database.patience import patience_s
 from annotator.project.database.replaced import keep_replaced, kept_copies
 from annotator.project.database.shape import MISFITS, require_tables
-from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, upgrade
+from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, require_known, upgrade
 from annotator.types.errors import RESTORE, ProjectError, ReplacedError
 
 DATABASE_FILE = "project.db"
@@ -35,12 +35,14 @@ Clock = Callable[[], int]
 
 LOG = logging.getLogger("annotator.project")
 
+_READ_ONLY = "is on a read-only disk, or you have no right to write it"
+_COPY_IT = "copy its folder to a place where you may write"
 _BEGIN, _WAITS_MS = "annotator_begin", "annotator_waits_ms"
 
-_LOCKED = "is locked by another process; close programs that use this project, or wait, and try again"
-_PROBLEMS = {
-    sqlite3.SQLITE_BUSY: _LOCKED,
-    sqlite3.SQLITE_LOCKED: _LOCKED,
+LOCKED = "is locked by another process; close programs that use this project, or wait, and try again"
+_PROBLEMS: dict[int | None, str] = {
+    sqlite3.SQLITE_BUSY: LOCKED,
+    sqlite3.SQLITE_LOCKED: LOCKED,
     sqlite3.SQLITE_CORRUPT: f"is damaged; {RESTORE}; `annotator project repair` saves what is still readable",
     sqlite3.SQLITE_NOTADB: f"is not a project database, or its beginning is damaged; {RESTORE}",
     sqlite3.SQLITE_READONLY: "cannot be written; check the permissions of the file and of its folder",
@@ -115,8 +117,9 @@ class Store:
             with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
                 # again: it may have waited long for the lock
                 self.file.require_current()
-                advance(connection)
+                token = advance(connection)
                 yield connection
+            self.file.lineage.written(token)
             # the file may have been replaced since; only now it is sure that the change is in it
             self.file.require_current()
         finally:
@@ -125,10 +128,7 @@ class Store:
 
     def _require_writable(self) -> None:
         if not self.file.is_writable:
-            raise ProjectError(
-                f"{self.path}: is on a read-only disk, or you have no right to write it, so nothing was saved; "
-                "to change this project, copy its folder to a place where you may write"
-            )
+            raise ProjectError(f"{self.path}: {_READ_ONLY}, so nothing was saved; to change this project, {_COPY_IT}")
 
     def upgrade(self, migrations: tuple[Migration, ...], *, is_new: bool = False) -> None:
         """Runs the missing migrations.
@@ -136,11 +136,18 @@ class Store:
         Raises:
             ProjectError: as `write`; or the database is newer.
         """
-        self._require_writable()
+        if not self.file.is_writable:
+            raise ProjectError(
+                f"{self.path}: was written by an older annotator and must be upgraded before it is used, but it "
+                f"{_READ_ONLY}; {_COPY_IT}"
+            )
         with self._transaction("BEGIN IMMEDIATE", self.busy_timeout_s) as connection:
             if is_new:
                 connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
+            has_tokens = connection.exec_driver_sql("SELECT 1 FROM sqlite_master WHERE name = 'generation'").first()
             upgrade(connection, self.path, migrations)
+            if has_tokens:  # else a migration has stored the first one
+                advance(connection)
 
     def _begin_writing(self, ends_s: float) -> None:
         """Changes the database file itself, so that it differs from every copy made before (`backup.generation`)."""
@@ -252,14 +259,15 @@ def open_store(
             raise ProjectError(f"{path}: is an SQLite database, but not a project database; {RESTORE}")
         if version < 1:
             raise ProjectError(f"{path}: is damaged: its version is {version}; {RESTORE}")
-        if version != migrations[-1].version:
-            if before_upgrade is not None and version < migrations[-1].version and store.file.is_writable:
+        require_known(version, path, migrations)
+        if version < migrations[-1].version:
+            if before_upgrade is not None and store.file.is_writable:
                 before_upgrade()
             store.upgrade(migrations)
         if migrations is MIGRATIONS:
             with store.read() as connection:
                 require_tables(connection, path)
-        store.file.remember_beside()
+        store.file.remember()
     return store
 
 
@@ -308,13 +316,25 @@ def explained(path: Path, file: DatabaseFile | None = None) -> Iterator[None]:
         raise ProjectError(f"{path}: {problem} ({cause})") from error
 
 
+def is_lock(error: sqlite3.Error) -> bool:
+    """Whether SQLite has waited in vain for another process."""
+    return _primary(error) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
+
+
 def _problem(cause: BaseException | None) -> str | None:
     """What is wrong, and what to do; None for an error that a database cannot cause."""
-    code = getattr(cause, "sqlite_errorcode", None)
-    if code == sqlite3.SQLITE_ERROR and any(text in str(cause) for text in MISFITS):
-        return f"is damaged: its tables are not those of its version; {RESTORE}"
-    # the low byte is the primary result code
-    return None if code is None else _PROBLEMS.get(code & 0xFF)
+    if getattr(cause, "sqlite_errorcode", None) == sqlite3.SQLITE_ERROR:
+        if any(text in str(cause) for text in MISFITS):
+            return f"is damaged: its tables are not those of its version; {RESTORE}"
+        if "malformed JSON" in str(cause):
+            return f"is damaged: one of its rows cannot be read; {RESTORE}"
+    return _PROBLEMS.get(_primary(cause))
+
+
+def _primary(error: BaseException | None) -> int | None:
+    """SQLite's primary result code: the low byte."""
+    code = getattr(error, "sqlite_errorcode", None)
+    return None if code is None else code & 0xFF
 
 
 def _wait_at_most(connection: Connection, seconds: float) -> None:

@@ -1,19 +1,26 @@
 """The target of an event and its state as text, for undo to compare and restore.
 
-A target is `label:UID`, `image` (the boxes on the camera image), `view:ID` (the boxes on a pseudo-view) or `frame`
-(finalised or open), each within its frame; or `recording:ID` (its up direction and calibration). The database calls it
-`subject`.
+A target is `label:UID`, `image` (the boxes on the camera image), `view:ID` (the boxes on a pseudo-view), `frame`
+(finalised or open), `values` (of the frame's attributes) or `source:NAME` (what other software says of the objects that
+are not reviewed), each within its frame; or `recording:ID` (its up direction
+and calibration). The database calls it `subject`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from sqlalchemy import Connection, select
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project.adjusting.adjustment import adjustment_json, adjustment_of, read_adjustment
-from annotator.project.adjusting.moving import Moves, moved_label, moved_view
+from annotator.project.adjusting.moving import Moves, moved_label, moved_said, moved_view
+from annotator.project.classes.applying import ClassChanges, frame_values, values_of
+from annotator.project.classes.attributes import values_json
 from annotator.project.event_types import (
+    ClassesChanged,
+    FrameAttributesSet,
     FrameFinalised,
     FrameReopened,
     ImageBoxesRemoved,
@@ -24,6 +31,7 @@ from annotator.project.event_types import (
     LabelRestored,
     LabelState,
     Payload,
+    ProposalsImported,
     ProposalsReplaced,
     RecordingAdjusted,
     TracksLinked,
@@ -32,11 +40,23 @@ from annotator.project.event_types import (
     ViewBoxesSet,
     ViewBoxesState,
 )
-from annotator.project.records import BOXES_2D, BoxRecord, ViewGeometry, box_2d_of, parsed, suggestion_of
+from annotator.project.records import (
+    BOXES_2D,
+    BoxRecord,
+    SaidRecord,
+    ViewGeometry,
+    box_2d_of,
+    parsed,
+    said_json,
+    said_of,
+    suggestion_of,
+)
 from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
+from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 
 LABEL, IMAGE, VIEW, FRAME, RECORDING = "label", "image", "view", "frame", "recording"
+VALUES, SOURCE = "values", "source"
 FINALISED = "finalised"
 # Tolerance of a view's axes and origin (metres).
 SAME_VIEW = 1e-6
@@ -49,8 +69,14 @@ def target_of(payload: Payload) -> str:
         ProjectError: an automatic pass, which has many targets.
     """
     match payload:
+        case ProposalsImported():
+            return f"{SOURCE}:{payload.source}"
         case ProposalsReplaced() | TracksLinked():
             raise ProjectError("an automatic pass cannot be undone")
+        case ClassesChanged():
+            raise ProjectError("a change of the classes cannot be undone")
+        case FrameAttributesSet():
+            return VALUES
         case ImageBoxesSet() | ImageBoxesRestored() | ImageBoxesRemoved():
             return IMAGE
         case ViewBoxesSet() | ViewBoxesRestored() | ViewBoxesRemoved():
@@ -81,12 +107,20 @@ def read_state(connection: Connection, frame_id: int | None, target: str) -> str
         return ViewBoxesState.model_validate(_boxes(row) | {"step": row.step, "geometry": geometry}).model_dump_json()
     if kind == RECORDING:
         return adjustment_json(read_adjustment(connection, int(key)))
+    if kind == VALUES:
+        values = frame_values(connection, frame_id)
+        return values_json(values) if values else None
+    if kind == SOURCE:
+        is_open = (labels.c.frame_id == frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
+        columns = connection.execute(select(labels.c.said).where(is_open, labels.c.said.is_not(None))).scalars()
+        said = [each for content in columns for each in said_of(content) if each.source == key]
+        return said_json(tuple(sorted(said, key=lambda each: each.uid)))
     finalised = connection.execute(select(frames.c.finalised).where(frames.c.id == frame_id)).scalar_one()
     return FINALISED if finalised else None
 
 
 def restoring(target: str, state: str | None) -> Payload:
-    """The event that restores a target to `state`, a result of `read_state`."""
+    """The event that restores a target to `state`, a result of `read_state`; of a source, `sources.bring` has it."""
     kind, _, key = target.partition(":")
     if kind == LABEL:
         if state is None:
@@ -104,30 +138,68 @@ def restoring(target: str, state: str | None) -> Payload:
         assert state is not None  # as `read_state` returns it
         adjustment = adjustment_of(state)
         return RecordingAdjusted(recording=int(key), up=adjustment.up, correction=adjustment.correction)
+    if kind == VALUES:
+        return FrameAttributesSet(attributes=values_of(state))
     return FrameReopened() if state is None else FrameFinalised()
 
 
-def present_state(moves: Moves, frame_id: int | None, target: str, state: str | None, event_id: int) -> str | None:
-    """The state of a target after the event `event_id`, moved if its recording's clouds have been moved since."""
+class Since:
+    """What has changed all states since they were stored, within one transaction.
+
+    Attributes:
+        moves: of the recordings' clouds.
+        classes: changes of the classes.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.moves = Moves(connection)
+        self.classes = ClassChanges(connection)
+
+
+def present_state(since: Since, frame_id: int | None, target: str, state: str | None, event_id: int) -> str | None:
+    """The state of a target after the event `event_id`, moved and relabelled as its recording and project since."""
     kind = target.partition(":")[0]
-    if state is None or kind not in (LABEL, VIEW):
+    if state is not None and since.classes.has_since(event_id):
+        if kind == LABEL:
+            state = since.classes.label_state(state, event_id)
+        elif kind == IMAGE:
+            state = since.classes.image_state(state, event_id)
+        elif kind == VIEW:
+            state = since.classes.view_state(state, event_id)
+        elif kind == VALUES:
+            state = since.classes.frame_state(state, event_id)
+        elif kind == SOURCE:
+            state = since.classes.said_state(state, event_id)
+    if state is None or kind not in (LABEL, VIEW, SOURCE):
         return state
-    T = moves.since(frame_id, event_id)
+    T = since.moves.since(frame_id, event_id)
     if T is None:
         return state
+    if kind == SOURCE:
+        return said_json(moved_said(said_of(state), T))
     return moved_label(state, T) if kind == LABEL else moved_view(state, T)
 
 
 def same_state(target: str, a: str | None, b: str | None) -> bool:
     """True if two states are equal, apart from a label's position in the list and the rounding of moved poses."""
     kind = target.partition(":")[0]
-    if a is None or b is None or a == b or kind not in (LABEL, VIEW):
+    if a is None or b is None or a == b or kind not in (LABEL, VIEW, SOURCE):
         return a == b
+    if kind == SOURCE:
+        return _same_said(said_of(a), said_of(b))
     if kind == VIEW:
         return _same_view(*(parsed(ViewBoxesState.model_validate_json, state) for state in (a, b)))
     first, second = (parsed(LabelState.model_validate_json, state) for state in (a, b))
-    same = first.model_copy(update={"place": second.place, "box": second.box}) == second
+    same = first.model_copy(update={"place": second.place, "box": second.box, "said": second.said}) == second
     return same and same_box(first.box.box(), second.box.box())
+
+
+def _same_said(first: Sequence[SaidRecord], second: Sequence[SaidRecord]) -> bool:
+    # the store adds values: defaults, and those of a track
+    return len(first) == len(second) and all(
+        a.model_copy(update={"box": b.box, "attributes": b.attributes}) == b and same_box(a.box.box(), b.box.box())
+        for a, b in zip(first, second, strict=True)
+    )
 
 
 def _same_view(first: ViewBoxesState, second: ViewBoxesState) -> bool:
@@ -161,6 +233,8 @@ def _label_state(row: AnyRow) -> LabelState:
         expected_iou_loss=row.expected_iou_loss,
         suggestion=suggestion_of(row.suggestion),
         box_kind=row.box_kind,
+        said=said_of(row.said),
+        attributes=values_of(row.attributes),
     )
 
 

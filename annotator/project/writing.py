@@ -10,18 +10,24 @@ from pathlib import Path
 from sqlalchemy import Connection, func, select
 
 from annotator.geometry.oriented_box import same_box
+from annotator.project.classes.attributes import Attribute
+from annotator.project.classes.completing import completed
 from annotator.project.config import read_config
 from annotator.project.derived import apply_event
 from annotator.project.event_types import (
     PAYLOAD,
+    ClassesChanged,
+    FrameAttributesSet,
+    LabelAttributesSet,
     LabelEdited,
+    LabelTracked,
     Payload,
     ProposalsReplaced,
     RecordingAdjusted,
     TracksLinked,
     ViewBoxesSet,
 )
-from annotator.project.events import Effort, Event, insert_event
+from annotator.project.events import CLASSES, Effort, Event, insert_event
 from annotator.project.records import BoxRecord, parsed, storable
 from annotator.project.schema import events, frames, labels, recordings
 from annotator.project.store import Store
@@ -33,6 +39,10 @@ from annotator.types.errors import (
     StaleRevisionError,
     TrackTakenError,
 )
+from annotator.types.names import alternatives
+
+# Events without class names that concern attributes.
+_OF_ATTRIBUTES = (LabelTracked, LabelAttributesSet, FrameAttributesSet)
 
 
 @dataclass(frozen=True)
@@ -94,8 +104,10 @@ class Writer:
     store: Store
     folder: Path
 
-    def to_frame(self, frame_id: int, payloads: Sequence[Payload], context: WriteContext) -> Receipt:
-        """Appends events to one frame, all or none.
+    def to_frame(
+        self, frame_id: int, payloads: Sequence[Payload], context: WriteContext, action: str | None = None
+    ) -> Receipt:
+        """Appends events to one frame, all or none; `action` as in `to_frames`.
 
         Raises:
             StaleRevisionError: the frame has changed since `context.revision`.
@@ -106,14 +118,19 @@ class Writer:
         with self.store.read() as connection:
             require_writable(connection, frame_id, context)
         with self.store.write() as connection:
-            return self.to_frame_in(connection, frame_id, payloads, context)
+            return self.to_frame_in(connection, frame_id, payloads, context, action)
 
     def to_frame_in(
-        self, connection: Connection, frame_id: int, payloads: Sequence[Payload], context: WriteContext
+        self,
+        connection: Connection,
+        frame_id: int,
+        payloads: Sequence[Payload],
+        context: WriteContext,
+        action: str | None = None,
     ) -> Receipt:
-        """As `to_frame`, within the caller's write transaction."""
+        """As `to_frame`, within the caller's write transaction, as a part of an action over several frames if any."""
         where = require_writable(connection, frame_id, context)
-        return self._append(connection, frame_id, where, payloads, context)
+        return self._append(connection, frame_id, where, payloads, context, action)
 
     def to_frames(
         self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
@@ -158,6 +175,16 @@ class Writer:
                 raise StaleRevisionError(where, context.revision, revision)
             return self._append(connection, None, where, (payload,), context)
 
+    def to_classes_in(self, connection: Connection, payload: ClassesChanged, author: str) -> None:
+        """Appends a change of the classes, within the caller's write transaction.
+
+        Raises:
+            ProjectError: the author has no name.
+        """
+        query = select(func.max(events.c.revision)).where(events.c.view_id == CLASSES)
+        context = WriteContext(connection.execute(query).scalar() or 0, author)
+        self._append(connection, None, "the classes", (payload,), context)
+
     def _append(
         self,
         connection: Connection,
@@ -168,12 +195,15 @@ class Writer:
         shared_action: str | None = None,
     ) -> Receipt:
         """`shared_action`: id of the action over several frames that the events belong to; None = a new action."""
-        self._require_classes(where, payloads)
+        attributes = self._require_classes(where, payloads)
         time_ns = self.store.clock()
         action = (shared_action or new_action()) if _is_action(frame_id, payloads, context, shared_action) else None
         appended: list[Event] = []
         for revision, payload in enumerate(payloads, context.revision + 1):
-            content, stored = _encoded(where, _completed(connection, payload))
+            whole = _completed(connection, payload)
+            if context.undoes is None:  # a state that is restored keeps its values
+                whole = completed(connection, attributes, frame_id, whole)
+            content, stored = _encoded(where, whole)
             event = insert_event(
                 connection,
                 frame_id=frame_id,
@@ -192,18 +222,21 @@ class Writer:
             appended.append(event)
         return Receipt(tuple(event.id for event in appended), context.revision + len(appended))
 
-    def _require_classes(self, where: str, payloads: Sequence[Payload]) -> None:
+    def _require_classes(self, where: str, payloads: Sequence[Payload]) -> tuple[Attribute, ...]:
+        """Refuses unknown classes; returns the project's attributes where the events may need them."""
         used = set().union(*(payload.classes() for payload in payloads))
-        if not used:
-            return
+        if not used and not any(isinstance(payload, _OF_ATTRIBUTES) for payload in payloads):
+            return ()
         # read from the file: another process may have added a class
-        known = read_config(self.folder).classes
+        config = read_config(self.folder)
+        known = config.classes
         if unknown := sorted(used - set(known)):
             is_not = "is not a class" if len(unknown) == 1 else "are not classes"
             raise ProjectError(
-                f"{where}: {', '.join(map(repr, unknown))} {is_not} of the project ({', '.join(known)}); "
-                "use one of these, or add the missing ones to the project first"
+                f"{where}: {', '.join(map(repr, unknown))} {is_not} of the project; {alternatives(unknown[0], known)}; "
+                "use one of the project's classes, or add the missing ones to the project first"
             )
+        return config.attributes
 
 
 def new_action() -> str:
@@ -231,7 +264,7 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
         FinalisedFrameError, StaleRevisionError, ProjectError: as `Writer.to_frame`.
     """
     query = (
-        select(frames.c.key, frames.c.revision, frames.c.finalised, recordings.c.name)
+        select(frames.c.key, frames.c.revision, frames.c.finalised, recordings.c.name, recordings.c.removed_ns)
         .join(recordings, recordings.c.id == frames.c.recording_id)
         .where(frames.c.id == frame_id)
     )
@@ -239,6 +272,8 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     where = f"frame {row.key} of recording {row.name}"
+    if row.removed_ns is not None:
+        raise NotFoundError(f"{where}: the recording was removed from the project; add it again to change its labels")
     if row.finalised and context.source is Source.AUTO:
         raise FinalisedFrameError(f"{where} is finalised, so automatic passes may not change it; reopen it first")
     if row.revision != context.revision:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from annotator.types.errors import RecordingError
+from annotator.types.names import nearest
 
 # What each format's folder must have; `|` separates alternatives. Optional files are left out.
 PARTS: dict[str, tuple[str, ...]] = {
@@ -31,6 +32,7 @@ MOST_LEVELS, MOST_FOLDERS, MOST_SECONDS, MOST_HINTS = 3, 400, 2.0, 5
 # How far above a file or folder the recording that it belongs to may be.
 MOST_ABOVE = 3
 ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar", ".bz2", ".xz")
+BOXES = "boxes.json"
 VIDEOS = (".mp4", ".avi", ".mov", ".webm")
 
 Detect = Callable[[Path], str | None]
@@ -134,9 +136,25 @@ def recording_above(path: Path, detect: Detect) -> Path | None:
     return clouds
 
 
+def missing_part(path: Path) -> str:
+    """Returns why a path is missing, such as "no such file or folder (/data has no kiti; did you mean kitti?)"."""
+    whole = path.absolute()
+    there = next((folder for folder in whole.parents if folder.is_dir()), None)
+    if there is None:
+        return "no such file or folder"
+    part = whole.relative_to(there).parts[0]
+    try:
+        near = nearest(part, [child.name for child in there.iterdir()])
+    except OSError:
+        near = None
+    return f"no such file or folder ({there} has no {part}" + ("" if near is None else f"; did you mean {near}?") + ")"
+
+
 def kind_of_file(path: Path) -> list[str]:
     """Returns what to do with a file that is no recording, by its suffix; empty if unknown."""
     suffix = path.suffix.lower()
+    if path.name == BOXES:
+        return ["it holds boxes; give the recording's folder, which may have it in truth/"]
     if suffix in ARCHIVES:
         return ["it is an archive; unpack it, and give the folder"]
     if suffix in VIDEOS:

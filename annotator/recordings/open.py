@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from annotator.recordings.listing import path_errors
 from annotator.recordings.look_around import look_around
-from annotator.recordings.nearest import Below, kind_of_file, nearest_formats, recording_above, recordings_below
+from annotator.recordings.nearest import (
+    Below,
+    kind_of_file,
+    missing_part,
+    nearest_formats,
+    recording_above,
+    recordings_below,
+)
 from annotator.recordings.options import ReaderOptions, option_flag
 from annotator.recordings.recording import NotFound, Recording
 from annotator.recordings.rig import Scanned
@@ -26,14 +34,14 @@ def open_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Recording
 
     Raises:
         ConfigError: an option that the reader does not take.
-        UnknownFormatError: no reader recognises the path; the message lists what each looked for.
+        UnknownFormatError: no reader recognises the path.
         RecordingError: the recording has no frames, or the path cannot be read.
     """
     result = _try_readers(path, options)
     if isinstance(result, list):
         with path_errors(path):
-            message = _explain(path, result)
-        raise UnknownFormatError(message)
+            message = _explain(path)
+        raise UnknownFormatError(message, tuple(result) if path.exists() else ())
     return result
 
 
@@ -103,23 +111,25 @@ def _load(target: str) -> Any:
     return getattr(import_module(module), function)
 
 
-def _explain(path: Path, looked_for: list[str]) -> str:
-    """Returns what a path lacks, what each reader looked for, and where recordings are."""
+def _explain(path: Path) -> str:
+    """Returns in one line what a path lacks, and where recordings are."""
     if not path.exists():
-        return f"{path}: no such file or folder; give the path of a recording"
+        return f"{path}: {missing_part(path)}; give the path of a recording"
     is_folder = path.is_dir()
     kind = "folder" if is_folder else "file"
     near = nearest_formats(path) if is_folder else kind_of_file(path)
-    lines = ["; ".join([f"{path}: no known recording format in this {kind}", *near]), "looked for"]
-    lines += [f"  {line}" for line in looked_for]
+    parts = [f"{path}: no known recording format in this {kind}", *near]
     below = recordings_below(path, detect_format, FILE_SUFFIXES) if is_folder else Below()
     if below.is_partial:
-        lines.append("it has many folders, and not all were searched for recordings")
+        parts.append("it has many folders, and not all were searched for recordings")
     if below.recordings:
-        lines.append("it contains recordings; give the path of one of them: " + ", ".join(below.recordings))
+        parts.append("it contains recordings; give the path of one of them: " + ", ".join(below.recordings))
     elif below.problems:
-        lines.append("it contains recordings that cannot be opened:")
-        lines += [f"  {problem}" for problem in below.problems[:MOST_PROBLEMS]]
+        parts.append("it contains recordings that cannot be opened: " + "; ".join(below.problems[:MOST_PROBLEMS]))
     elif (above := recording_above(path, detect_format)) is not None:
-        lines.append(f"it is a part of the recording {above}; give that path")
-    return "\n".join(lines)
+        parts.append(f"it is a part of the recording {above}; give that path")
+    elif is_folder and not near and next(path.glob("*.txt"), None) is not None:
+        parts.append("it holds text files; if they are labels, give the folder that also has their images and clouds")
+    elif not near:
+        parts.append(f"`annotator inspect {shlex.quote(str(path))}` lists what each format needs")
+    return "; ".join(parts)

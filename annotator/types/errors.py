@@ -9,12 +9,14 @@
     │   │   └── DeviceError           a camera is missing, not usable or disconnected
     │   ├── FormatError           a label or dataset file
     │   ├── ConfigError           a setting or a command-line value
+    │   │   └── MovedError            a recording to add is one of the project, which has only moved
     │   └── ArgumentError         an argument of the Python API; a ValueError too
     ├── GeometryError         a computation has no result for this input
     ├── DetectionError        training or running a 2D detector
     ├── ProjectError          the project store
     │   ├── NotFoundError         the project, recording, frame, label, view, model or job does not exist
     │   ├── ReplacedError         the project's database was removed, or replaced while it was open
+    │   ├── InUseError            another process has the project open
     │   ├── StaleRevisionError    the frame was changed by someone else first
     │   ├── HistoryError          nothing to undo or redo, or someone else has changed it since
     │   └── FinalisedFrameError   an automatic pass would change a finalised frame
@@ -47,7 +49,15 @@ class RecordingError(InputError):
 
 
 class UnknownFormatError(RecordingError):
-    """No reader recognises the path; the message lists what each reader expects."""
+    """No reader recognises the path; the message says what it looks like, and which path to give instead.
+
+    Attributes:
+        looked_for: what each reader looks for, as `NAME: FILES`.
+    """
+
+    def __init__(self, message: str, looked_for: tuple[str, ...] = ()) -> None:
+        self.looked_for = looked_for
+        super().__init__(message)
 
 
 class FrameError(RecordingError):
@@ -89,6 +99,18 @@ class ConfigError(InputError):
     """A setting or a command-line value is not usable."""
 
 
+class MovedError(ConfigError):
+    """A recording that is to be added is one of the project whose path is gone: it has only moved.
+
+    Attributes:
+        recording_id, name: of the project's recording.
+    """
+
+    def __init__(self, message: str, recording_id: int, name: str) -> None:
+        self.recording_id, self.name = recording_id, name
+        super().__init__(message)
+
+
 class ArgumentError(InputError, ValueError):
     """An argument of the Python API cannot be used: a wrong shape, unit, type or camera."""
 
@@ -115,6 +137,10 @@ class NotFoundError(ProjectError):
 
 class ReplacedError(ProjectError):
     """A project's database was removed, or the one that is open is no longer the one on disk."""
+
+
+class InUseError(ProjectError):
+    """A project cannot be moved or renamed while a job, or another process, has it open."""
 
 
 class StaleRevisionError(ProjectError):

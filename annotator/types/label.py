@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+
+from scipy.spatial.transform import RigidTransform
 
 from annotator.types.boxes import Box2D, OrientedBox
 
 # Track ids range from -MOST_TRACK to MOST_TRACK, the integers that JSON and SQLite represent exactly.
 MOST_TRACK = 2**53
+
+AttributeValue = bool | int | float | str
 
 
 class Source(StrEnum):
@@ -55,6 +60,31 @@ class Suggestion:
 
 
 @dataclass(frozen=True, eq=False)
+class Said:
+    """What one source of boxes, such as a detector, said of an object before its review.
+
+    Attributes:
+        source: name of the detector, person or file.
+        label: class name.
+        box: the oriented box, camera frame.
+        score: its certainty in 0..1, if known.
+        track_id: the object's id within the recording, if known.
+        box_kind: what the box encloses.
+    """
+
+    source: str
+    label: str
+    box: OrientedBox
+    score: float | None = None
+    track_id: int | None = None
+    box_kind: BoxKind = BoxKind.BOX
+
+    def transformed(self, T: RigidTransform) -> Said:
+        """Returns it with the box moved by `T`."""
+        return replace(self, box=self.box.transformed(T))
+
+
+@dataclass(frozen=True, eq=False)
 class Label:
     """One 3D box of one frame, in its current state.
 
@@ -71,6 +101,8 @@ class Label:
         expected_iou_loss: as in `Quality`, of a proposal that nobody edited; None for other boxes.
         suggestion: the detector that suggested its boxes while the operator drew it, if one did.
         box_kind: what the box encloses: the whole object, or what is seen of it.
+        attributes: values of its attributes, by name.
+        said: what sources of boxes said of the object; known in exports and their files (see `StoredLabel.said`).
     """
 
     uid: str
@@ -85,6 +117,8 @@ class Label:
     expected_iou_loss: float | None = None
     suggestion: Suggestion | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    said: tuple[Said, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +132,8 @@ class Truth:
         score: as in its file: a confidence in 0..1, or a detector's raw value of any size; None if the file has none.
         image_box: the label's own 2D box on the image; None if its file has none.
         box_kind: what the box encloses.
+        attributes: values of its attributes as in its file, by name.
+        said: what sources of boxes said of the object, as in its file.
     """
 
     label: str
@@ -107,3 +143,5 @@ class Truth:
     # not compared: formats without 2D boxes give equal objects
     image_box: Box2D | None = field(default=None, compare=False)
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    said: tuple[Said, ...] = ()

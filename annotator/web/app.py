@@ -9,21 +9,23 @@ from importlib import import_module
 from fastapi import FastAPI
 
 from annotator import __version__
-from annotator.web.automatic_backups import AutomaticBackups
+from annotator.web.background.automatic_backups import AutomaticBackups
+from annotator.web.background.learning import Learner, StepAside
+from annotator.web.background.watch import Watch
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.fairness import Fair
-from annotator.web.learning import Learner, StepAside
 from annotator.web.leftovers import clear_leftovers
 from annotator.web.security import Guard, check_settings
 from annotator.web.settings import ServerSettings
 from annotator.web.static import add_static
-from annotator.web.watch import Watch
 
 # Modules of `annotator.web.routes`; each defines `router`.
 ROUTES: tuple[str, ...] = (
     "session",
+    "sheets",
     "projects",
+    "classes",
     "recordings",
     "bags",
     "boxes",

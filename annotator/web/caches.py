@@ -11,6 +11,7 @@ from pathlib import Path
 from annotator.project import Project
 from annotator.workflows.workbench.frame_cache import FrameCache
 from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
+from annotator.workflows.workbench.sheet_pictures import SheetPictures
 from annotator.workflows.workbench.whole_boxes import WholeBoxes
 
 # The image of a pseudo-view takes some 30 kB.
@@ -47,12 +48,14 @@ class Caches:
     Attributes:
         frames: recently opened frames.
         view_images: images of the pseudo-views shown by pages.
+        sheets: pictures of contact sheets.
         detectors: loaded detectors of the projects.
     """
 
     def __init__(self) -> None:
         self.frames = FrameCache()
         self.view_images = ViewImageCache()
+        self.sheets = SheetPictures(self.frames)
         self.detectors = ReadyDetectors()
         self._lock = threading.Lock()
         self._whole: dict[Path, WholeBoxes] = {}
@@ -68,4 +71,5 @@ class Caches:
     def close(self) -> None:
         """Stops the background threads of the caches."""
         self.frames.close()
+        self.sheets.close()
         self.detectors.close()

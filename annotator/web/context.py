@@ -92,6 +92,24 @@ class Context:
                 self._projects[name] = project
             return project
 
+    @contextmanager
+    def closed(self, name: str) -> Iterator[Path]:
+        """Closes a project, which no request can open within the block; yields its folder.
+
+        Raises:
+            NotFoundError: no such project.
+            InUseError: a job of it runs or waits.
+        """
+        folder = self._folder(name)
+        _require(folder)
+        self.jobs.require_none(name)
+        self.follow_runs.close(name)
+        with self._opening(name):
+            _require(folder)
+            if name in self._projects:
+                self._close(name)
+            yield folder
+
     def frame(self, project: Project, frame_id: int) -> Frame:
         """A frame with its image and cloud, from the cache if possible.
 
@@ -124,7 +142,7 @@ class Context:
             # an unreadable or locked project must neither hide the original message nor delay it
             recordings: tuple[StoredRecording, ...] = ()
             with suppress(AnnotatorError), waiting_at_most(0.0):
-                recordings = project.recordings.all()
+                recordings = (*project.recordings.all(), *project.recordings.removed())
             yield from ((recording.path, recording.name) for recording in recordings)
 
     def close(self) -> None:
@@ -167,14 +185,17 @@ class Context:
             lock.release()
 
     def _drop(self, name: str) -> None:
-        """Closes a project that was removed or replaced."""
-        with self._lock:
-            project = self._projects.pop(name)
-        LOG.warning("%s: was removed or replaced while it was open; it is opened anew", project.path)
-        self.caches.frames.forget(project)
-        self.hub.forget(name)
+        """Closes a project that was removed or replaced by another process."""
+        LOG.warning("%s: was removed or replaced while it was open; it is opened anew", self._folder(name))
+        self._close(name)
         # revisions that a page has seen may be newer than the stored ones
         self.hub.send({"type": "replaced", "project": name})
+
+    def _close(self, name: str) -> None:
+        with self._lock:
+            project = self._projects.pop(name)
+        self.caches.frames.forget(project)
+        self.hub.forget(name)
         project.close()
 
     def _send_job(self, job: Job) -> None:

@@ -150,12 +150,14 @@ class FollowRuns:
                 shown = running.shown.model_copy(update={"state": "undone"})
                 self._hub.send({"type": "follow", "project": project, "run": shown.model_dump(mode="json")})
 
-    def close(self) -> None:
-        """Stops all runs."""
+    def close(self, project: str | None = None) -> None:
+        """Stops and forgets all runs, or those of one project."""
         with self._lock:
-            keys = list(self._runs)
-        for project, operator in keys:
-            self.stop(project, operator)
+            keys = [key for key in self._runs if project in (None, key[0])]
+        for key in keys:
+            self.stop(*key)
+            with self._lock:
+                self._runs.pop(key, None)
 
     def _follow(self, project: str, running: _Running, run: FollowRun) -> None:
         def report(state: Following) -> None:

@@ -31,6 +31,7 @@ from annotator.web.schemas import (
     ObjectJson,
     OtherLabelJson,
     QualityJson,
+    SaidJson,
     SuggestionJson,
     ViewJson,
 )
@@ -209,16 +210,20 @@ def _frame(shown: ShownFrame) -> FrameJson:
         finalised=frame.finalised,
         previous=shown.page.previous,
         next=shown.page.next,
+        attributes=dict(shown.page.attributes),
     )
 
 
 def _labels(project: Project, shown: Sequence[ShownLabel]) -> list[LabelJson]:
     run_ids = {label.stored.run_id for label in shown} - {None}
     measured_by = base_titles(project) if run_ids else {}
-    return [_label(label, measured_by.get(label.stored.run_id or 0)) for label in shown]
+    # most frames have none, and need no query
+    may_be_kept = {each.stored.frame_id for each in shown if each.stored.label.attributes}
+    kept = frozenset[str]().union(*(project.labels.kept(frame_id) for frame_id in may_be_kept))
+    return [_label(each, measured_by.get(each.stored.run_id or 0), each.stored.label.uid in kept) for each in shown]
 
 
-def _label(shown: ShownLabel, measured_by: str | None) -> LabelJson:
+def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
     label = shown.stored.label
     return LabelJson.model_construct(
         uid=label.uid,
@@ -234,7 +239,10 @@ def _label(shown: ShownLabel, measured_by: str | None) -> LabelJson:
         doubt=shown.doubt,
         measured_by=measured_by,
         suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
+        said=[SaidJson(source=each.source, label=each.label, score=each.score) for each in shown.stored.said],
         box_kind=label.box_kind,
+        attributes=dict(label.attributes),
+        kept=kept,
         outline=shown.outline.round(2).tolist(),
         points=shown.points,
     )

@@ -124,6 +124,10 @@ class Hub:
         event = {"type": "adjusted", "project": project, "recording": recording, "adjusted": adjusted}
         self.send({**event, "operator": operator})
 
+    def classes_changed(self, project: str, renamed: Mapping[str, str], operator: str) -> None:
+        """Sends the event for changed classes or attributes; `renamed`: old class name -> new one."""
+        self.send({"type": "classes", "project": project, "renamed": dict(renamed), "operator": operator})
+
     def forget(self, project: str) -> None:
         """Forgets the revisions of a project that was replaced by another one of the same name."""
         with self._lock:

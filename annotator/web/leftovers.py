@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import logging
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from annotator.project.backup.unfinished import is_abandoned
+from annotator.project.backup.automatic import FOLDER as BACKUPS
+from annotator.project.backup.unfinished import remove_abandoned
 
 LOG = logging.getLogger("annotator.web")
 
-# Younger ones may be in use: a file is written in moments, a project created in less than a second.
+# Younger files may be in use, although one is written in moments; folders have locks.
 OLD_S = 3600.0
 
 # As `files.write_atomic` and `project.create_project` name them.
@@ -26,19 +26,18 @@ def clear_leftovers(projects_root: Path) -> None:
     oldest_s = time.time() - OLD_S
     for path in _unfinished(projects_root):
         with suppress(OSError):
-            if path.lstat().st_mtime > oldest_s:
-                continue
             if path.is_dir() and not path.is_symlink():
-                if not is_abandoned(path):
+                if not remove_abandoned(path):
                     continue
-                shutil.rmtree(path)
-            else:
+            elif path.lstat().st_mtime < oldest_s:
                 path.unlink()
+            else:
+                continue
             LOG.warning("%s: removed, a process that was killed had left it", path)
 
 
 def _unfinished(projects_root: Path) -> Iterator[Path]:
-    for folder in (projects_root, *_children(projects_root)):
+    for folder in (projects_root, *_children(projects_root), *_children(projects_root / BACKUPS)):
         for path in _children(folder):
             if _UNFINISHED.fullmatch(path.name):
                 yield path

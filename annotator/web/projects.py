@@ -78,6 +78,8 @@ class ProjectInfo(BaseModel):
 
     name: str
     classes: list[str]
+    class_styles: dict[str, dict[str, Any]]
+    attributes: list[dict[str, Any]]
     settings: dict[str, Any]
     recordings: list[RecordingInfo]
     labels_by_state: dict[str, int]
@@ -125,6 +127,8 @@ def project_info(name: str, project: Project) -> ProjectInfo:
     return ProjectInfo(
         name=name,
         classes=short.classes,
+        class_styles={each: style.model_dump(mode="json") for each, style in config.class_styles.items()},
+        attributes=[attribute.model_dump(mode="json") for attribute in config.attributes],
         settings=config.settings.model_dump(mode="json"),
         recordings=[recording_info(recording) for recording in project.recordings.all()],
         labels_by_state=short.labels_by_state,

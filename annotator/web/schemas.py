@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from scipy.spatial.transform import Rotation
 
 from annotator.project import Effort as StoredEffort
+from annotator.project.classes.attributes import Value
 from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source, Suggestion
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
@@ -171,10 +172,19 @@ class SuggestionJson(Schema):
         return Suggestion(self.detector, self.fingerprint, self.corrected)
 
 
+class SaidJson(Schema):
+    """What other software, or another person, says of an object: its class, and the certainty in 0..1 if known."""
+
+    source: str
+    label: str
+    score: float | None
+
+
 class LabelJson(Schema):
     """A 3D label with its outline on the image, its number of points and its doubt.
 
-    `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses.
+    `measured_by` names the base detector if it measured the proposal; `box_kind` is what the box encloses; `kept`: a
+    proposal that passes of the detectors do not replace, because a person has set values of it.
     """
 
     uid: str
@@ -190,7 +200,10 @@ class LabelJson(Schema):
     doubt: float | None
     measured_by: str | None
     suggestion: SuggestionJson | None
+    said: list[SaidJson]
     box_kind: BoxKind
+    attributes: dict[str, Value]
+    kept: bool
     outline: Outline
     points: int
 
@@ -208,7 +221,7 @@ class OtherLabelJson(Schema):
 
 
 class FrameJson(Schema):
-    """A frame: its recording, key, index, neighbours and revision."""
+    """A frame: its recording, key, index, neighbours, revision, and values of its own attributes."""
 
     id: int
     recording: int
@@ -219,6 +232,7 @@ class FrameJson(Schema):
     finalised: bool
     previous: int | None
     next: int | None
+    attributes: dict[str, Value]
 
 
 class CameraJson(Schema):

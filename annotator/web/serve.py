@@ -18,7 +18,7 @@ from fastapi import FastAPI
 from annotator.files import make_private
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
-from annotator.web.heaps import tidy_heaps
+from annotator.web.background.heaps import tidy_heaps
 from annotator.web.limits.connections import Connections, most_connections
 from annotator.web.limits.log import limited_log
 from annotator.web.limits.protocols import LimitedConfig

@@ -1,6 +1,6 @@
-"""Files with 2D boxes that a page has sent, kept in the project's folder until they are imported.
+"""Files with boxes that a page has sent, kept in the project's folder until they are imported.
 
-A COCO file is kept as it is. Of a packed dataset (`.zip`), only the text files are unpacked: images are not needed,
+A JSON file is kept as it is. Of a packed dataset (`.zip`), only the text files are unpacked: images are not needed,
 since the project has them.
 """
 
@@ -11,6 +11,7 @@ import re
 import shutil
 import uuid
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -21,7 +22,7 @@ from annotator.formats.yolo_read import CLASSES
 from annotator.project import Project
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web.security import UPLOAD_LIMIT
-from annotator.workflows.importing import FlatFormat
+from annotator.workflows.importing import BoxFormat, FlatFormat, format_of
 
 FOLDER = ".uploads"
 # Number of uploads kept per project: those that nobody has imported.
@@ -34,11 +35,11 @@ _NAME = re.compile(r"[^\w.-]+")
 
 @dataclass(frozen=True)
 class Upload:
-    """A dataset of 2D boxes: the file or the folder to read."""
+    """A dataset of 2D or 3D boxes: the file or the folder to read."""
 
     id: str
     path: Path
-    format: FlatFormat
+    format: FlatFormat | BoxFormat
 
 
 def add_upload(project: Project, name: str, content: bytes, in_use: Collection[str] = ()) -> Upload:
@@ -55,7 +56,7 @@ def add_upload(project: Project, name: str, content: bytes, in_use: Collection[s
     place = uploads / uuid.uuid4().hex
     file = Path(_NAME.sub("_", PurePosixPath(name).name)[-100:].lstrip(".") or "boxes")
     if file.suffix.lower() not in (".json", ".zip"):
-        raise FormatError(file, "is neither a COCO file (.json) nor a packed YOLO or COCO folder (.zip)")
+        raise FormatError(file, "is neither a file of boxes in JSON nor a packed folder of boxes (.zip)")
     private_folder(uploads)
     place.mkdir()
     try:
@@ -91,7 +92,14 @@ def find_upload(project: Project, upload_id: str) -> Upload:
     path = next(iter(place.iterdir()), None) if place.is_dir() else None
     if path is None:
         raise NotFoundError("this file was removed from the server; choose it again")
-    return Upload(upload_id, *((path, FlatFormat.COCO) if path.is_file() else _dataset(path)))
+    return Upload(upload_id, *((path, _format_of(path)) if path.is_file() else _dataset(path)))
+
+
+def _format_of(file: Path) -> FlatFormat | BoxFormat:
+    try:
+        return format_of(file)
+    except FormatError:
+        return FlatFormat.COCO  # its reader says what is wrong
 
 
 def as_sent(text: str, root: str) -> str:
@@ -131,7 +139,7 @@ def _is_wanted(entry: PurePosixPath) -> bool:
     return entry.suffix.lower() in TEXTS and not entry.name.startswith(".") and "__MACOSX" not in entry.parts
 
 
-def _dataset(folder: Path) -> tuple[Path, FlatFormat]:
+def _dataset(folder: Path) -> tuple[Path, FlatFormat | BoxFormat]:
     """Finds the dataset in an unpacked folder: on the highest level that has one."""
     levels = sorted([folder, *(path for path in folder.rglob("*") if path.is_dir())], key=lambda path: len(path.parts))
     for level in levels:
@@ -141,9 +149,12 @@ def _dataset(folder: Path) -> tuple[Path, FlatFormat]:
             return level, FlatFormat.COCO
     files = [path for path in folder.rglob("*.json") if path.is_file()]
     if len(files) == 1:
-        return files[0], FlatFormat.COCO
+        return files[0], _format_of(files[0])
+    for level in levels:
+        with suppress(FormatError):
+            return level, format_of(level)
     raise FormatError(
         folder,
-        f"contains no dataset of 2D boxes: no {DATA_YAML}, no {CLASSES}, no {ANNOTATIONS}/instances_*.json, and not "
-        "exactly one JSON file",
+        f"contains no dataset of boxes: of 2D boxes, it has no {DATA_YAML}, no {CLASSES}, no "
+        f"{ANNOTATIONS}/instances_*.json, and not exactly one JSON file; and no known format of 3D boxes",
     )

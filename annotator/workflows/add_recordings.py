@@ -13,6 +13,7 @@ from annotator.recordings import ReaderOptions, Recording, open_recording, store
 from annotator.recordings.rig import RigCamera, Scenes
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.workflows.recorded.moved import fingerprint_of, require_not_moved
 
 # If this many frames at the beginning are unreadable, the recording is refused without trying the others.
 FRAMES_TRIED = 5
@@ -34,6 +35,7 @@ class Added:
         new_frames: number of frames added.
         missing_frames: number of known frames that are gone; their labels stay.
         notes: what the reader says about it.
+        came_back: True if it had been removed; its labels are back, too.
     """
 
     recording: StoredRecording
@@ -41,6 +43,7 @@ class Added:
     new_frames: int
     missing_frames: int
     notes: tuple[str, ...] = ()
+    came_back: bool = False
 
 
 def add_recordings(
@@ -52,21 +55,24 @@ def add_recordings(
     options: ReaderOptions = NO_OPTIONS,
     scenes: Sequence[str] = (),
     cameras: Sequence[str] = (),
+    as_new: bool = False,
 ) -> list[Added]:
     """Adds recordings to a project: all, or none if one of the paths cannot be used. Their files stay in place.
 
-    A recording that the project has already is updated with its new frames; its name and up direction stay.
+    A recording that the project has already is updated with its new frames; its name and up direction stay. One that
+    was removed comes back with its labels.
 
     Args:
         name: name of a single recording; None = the name of its folder.
         up: direction against gravity in the camera frame, (3,) of any length; None = as the files give it.
         options: how the recordings are read.
         scenes, cameras: names, of which each combination is a recording, or `ALL`; () = those of `options`.
+        as_new: add a recording even if it seems to be one of the project whose path is gone.
 
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
-        ConfigError: one name for several recordings, a name that is too long or cannot be printed, or another name or
-            up direction for a known recording.
+        ConfigError: one name for several recordings, a name that is too long or cannot be printed, another name or up
+            direction for a known recording, or a recording of the project that has only moved.
         ProjectError: the store refuses a value, e.g. an `up` of length zero.
     """
     if name is not None:
@@ -77,8 +83,14 @@ def add_recordings(
     frames = []
     for recording, options in opened:
         frames.append(_require_readable(recording))
-        _require_unchanged(project.path.name, _known(project, recording, options), name, up)
-    added = [_add(project, recording, name, up, options) for recording, options in opened]
+        known = _known(project, recording, options)
+        _require_unchanged(project.path.name, known, name, up)
+        if known is None and not as_new:
+            require_not_moved(project, recording, options.stored())
+    added = [
+        _add(project, recording, name, up, options, fingerprint_of(frame))
+        for (recording, options), frame in zip(opened, frames, strict=True)
+    ]
     return [_with_up_note(project, *each) for each in zip(added, frames, strict=True)]
 
 
@@ -112,6 +124,8 @@ def register_recording(
 def move_recording(project: Project, recording_id: int, path: Path, author: str) -> StoredRecording:
     """Sets the new path of a recording whose folder was moved. Stored frames are unchanged; new frames are added.
 
+    A removed recording comes back with its labels.
+
     Other recordings with the same path, such as the other cameras of a rig, are moved with it: all or none.
 
     Args:
@@ -123,11 +137,25 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
         ProjectError: frames of the recording are missing there (the message names them), or `path` is another recording
             of the project.
     """
-    known = project.recordings.get(recording_id)
+    known = project.recordings.get(recording_id, removed=True)
+    beside = project.recordings.at(known.path) if known.removed_by is None else ()
     # this recording first: its error says what is wrong
-    together = sorted(project.recordings.at(known.path), key=lambda each: each.id != recording_id)
-    moved = {each.id: _moved(each, path) for each in together}
+    moved = {each.id: _moved(each, path) for each in (known, *(each for each in beside if each.id != known.id))}
     return project.recordings.move_together(moved, author)[0]
+
+
+def bring_back(project: Project, recording_id: int) -> StoredRecording:
+    """Brings a removed recording back from its path, with its labels and possibly new frames.
+
+    Raises:
+        NotFoundError: no such recording.
+        RecordingError: its path holds no recording any more, another one, or one that may not be read.
+    """
+    known = project.recordings.get(recording_id, removed=True)
+    project.recordings.require_readable(known)
+    _, keys = _moved(known, known.path)
+    project.recordings.rescan(known.id, keys)
+    return project.recordings.get(known.id)
 
 
 def _moved(known: StoredRecording, path: Path) -> tuple[Path, Sequence[str]]:
@@ -179,7 +207,12 @@ def _names(path: Path, what: str, wanted: tuple[str, ...], all_names: tuple[str,
 
 
 def _add(
-    project: Project, recording: Recording, name: str | None, up: Sequence[float] | None, options: ReaderOptions
+    project: Project,
+    recording: Recording,
+    name: str | None,
+    up: Sequence[float] | None,
+    options: ReaderOptions,
+    fingerprint: str | None = None,
 ) -> Added:
     known = _known(project, recording, options)
     if known is None:
@@ -191,10 +224,12 @@ def _add(
             recording.is_sequence,
             up,
             options.stored(),
+            fingerprint,
         )
         return Added(stored, True, len(recording), 0, recording.notes)
-    change = project.recordings.rescan(known.id, recording.keys)
-    return Added(project.recordings.get(known.id), False, len(change.added), len(change.missing), recording.notes)
+    change = project.recordings.rescan(known.id, recording.keys, fingerprint)
+    stored, came_back = project.recordings.get(known.id), known.removed_by is not None
+    return Added(stored, False, len(change.added), len(change.missing), recording.notes, came_back)
 
 
 def _with_up_note(project: Project, added: Added, frame: Frame) -> Added:
@@ -211,7 +246,8 @@ def _with_up_note(project: Project, added: Added, frame: Frame) -> Added:
 
 def _known(project: Project, recording: Recording, options: ReaderOptions) -> StoredRecording | None:
     path, read = recording.path.resolve(), options.stored()
-    return next((known for known in project.recordings.all() if known.path == path and known.options == read), None)
+    every = (*project.recordings.all(), *project.recordings.removed())
+    return next((known for known in every if known.path == path and known.options == read), None)
 
 
 def _require_unchanged(

@@ -15,6 +15,7 @@ from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.gpu.compute import torch_compute
 from annotator.project import Statistics
+from annotator.project.classes.relabelling import renamed_over
 from annotator.project.jobs import Run
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
@@ -23,6 +24,7 @@ from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
+Names = tuple[tuple[str, str | None], ...]
 AGNOSTIC = tuple(AGNOSTIC_LABELS.values())
 # Key of a run's settings: where the 2D boxes come from that it lifted to 3D.
 LIFTED_FROM = "lifted from"
@@ -65,7 +67,11 @@ class Detectors:
 
 
 def load_detector(
-    weights: Path, backend: Backend = "auto", image_size_px: int | None = None, threads: int | None = None
+    weights: Path,
+    backend: Backend = "auto",
+    image_size_px: int | None = None,
+    threads: int | None = None,
+    names: Names = (),
 ) -> Detector:
     """Loads a trained detector.
 
@@ -75,16 +81,17 @@ def load_detector(
         image_size_px: longer side of the network's input; None = as trained, and with the expected errors of edges that
             its training found.
         threads: processor threads; None = all cores that the process may use.
+        names: as in `UsedModel`.
 
     Raises:
         ConfigError: invalid size or number of threads.
         DetectionError: missing or unreadable weights, or an unusable backend.
         FormatError: the files beside the weights are missing or damaged.
     """
-    settings: dict[str, Any] = {"image_size_px": image_size_px}
+    settings: dict[str, Any] = {"image_size_px": image_size_px, "names": dict(names)}
     if image_size_px is None:
         trained = read_trained(weights.parent)
-        settings = {"image_size_px": trained.image_size_px, "edge_errors": trained.edge_errors}
+        settings |= {"image_size_px": trained.image_size_px, "edge_errors": trained.edge_errors}
     try:
         config = DetectorConfig(backend=backend, threads=threads, **settings)
     except ValidationError as error:
@@ -104,10 +111,10 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
     Raises:
         ConfigError, DetectionError, FormatError: as `load_detector`; or one of them has not been trained yet.
     """
-    image, view = active_model(project, DetectorKind.IMAGE), view_model(project)
+    image, view = image_model(project), view_model(project)
     return Detectors(
-        load_detector(image.path, backend, threads=threads),
-        load_detector(view.path, backend, threads=threads),
+        load_detector(image.path, backend, threads=threads, names=image.names),
+        load_detector(view.path, backend, threads=threads, names=view.names),
         view.box_kind,
         view.class_agnostic,
         image.box_kind,
@@ -124,6 +131,7 @@ class UsedModel:
         fingerprint: changes with the detector.
         name: for people: the base detector's name, or "" for the project's own detector.
         manifest: the list of its training data, if known.
+        names: (name in the network, present name) of classes that were changed after its training; None = removed.
     """
 
     path: Path
@@ -132,6 +140,7 @@ class UsedModel:
     fingerprint: str
     name: str = ""
     manifest: Path | None = None
+    names: Names = ()
 
     @property
     def described(self) -> str:
@@ -142,7 +151,13 @@ class UsedModel:
 def own_model(project: Project, model: StoredModel) -> UsedModel:
     """A model of the project; a training that started from the base detector gives a class-agnostic one."""
     class_agnostic = model.labels == AGNOSTIC and model.labels != project.config.classes
-    return UsedModel(model.path, model.box_kind, class_agnostic, model.fingerprint, manifest=model.manifest)
+    names: Names = ()
+    if not class_agnostic:
+        now = renamed_over(project.class_changes(model.created_ns), model.labels)
+        names = tuple((before, after) for before, after in now.items() if before != after)
+    return UsedModel(
+        model.path, model.box_kind, class_agnostic, model.fingerprint, manifest=model.manifest, names=names
+    )
 
 
 def base_model() -> UsedModel:
@@ -215,6 +230,15 @@ def view_model(project: Project) -> UsedModel:
         DetectionError: there is none, and no base detector.
     """
     return used_model(project, DetectorKind.VIEW) or _raise_untrained(project, DetectorKind.VIEW)
+
+
+def image_model(project: Project) -> UsedModel:
+    """The project's active image detector.
+
+    Raises:
+        DetectionError: none has been trained yet.
+    """
+    return own_model(project, active_model(project, DetectorKind.IMAGE))
 
 
 def _raise_untrained(project: Project, role: DetectorKind) -> NoReturn:

@@ -92,13 +92,21 @@ def open_stored(
     Raises:
         RecordingError: it is missing or cannot be read.
     """
-    missing = why_missing(path)
+    missing = why_gone(path, name, project)
     if missing is not None:
-        raise RecordingError(
-            f"{path}: {missing}; restore {name}, or give its new path: "
-            f"annotator project move {project} {name} PATH, or Locate on the start page"
-        )
+        raise RecordingError(missing)
     return OpenedRecording(open_recording(path, stored_options(options)), up, correction)
+
+
+def why_gone(path: Path, name: str, project: str) -> str | None:
+    """Says that a project's recording is missing, and what to do; None if it is there. Arguments as `open_stored`."""
+    missing = why_missing(path)
+    if missing is None:
+        return None
+    return (
+        f"{path}: {missing}; restore {name}, or give its new path: "
+        f"annotator project move {project} {name} PATH, or Locate on the start page"
+    )
 
 
 class FrameSource:

@@ -22,6 +22,7 @@ MAKERS = {
     "moving": moving.main,
     "guide": guide.main,
     "calibration": guide.calibration,
+    "statistics": guide.statistics,
     "gallery": gallery.main,
 }
 
@@ -39,8 +40,8 @@ def main(words: list[str]) -> None:
     unknown = set(words) - set(MAKERS)
     if unknown:
         sys.exit(f"no such picture: {', '.join(sorted(unknown))}; choose from {', '.join(MAKERS)}")
-    # the guide's pictures include those of `calibration`
-    for name in words or [name for name in MAKERS if name != "calibration"]:
+    # the guide's pictures include those of `calibration` and `statistics`
+    for name in words or [name for name in MAKERS if name not in ("calibration", "statistics")]:
         sys.stderr.write(f"{name} ...\n")
         MAKERS[name]()
 

@@ -1,6 +1,7 @@
 """The pictures of docs/guide.md: one session at the page, from an empty projects folder to a downloaded dataset.
 
-`python docs/pictures calibration` makes only those of a bag's topics and of Alignment, which need no detector.
+`python docs/pictures calibration` makes only those of a bag's topics and of Alignment, and `statistics` that of the
+statistics; they need no detector.
 """
 
 from __future__ import annotations
@@ -55,6 +56,7 @@ def main() -> None:
             check(page)
             export(page)
     calibration()
+    statistics()
 
 
 def calibration() -> None:
@@ -66,6 +68,23 @@ def calibration() -> None:
         write_bag(recordings, "room")
         with workbench(projects, recordings) as address, chromium() as browser:
             choose_topics(browser, address)
+
+
+def statistics() -> None:
+    """The statistics of a project on which three people have worked for two weeks."""
+    sys.path.insert(0, str(REPOSITORY))
+    from benchmarks.worked_project import Work, worked_project
+
+    with TemporaryDirectory() as folder:
+        projects, recordings = Path(folder) / "projects", Path(folder) / "recordings"
+        recordings.mkdir()
+        worked_project(projects, "street", Work(frames=2000, reviewed=1400, days=10)).close()
+        with workbench(projects, recordings) as address, chromium() as browser:
+            page = signed_in(browser, address)
+            # the link itself would sign in once more, and lead to the start page
+            page.evaluate("location.hash = '#/street/statistics'")
+            page.get_by_test_id("work-classes").locator(".main-svg").first.wait_for()
+            keep(page, "guide_statistics")
 
 
 def choose_topics(browser: Browser, address: str) -> None:

@@ -32,6 +32,23 @@ type Child = Node | string | null | undefined | false;
 // -- what all modes share
 
 type FrameState = Api.FrameStateJson;
+/** An attribute as in project.json; what has its default is left out. */
+type Attribute = {
+  name: string;
+  kind: "choice" | "boolean" | "integer" | "number" | "text";
+  of?: "box" | "track" | "frame";
+  choices?: string[];
+  minimum?: number;
+  maximum?: number;
+  classes?: string[];
+  required?: boolean;
+  default?: string | number | boolean;
+  key?: string;
+};
+/** A label as far as its attributes are concerned. */
+type AttributeOwner = Pick<Api.LabelJson, "uid" | "label" | "attributes"> & { isNew?: boolean };
+/** Sends one change of the classes; the fields are those of `annotator.web.routes.classes`. */
+type ChangeClasses = (body: Api.ClassChange["change"]) => Promise<unknown>;
 type Route = { project: string | null; mode: string; frame: number | null; query: URLSearchParams };
 type Direction = "next" | "previous";
 
@@ -64,7 +81,13 @@ interface Messages {
   follow: { run: Api.FollowRunJson };
   /** A recording has another up direction or calibration. */
   adjusted: { recording: number; adjusted: number; operator: string };
+  /** The classes or attributes have changed; `renamed`: old name of a class -> new name. */
+  classes: { renamed: Record<string, string>; operator: string };
   replaced: { project: string };
+  renamed: { name: string; operator: string };
+  removed: { operator: string };
+  /** A recording was removed from the project, or has come back. */
+  recordings: { recording: number; operator: string };
   viewport: ViewportMessage;
   /** Whether the socket is open. */
   connection: boolean;
@@ -147,7 +170,7 @@ interface Mounted {
   unsaved?(): Unsaved | null;
 }
 
-type ErrorBody = { error?: Api.ErrorBody; state?: FrameState; frame?: number };
+type ErrorBody = { error?: Api.ErrorBody; state?: FrameState; frame?: number; moved?: Api.MissingRecording };
 type StaleError = Error & { body: { state: FrameState } };
 
 interface Mode {
@@ -312,6 +335,7 @@ interface Work {
   draft: Draft | null;
   /** Class of the next box. */
   label: string;
+  picked: string;
   /** The object that is selected on the image. */
   selected: Item | null;
   /** Objects that were replaced by another operator's version, but are still shown. */
@@ -338,6 +362,8 @@ type FrameChange = {
   done?: (answer: Api.SaveOut) => void;
   /** The change is not sent before this resolves. */
   after?: Promise<unknown>;
+  /** It touches nothing that others draw: it is sent again without asking, and dropped if it is refused. */
+  isSmall?: boolean;
   item?: Item;
 };
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 import ipaddress
 import random
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from live_server import Live, running
+from killer import Killer
+from mortal import Mortal
+from room_server import live, web_settings
 
-from annotator.project import create_project
-from annotator.recordings import open_recording
-from annotator.web.settings import ServerSettings
-from annotator.workflows.add_recordings import register_recording
+from annotator.cli.main import main
+
+__all__ = ["live", "web_settings"]
 
 HERE = Path(__file__).parent
 
@@ -60,16 +61,37 @@ def times(request: pytest.FixtureRequest) -> int:
     return count
 
 
-@pytest.fixture
-def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
-    """Settings of a server with the project `room` of 5 unlabelled frames of people, and the folder `generated`."""
-    with create_project(tmp_path / "projects", "room", ("person",)) as project:
-        register_recording(project, open_recording(generated / "people"))
-    return ServerSettings(tmp_path / "projects", (generated,), port=0)
+@pytest.fixture(scope="module")
+def mortal(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mortal]:
+    """Runs commands and kills them."""
+    runner = Mortal(generated / "people", tmp_path_factory.mktemp("mortal") / "log")
+    yield runner
+    runner.close()
+
+
+@pytest.fixture(scope="module")
+def labelled(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A projects folder with `room`: 5 frames with 3D labels and 2D boxes; do not change it."""
+    root = tmp_path_factory.mktemp("labelled")
+    for words in (
+        ["new", "room", "--classes", "person"],
+        ["add", "room", str(generated / "people")],
+        ["import", "room", "--as", "2d"],
+    ):
+        assert main([*words, "--projects", str(root)]) == 0
+    return root
+
+
+@pytest.fixture(scope="module")
+def empty(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A projects folder with `room`: 5 frames without labels; do not change it."""
+    root = tmp_path_factory.mktemp("empty")
+    for words in (["new", "room", "--classes", "person"], ["add", "room", str(generated / "people"), "--no-labels"]):
+        assert main([*words, "--projects", str(root)]) == 0
+    return root
 
 
 @pytest.fixture
-def live(web_settings: ServerSettings) -> Iterator[Live]:
-    """A server for one test, with the project `room`; its client has signed in."""
-    with running(web_settings) as server:
-        yield server
+def killer(mortal: Mortal, tmp_path: Path, times: int, chance: random.Random) -> Callable[[Path], Killer]:
+    """`killer(template)`: kills commands that work on copies of a folder, at `tmp_path / "copy"`."""
+    return lambda template: Killer(mortal, template, tmp_path / "copy", times, chance)

@@ -178,8 +178,3 @@ def safetensors(header: Any, payload: bytes = b"", length: int | None = None) ->
     """A file with this header (JSON, or bytes)."""
     text = header if isinstance(header, bytes) else json.dumps(header).encode()
     return (len(text) if length is None else length).to_bytes(8, "little") + text + payload
-
-
-def content_of(folder: Path) -> dict[str, bytes]:
-    """All files of a folder, by relative path."""
-    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,3 +60,13 @@ def memory_mb() -> float:
     """Resident memory of this process, which the servers of the tests share, MB."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1024
+
+
+@contextmanager
+def unharmed(live: Live) -> Iterator[None]:
+    """After the block, the server answers and has not grown."""
+    require_alive(live)
+    before = memory_mb()
+    yield
+    require_alive(live)
+    assert memory_mb() - before < MOST_GROWTH_MB

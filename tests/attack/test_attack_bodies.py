@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import pytest
-from live_server import running
-from raw import MOST_GROWTH_MB, memory_mb, request, require_alive, send
+from raw import MOST_GROWTH_MB, memory_mb, request, send, unharmed
 
 from annotator.recordings import open_recording
 from annotator.types.errors import AnnotatorError
@@ -22,22 +21,16 @@ from annotator.types.errors import AnnotatorError
 if TYPE_CHECKING:
     from live_server import Live
 
-    from annotator.web.settings import ServerSettings
-
 CHANGES = "/api/projects/room/frames/1/changes"
 OBJECT = "/api/projects/room/frames/1/label/object"
 DEEP = 200_000
 
 
 @pytest.fixture
-def live(web_settings: ServerSettings) -> Iterator[Live]:
+def live(live: Live) -> Iterator[Live]:
     """A server that answers, and has not grown, after each test."""
-    with running(web_settings) as server:
-        require_alive(server)
-        before = memory_mb()
-        yield server
-        require_alive(server)
-        assert memory_mb() - before < MOST_GROWTH_MB
+    with unharmed(live):
+        yield live
 
 
 BODIES = {

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from live_server import running
 from mortal import Mortal
-from room_api import BOX
+from room_api import BOX, change, state
 from sound import labels_in, require_sound
 
 from annotator.cli.main import main
@@ -34,11 +34,6 @@ def small(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-def _make_room(projects: Path, recording: Path, *more: str) -> None:
-    for words in (["new", "room", "--classes", "person"], ["add", "room", str(recording), *more]):
-        assert main([*words, "--projects", str(projects)]) == 0
-
-
 def _names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
@@ -56,45 +51,36 @@ def _fill(folder: Path) -> Path:
     return file
 
 
-def test_saves_on_a_full_disk_are_refused_and_lose_nothing(small: Path, generated: Path) -> None:
-    _make_room(small, generated / "people", "--no-labels")
-    path = "/api/projects/room/frames/1"
+def test_saves_on_a_full_disk_are_refused_and_lose_nothing(small: Path, empty: Path) -> None:
+    shutil.copytree(empty, small, dirs_exist_ok=True)
     stored = 0
     with running(ServerSettings(small, port=0)) as live:
         create = {"kind": "create", "label": "person", "box": BOX}
         for _ in range(3):
-            revision = live.client.get(path).json()["frame"]["revision"]
-            assert (
-                live.client.post(f"{path}/changes", json={"revision": revision, "changes": [create]}).status_code == 200
-            )
+            assert change(live.client, state(live.client)["frame"]["revision"], create).status_code == 200
             stored += 1
         filler = _fill(small)
         refusals = 0
         for _ in range(20):
-            state = live.client.get(path)
-            assert state.status_code == 200, state.text
-            revision = state.json()["frame"]["revision"]
-            answer = live.client.post(f"{path}/changes", json={"revision": revision, "changes": [create] * 20})
+            answer = change(live.client, state(live.client)["frame"]["revision"], *[create] * 20)
             if answer.status_code == 200:
                 stored += 20
                 continue
             refusals += 1
             assert "disk is full" in answer.json()["error"]["message"], answer.text
         assert refusals, "the disk was not full"
-        assert len(live.client.get(path).json()["labels"]) == stored
+        assert len(state(live.client)["labels"]) == stored
         filler.unlink()
-        revision = live.client.get(path).json()["frame"]["revision"]
-        assert live.client.post(f"{path}/changes", json={"revision": revision, "changes": [create]}).status_code == 200
+        assert change(live.client, state(live.client)["frame"]["revision"], create).status_code == 200
     require_sound(small / "room")
     assert len(labels_in(small / "room")["000000"]) == stored + 1
 
 
 @pytest.mark.parametrize("kind", ["rcv", "kitti", "openlabel", "coco"])
 def test_an_export_to_a_full_disk_leaves_nothing(
-    small: Path, generated: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+    small: Path, labelled: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    projects = tmp_path / "projects"
-    _make_room(projects, generated / "people")
+    projects = Path(shutil.copytree(labelled, tmp_path / "projects"))
     filler = _fill(small)
     # some room, but not enough for the images
     os.truncate(filler, filler.stat().st_size - 20_000)
@@ -115,34 +101,29 @@ def test_a_project_cannot_be_created_by_half(small: Path, capsys: pytest.Capture
     assert _names(small) == ["filler"]
 
 
-def test_commands_that_may_write_only_small_files_stop_with_a_message(generated: Path, tmp_path: Path) -> None:
+def test_commands_that_may_write_only_small_files_stop_with_a_message(
+    mortal: Mortal, labelled: Path, tmp_path: Path
+) -> None:
     """`ulimit -f`, for those who cannot mount a small disk: each file fails beyond a size."""
-    projects = tmp_path / "projects"
-    _make_room(projects, generated / "people")
-    assert main(["import", "room", "--as-2d", "--projects", str(projects)]) == 0
-    before = labels_in(projects / "room")
-    mortal = Mortal(generated / "people", tmp_path / "log")
+    before = labels_in(labelled / "room")
     copy = tmp_path / "copy"
     train = ["--only", "image", "--image-epochs", "1", "--image-size", "64", "--weights", "never"]
-    try:
-        for words in (
-            ["train", "room", *train],
-            ["annotate", "room", "--engine", "inline"],
-            ["export", "room", str(tmp_path / "out")],
-        ):
-            for limit in (0, 4096, 65536, 400_000):
-                shutil.rmtree(copy, ignore_errors=True)
-                shutil.rmtree(tmp_path / "out", ignore_errors=True)
-                shutil.copytree(projects, copy)
-                end = mortal.run(*words, "--projects", copy, file_limit=limit)
-                assert end.code in (0, 1, 2), (words, limit, end)
-                assert "Traceback" not in end.said, (words, limit, end.said[-1500:])
-                require_sound(copy / "room")
-                after = labels_in(copy / "room")
-                # proposals may be added, reviewed boxes stay
-                assert all(set(found) <= set(after[key]) for key, found in before.items())
-                left = [path.name for path in tmp_path.iterdir() if "out" in path.name]
-                assert left in ([], ["out"]), left
-                assert end.code == 0 or not left, (words, limit)
-    finally:
-        mortal.close()
+    for words in (
+        ["train", "room", *train],
+        ["annotate", "room", "--engine", "inline"],
+        ["export", "room", str(tmp_path / "out")],
+    ):
+        for limit in (0, 4096, 65536, 400_000):
+            shutil.rmtree(copy, ignore_errors=True)
+            shutil.rmtree(tmp_path / "out", ignore_errors=True)
+            shutil.copytree(labelled, copy)
+            end = mortal.run(*words, "--projects", copy, file_limit=limit)
+            assert end.code in (0, 1, 2), (words, limit, end)
+            assert "Traceback" not in end.said, (words, limit, end.said[-1500:])
+            require_sound(copy / "room")
+            after = labels_in(copy / "room")
+            # proposals may be added, reviewed boxes stay
+            assert all(set(found) <= set(after[key]) for key, found in before.items())
+            left = [path.name for path in tmp_path.iterdir() if "out" in path.name]
+            assert left in ([], ["out"]), left
+            assert end.code == 0 or not left, (words, limit)

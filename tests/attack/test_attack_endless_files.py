@@ -14,7 +14,6 @@ import pytest
 if TYPE_CHECKING:
     from live_server import Live
 
-pytestmark = pytest.mark.attack
 
 ENDLESS: dict[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo,

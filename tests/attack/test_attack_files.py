@@ -126,8 +126,11 @@ def test_a_sent_project_with_a_hostile_configuration_is_refused(
     assert main(["new", "sent", "--classes", "hand", "--projects", str(tmp_path)]) == 0
     (tmp_path / "sent/project.json").write_bytes(text.encode("utf-8", "surrogateescape"))
     capsys.readouterr()
-    for command in ("stats", "check"):
-        _must_fail(capsys, command, "sent", "--projects", tmp_path)
+    _must_fail(capsys, "stats", "sent", "--projects", tmp_path)
+    # a check finds it, and says so
+    assert main(["check", "sent", "--projects", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert "project.json" in said.out and len(said.out + said.err) < 5000, said
 
 
 NAMES = (

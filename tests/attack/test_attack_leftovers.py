@@ -13,8 +13,6 @@ import pytest
 
 from annotator.files import new_folder
 
-pytestmark = pytest.mark.attack
-
 FILES = 30
 REPLACE = """
 import sys

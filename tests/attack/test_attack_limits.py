@@ -13,8 +13,6 @@ import httpx
 import pytest
 from live_server import PATIENCE_S, running, wait_until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
-from websockets.typing import Origin
 
 from annotator.project import create_project
 from annotator.web.limits import protocols
@@ -25,7 +23,6 @@ from annotator.web.settings import ServerSettings
 if TYPE_CHECKING:
     from live_server import Live
 
-pytestmark = pytest.mark.attack
 
 TOKEN = "a-token-for-the-attacks"
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
@@ -69,9 +66,7 @@ def test_tokens_cannot_be_guessed_fast(locked: Live) -> None:
 
 
 def test_a_page_cannot_flood_the_others(locked: Live) -> None:
-    cookies, origin = {"Cookie": locked.cookies()}, Origin(locked.url)
-    url = locked.socket_url("/api/events?project=room")
-    with connect(url, additional_headers=cookies, origin=origin) as loud:
+    with locked.listen() as loud:
         with suppress(ConnectionClosed):
             for _ in range(MESSAGES):
                 loud.send('{"type": "open", "project": "room", "frame": 1}')
@@ -79,17 +74,13 @@ def test_a_page_cannot_flood_the_others(locked: Live) -> None:
             while True:
                 loud.recv(timeout=PATIENCE_S)
         assert loud.close_code == 1008
-    with connect(url, additional_headers=cookies, origin=origin) as next_one:
+    with locked.listen() as next_one:
         assert "presence" in next_one.recv(timeout=PATIENCE_S)
 
 
 def test_refused_sockets_and_garbage_leave_few_lines(locked: Live) -> None:
-    cookies, origin = {"Cookie": locked.cookies()}, Origin(locked.url)
     for number in range(REFUSED):
-        with (
-            suppress(InvalidStatus),
-            connect(locked.socket_url(f"/api/events?project=none{number}"), additional_headers=cookies, origin=origin),
-        ):
+        with suppress(InvalidStatus), locked.listen(f"?project=none{number}"):
             raise AssertionError("there is no such project")
         with socket.create_connection(("127.0.0.1", locked.server.port), PATIENCE_S) as garbage:
             garbage.sendall(b"\0\r\n\r\n")

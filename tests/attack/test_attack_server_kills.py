@@ -31,7 +31,8 @@ def test_a_killed_server_loses_no_acknowledged_save_and_offers_no_half_export(
         with server(web_settings.projects_root) as (url, process):
             _require_whole_downloads(url)
             editors = [
-                Editor(url, 1 + (number + other) % 5, 100 * number + other, f"ann {other}") for other in range(EDITORS)
+                Editor(url, 1 + (number + other) % 5, 100 * number + other, f"ann {number} {other}")
+                for other in range(EDITORS)
             ]
             threads = [threading.Thread(target=editor.run) for editor in editors]
             for thread in threads:

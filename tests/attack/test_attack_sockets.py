@@ -10,49 +10,38 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
-from live_server import PATIENCE_S, running
-from raw import MOST_GROWTH_MB, memory_mb, require_alive
+from live_server import PATIENCE_S
+from raw import require_alive, unharmed
+from room_api import change, state
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
 
 if TYPE_CHECKING:
     from live_server import Live
-
-    from annotator.web.settings import ServerSettings
 
 FLOOD = 20_000
 OPEN = {"type": "open", "project": "room", "frame": 1}
 
 
 @pytest.fixture
-def live(web_settings: ServerSettings) -> Iterator[Live]:
+def live(live: Live) -> Iterator[Live]:
     """A server that still answers, sends events and has not grown after each test."""
-    with running(web_settings) as server:
-        require_alive(server)
-        before = memory_mb()
-        yield server
-        require_alive(server)
-        with _events(server) as events:
+    with unharmed(live):
+        yield live
+        with live.listen() as events:
             events.send(json.dumps(OPEN))
             assert "presence" in events.recv(timeout=PATIENCE_S)
-        assert memory_mb() - before < MOST_GROWTH_MB
-
-
-def _events(live: Live, query: str = "?project=room", **more: str) -> ClientConnection:
-    headers = {"Cookie": live.cookies(), **more}
-    return connect(live.socket_url(f"/api/events{query}"), additional_headers=headers, origin=live.url, max_size=None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("query", ["?project=..", "?project=" + "a" * 65, "?project=%00", "?project=nothing"])
 def test_a_socket_of_no_project_is_refused(live: Live, query: str) -> None:
-    with pytest.raises(InvalidStatus) as refused, _events(live, query):
+    with pytest.raises(InvalidStatus) as refused, live.listen(query):
         pass
     assert 400 <= refused.value.response.status_code < 500
 
 
 def test_a_socket_without_an_operator_is_refused(live: Live) -> None:
     others = "; ".join(part for part in live.cookies().split("; ") if not part.startswith("annotator_operator"))
-    with pytest.raises(InvalidStatus) as refused, _events(live, Cookie=others):
+    with pytest.raises(InvalidStatus) as refused, live.listen(cookie=others):
         pass
     assert refused.value.response.status_code in (401, 403)
 
@@ -78,7 +67,7 @@ MESSAGES: dict[str, str | bytes] = {
 
 @pytest.mark.parametrize("message", MESSAGES.values(), ids=MESSAGES)
 def test_a_malformed_message_ends_its_own_connection_at_most(live: Live, message: str | bytes) -> None:
-    with _events(live) as other, _events(live) as events:
+    with live.listen() as other, live.listen() as events:
         try:
             events.send(message)
             events.ping().wait(5.0)
@@ -115,7 +104,7 @@ def test_frames_that_break_the_protocol_end_their_own_connection_at_most(live: L
 
 
 def test_a_flood_of_messages_does_not_stop_the_others(live: Live) -> None:
-    with _events(live) as events:
+    with live.listen() as events:
         try:
             for number in range(FLOOD):
                 events.send(json.dumps({**OPEN, "frame": 1 + number % 5}))
@@ -126,24 +115,19 @@ def test_a_flood_of_messages_does_not_stop_the_others(live: Live) -> None:
 
 
 def test_readers_that_do_not_read_are_dropped_or_kept_small(live: Live) -> None:
-    sockets = [_events(live) for _ in range(20)]
+    sockets = [live.listen() for _ in range(20)]
     try:
         for number in range(100):
-            answer = live.client.post("/api/projects/room/frames/1/changes", json=_change(live, number))
+            revision = state(live.client)["frame"]["revision"]
+            answer = change(live.client, revision, {"kind": ("finalise", "reopen")[number % 2]})
             assert answer.status_code == 200, answer.text
     finally:
         for each in sockets:
             each.close()
 
 
-def _change(live: Live, number: int) -> dict[str, object]:
-    kind = "finalise" if number % 2 == 0 else "reopen"
-    revision = live.client.get("/api/projects/room/frames/1").json()["frame"]["revision"]
-    return {"revision": revision, "changes": [{"kind": kind}]}
-
-
 def test_connections_that_come_and_go_leave_nothing(live: Live) -> None:
     for _ in range(300):
-        with _events(live):
+        with live.listen():
             pass
     assert len(live.context.hub._clients) <= 1

@@ -114,7 +114,7 @@ def test_no_command_runs_code_of_a_sent_project(
 def test_a_server_runs_no_code_of_a_sent_project(sent: Path) -> None:
     with running(ServerSettings(sent.parent, port=0)) as live:
         frame = "/api/projects/sent/frames/1"
-        for path in ("/api/projects", "/api/projects/sent", "/api/projects/sent/models", frame, f"{frame}/label"):
+        for path in ("/api/projects", "/api/projects/sent", "/api/projects/sent/models", frame):
             assert live.client.get(path).status_code == 200, path
         project = live.context.project("sent")
         while (ready := live.context.caches.detectors.readiness(project, DetectorKind.VIEW)).state == "loading":

@@ -16,7 +16,7 @@ import pytest
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, batch, columns, listing, loop, memory, pseudo_view, slow_loris
+from benchmarks import axes, batch, columns, forecast, listing, loop, memory, pseudo_view, slow_loris
 from benchmarks.memory import growth
 from benchmarks.repeating import FOLDERS, lengthen
 from benchmarks.report import guarded
@@ -171,10 +171,22 @@ def test_batch_compares_engines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 
 
 def test_store_reports_times() -> None:
-    result, lines = program("store", "--frames", "30", "--proposed", "4", "--objects", "2")
+    options = ("--frames", "30", "--proposed", "4", "--objects", "2", "--reviewed", "8", "--imported", "60")
+    result, lines = program("store", *options)
     assert {"add_recording_ms", "write_proposals_median_ms", "queue_teach_ms", "queue_worst_ms"} <= result.keys()
-    assert all(took_ms > 0 for took_ms in result.values())
+    assert {"reviewed_statistics_ms", "known_statistics_ms"} <= result.keys()
+    assert all(took_ms > 0 for name, took_ms in result.items() if name.endswith("_ms"))
+    assert result["open_proposals"] == 30 * 3 + 4 * 2
     assert any("statistics" in line for line in lines)
+
+
+def test_forecast_compares_with_the_true_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forecast, "FRAMES", (100, 200))
+    result = forecast.run(forecast.Arguments(projects=6))
+    half = result["50% done"]
+    assert 0 < half["median_error"] < 1
+    assert half["covered"] > 0.3
+    assert half["median_high_to_low"] > 1.1
 
 
 @pytest.mark.parametrize(

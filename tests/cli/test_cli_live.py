@@ -34,7 +34,8 @@ def live(tmp_path: Path, generated: Path, knowing: Any, monkeypatch: pytest.Monk
     monkeypatch.setattr(live_run, "active_detectors", lambda project, backend: knowing("hands"))
 
     def run(*words: object, source: str | Path = generated / "hands") -> int:
-        options = ["--projects", tmp_path / "projects", "--port", 0, *words]
+        port = () if "--port" in words else ("--port", 0)
+        options = ["--projects", tmp_path / "projects", *port, *words]
         return main(["live", "room", str(source), *map(str, options)])
 
     return run

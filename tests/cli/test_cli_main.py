@@ -108,6 +108,11 @@ def test_old_names_are_errors_that_give_the_new_name(capsys: pytest.CaptureFixtu
     assert "is now" not in capsys.readouterr().err
 
 
+def test_an_option_that_is_given_twice_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["serve", "--folder", "a", "--folder=b"]) == 2
+    assert "--folder is given twice; give it once, with all its values: --folder A B" in capsys.readouterr().err
+
+
 def option_helps(name: str) -> dict[str, str]:
     """The options of a command with their help texts."""
     function = cli.load(COMMANDS[name])

@@ -78,7 +78,7 @@ def test_move_accepts_only_the_same_recording(root: Path, tmp_path: Path, capsys
     assert main(["project", "move", "hands", "take", str(other)]) == 2
     assert "is not take: it lacks frame 000002" in capsys.readouterr().err
     assert main(["project", "move", "hands", "tack", str(other)]) == 2
-    assert "it has: take" in capsys.readouterr().err
+    assert "did you mean 'take'?" in capsys.readouterr().err
 
 
 def test_the_projects_option_overrides_the_environment_variable(
@@ -101,7 +101,7 @@ def test_the_projects_option_overrides_the_environment_variable(
         (["new", "Bad Name", "--classes", "x"], "is not a valid project name"),
         (["new", "there", "--classes", "x"], "exists already"),
         (["new", "n", "--classes"], "at least one class"),
-        (["stats", "nothere"], "no project 'nothere' (it has: there); create it with"),
+        (["stats", "nothere"], "no project 'nothere' (did you mean 'there'?)"),
         (["stats", "../there"], "is not a valid project name"),
         (["add", "there"], "no recording given"),
         (["add", "there", "nowhere"], "nowhere: no such file or folder"),

@@ -129,7 +129,7 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
     assert (counts["image_boxes"]["boxes"], counts["view_boxes"]["boxes"]) == (1, 2)
 
     said = run(capsys, "export", project, "yolo", "--format", "yolo", "--boxes-on", "both")
-    assert said.startswith("yolo: 3 images, 3 person\nlost in yolo: 2 boxes enclose the whole object")
+    assert said.startswith("yolo: 3 images, 3 person\n")
     assert said.endswith("; split the dataset with --split train=0.8,val=0.2\n")
     assert run(capsys, "import", project, "yolo", "--format", "yolo") == (
         "3 boxes on 1 camera images and 2 pseudo-views\n"
@@ -137,13 +137,31 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
 
 
 def test_import_of_3d_boxes_as_2d(project: str, capsys: Capture) -> None:
-    said = run(capsys, "import", project, "--as-2d", "--fraction", "0.2", "--seed", "1")
+    said = run(capsys, "import", project, "--as", "2d", "--fraction", "0.2", "--seed", "1")
     counts = stats(capsys)
     on_views = counts["view_boxes"]
     assert said.startswith("1 of 5 labelled frames: 3 person on camera images; ")
     assert f" person on {on_views['pictures']} pseudo-views, which show {on_views['boxes']} boxes\n" in said
     assert said.endswith("\n1 frames in total have 2D boxes made from 3D boxes\nnext: annotator train room\n")
     assert (counts["image_boxes"]["boxes"], counts["labels"]["total"]) == (3, 0)
+
+
+def test_import_of_3d_boxes_as_proposals(project: str, tmp_path: Path, capsys: Capture) -> None:
+    box = {"label": "Person", "center": [0, 0, 3], "size": [1, 1, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    for name, score, x in (("mine", 7.0, 0.0), ("theirs", -2.0, 0.1)):
+        here = box | {"center": [x, 0, 3], "score": score}
+        (tmp_path / f"{name}.json").write_text(json.dumps({"000001": [here, here | {"score": 1}], "000002": []}))
+    options = ("--as", "proposals", "--classes", "Person=person")
+    said = run(capsys, "import", project, "mine.json", *options, "--min-score", "2")
+    assert said == (
+        "mine: 1 person proposed on 2 frames\n"
+        "skipped: 1 boxes with a lower score\n"
+        "scaled: scores from 1 to 7 are now 0 to 1\n"
+        f"next: annotator serve, to review {project}\n"
+    )
+    said = run(capsys, "import", project, "theirs.json", *options, "--source", "other")
+    assert said.startswith("other: 2 person proposed on 2 frames\nmerged: 1 boxes with proposals of other sources\n")
+    assert stats(capsys)["labels"]["by_state"]["proposed"] == 2
 
 
 # --- annotate --------------------------------------------------------------------------------------------------------
@@ -279,13 +297,12 @@ def test_demo_passes_its_options_on_and_checks_them(
     [
         (["simulate", "room", "nothing"], "no recording 'nothing'; it has: people"),
         (["simulate", "room", "people", "--every", "0"], "give 1 or more"),
-        (["simulate", "nowhere", "people"], "no project 'nowhere' (it has: room)"),
+        (["simulate", "nowhere", "people"], "no project 'nowhere' (it has: room); create it with"),
         (["views", "room", "out"], "no object with boxes on camera images yet"),
         (["views", "room", "out", "--step", "2"], "both views of the first step"),
         (["views", "room", "out", "--step", "3"], "there is no step 3"),
         (["views", "room", "file.txt"], "exists already"),
         (["import", "room", "nothing.json"], "nothing.json"),
-        (["import", "room", "file.txt"], "file.txt"),
         (["import", "room", "dogs.json"], "none of the dataset's classes is in the project: the dataset has dog"),
         (
             ["import", "room", "dogs.json", "--recording", "x"],
@@ -299,17 +316,25 @@ def test_demo_passes_its_options_on_and_checks_them(
             ["import", "room", "dogs.json", "--pictures", "p", "--recording", "x"],
             "--recording is for boxes on camera images",
         ),
-        (["import", "room"], "no labels given; write annotator import room PATH, or --as-2d"),
-        (["import", "room", "dogs.json", "--fraction", "0.5"], "--fraction and --seed need --as-2d"),
-        (["import", "room", "dogs.json", "--as-2d"], "coco contains no 3D boxes; name the format of dogs.json"),
-        (["import", "room", "--as-2d", "--fraction", "2"], "cannot take a fraction of 2.0 of the frames"),
-        (["import", "room", "--as-2d", "--pictures", "p"], "leave out --pictures"),
-        (["import", "room", "--as-2d", "--recording", "x"], "no recording 'x'"),
+        (["import", "room"], "no labels given; write annotator import room PATH, or --as 2d"),
+        (["import", "room", "dogs.json", "--fraction", "0.5"], "--fraction and --seed need --as 2d"),
+        (
+            ["import", "room", "dogs.json", "--as", "2d"],
+            "is coco, which contains no 3D boxes; leave out --as",
+        ),
+        (["import", "room", "--as", "2d", "--fraction", "2"], "cannot take a fraction of 2.0 of the frames"),
+        (["import", "room", "--as", "2d", "--pictures", "p"], "leave out --pictures"),
+        (["import", "room", "--as", "2d", "--recording", "x"], "no recording 'x'"),
+        (["import", "room", "dogs.json", "--as", "proposals"], "dogs.json is coco, which contains no 3D boxes"),
+        (["import", "room", "dogs.json", "--min-score", "0.5"], "--source and --min-score need --as proposals"),
+        (["import", "room", "dogs.json", "--classes", "dog=cat"], "the project has no class 'cat'; it has: person"),
+        (["import", "room", "dogs.json", "--classes", "dog"], "write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT"),
+        (["import", "room", "file.txt"], "no format of boxes was recognised"),
         (["train", "room"], "no boxes on camera images or pseudo-views to learn from"),
         (["train", "room", "--only", "view"], "no boxes on pseudo-views to learn from"),
         (["annotate", "room"], "has no image detector yet; run `annotator train room`"),
         (["export", "room", "out"], "has no labels in state proposed, accepted, edited to export"),
-        (["export", "room", "out", "--classes", "robot"], "has no class robot; it has person"),
+        (["export", "room", "out", "--classes", "robot"], "has no class 'robot'; it has: person"),
         (["export", "room", "out", "--recordings", "x"], "no recording 'x'"),
         (["add", "room", "PEOPLE", "--name", "other"], "is in the project already, as people"),
         (["generate", "file.txt"], "already exists"),

@@ -25,9 +25,9 @@ for place in (*(str(TESTS / room) for room in ROOMS), str(TESTS.parent)):
 
 import small_recordings as small  # noqa: E402
 from dataset_samples import make_item, make_label  # noqa: E402
+from foxglove_takes import picture_take, write_mcap  # noqa: E402
 from kinect_recording import write_recording  # noqa: E402
 from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noqa: E402
-from test_bag_files import foxglove_take, write_mcap  # noqa: E402
 from test_cloud_files import RGB, XYZ, ply  # noqa: E402
 from test_kitti_tracklets import PEDESTRIAN, VAN, document  # noqa: E402
 from test_las_file import written  # noqa: E402
@@ -35,6 +35,7 @@ from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
 from test_ros_messages import rvl  # noqa: E402
 
 from annotator.formats.argoverse import read_argoverse  # noqa: E402
+from annotator.formats.boxes_json import write_boxes  # noqa: E402
 from annotator.formats.coco_dataset import CocoWriter  # noqa: E402
 from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
 from annotator.formats.frame_class_names import six_digit_ids  # noqa: E402
@@ -47,10 +48,11 @@ from annotator.formats.nuscenes import write_nuscenes  # noqa: E402
 from annotator.formats.openlabel import write_openlabel  # noqa: E402
 from annotator.formats.rcv import RcvInfo, export_rcv  # noqa: E402
 from annotator.formats.sunrgbd.folder import write_sunrgbd  # noqa: E402
+from annotator.formats.sustechpoints import write_sustechpoints  # noqa: E402
 from annotator.formats.yolo_dataset import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
 from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
-from annotator.types import Box2D, Frame  # noqa: E402
+from annotator.types import Box2D, Frame, Label, Truth  # noqa: E402
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures  # noqa: E402
 from annotator.workflows.importing.table import BoxFormat, read_labels  # noqa: E402
 from annotator.workflows.recorded.reading import has_truth, load_truth  # noqa: E402
@@ -155,8 +157,7 @@ def bag(container: str, compression: str = "") -> Callable[[Path], object]:
 
 def foxglove(encoding: str) -> Callable[[Path], object]:
     def build(folder: Path) -> None:
-        png = cv2.imencode(".png", IMAGE[:, :, ::-1])[1].tobytes()
-        write_mcap(folder / "a.mcap", encoding, [(START_NS, foxglove_take(encoding, {"data": png, "format": "png"}))])
+        write_mcap(folder / "a.mcap", encoding, [(START_NS, picture_take(encoding))])
 
     return build
 
@@ -193,6 +194,10 @@ def kinect(fourcc: str) -> Target:
 
 def labelled(count: int = 2) -> list[Any]:
     return [make_item([make_label(track_id=1), make_label(uid="b")], key=f"{n:06d}", index=n) for n in range(count)]
+
+
+def truths(labels: list[Label]) -> list[Truth]:
+    return [Truth(each.label, each.box, each.track_id) for each in labels]
 
 
 def written_by(write: Callable[..., object], *, places: int = 0) -> Callable[[Path], object]:
@@ -280,6 +285,11 @@ TARGETS: list[Target] = [
            lambda folder: read_labelcloud(folder) and None),
     Target("export_nuscenes", written_by(lambda out, items: write_nuscenes(out, items, CLASSES, Losses())),
            lambda folder: read_labels(BoxFormat.NUSCENES, folder) and None),
+    Target("export_sustechpoints", written_by(lambda out, items: write_sustechpoints(out, items, Losses())),
+           lambda folder: read_labels(BoxFormat.SUSTECHPOINTS, folder) and None),
+    Target("export_boxes",
+           lambda folder: write_boxes(folder / "b.json", {item.frame.key: truths(item.labels) for item in labelled()}),
+           lambda folder: read_labels(BoxFormat.BOXES, folder / "b.json") and None),
     Target("coco", pictures(lambda folder: CocoWriter(folder, CLASSES)), partial(read_flat, FlatFormat.COCO)),
     Target("yolo", pictures(lambda folder: YoloWriter(folder, CLASSES)), partial(read_flat, FlatFormat.YOLO)),
     *(label_file(name) for name in LABEL_FILES if not name.startswith("rcv/")),

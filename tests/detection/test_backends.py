@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -248,3 +248,14 @@ def assert_same(boxes: Sequence[Box2D], expected: Sequence[Box2D], confidence: f
                 and np.abs(np.subtract(other.xyxy, box.xyxy)).max() <= 1
                 for other in others
             )
+
+
+def test_boxes_have_the_present_names_of_their_classes(own_weights: Path, scene: Any) -> None:
+    images = [PlainImage(scene(seed).rgb) for seed in range(6)]
+    before = [box for boxes in make(own_weights).detect(images) for box in boxes]
+    assert {box.label for box in before} == {"blue", "red"}
+    renamed = make(own_weights, names={"blue": "azure", "red": None})
+    assert renamed.labels == ("azure",)
+    after = [box for boxes in renamed.detect(images) for box in boxes]
+    assert after == [replace(box, label="azure") for box in before if box.label == "blue"]
+    assert renamed.fingerprint == make(own_weights).fingerprint

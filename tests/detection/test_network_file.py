@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import pickle
 import struct
+import tracemalloc
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
+from time_limit import time_limit
 
 from annotator.detection import weights
 from annotator.detection.network_file import (
@@ -145,6 +149,40 @@ def test_an_old_file_is_converted_once_and_stays_the_same(
         for key, tensor in written.state_dict().items():
             assert torch.equal(read.state_dict()[key], tensor.float() if tensor.is_floating_point() else tensor), key
     assert [path.suffix for path in (tmp_path / "cache" / "annotator" / "converted").iterdir()] == [".safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        (b")" + b"2\x86" * 60 + b"0}" + b")" + b"2\x86" * 60 + b"K\x01s.", "unhashable"),  # takes 2**60 steps to hash
+        (b"r\xff\xff\xff\x7f" + b".", "cannot be read"),  # memory for 2**31 remembered objects
+        (b"]" * (2**22 + 1) + b".", "more than 4 MiB"),
+    ],
+)
+def test_a_weights_file_that_takes_time_or_memory_is_refused(tmp_path: Path, program: bytes, reason: str) -> None:
+    with zipfile.ZipFile(tmp_path / "detector.pt", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a/data.pkl", b"\x80\x02" + program)
+    tracemalloc.start()
+    try:
+        with time_limit(20), pytest.raises(DetectionError, match=reason):
+            load_weights(tmp_path / "detector.pt", "cpu")
+        assert tracemalloc.get_traced_memory()[1] < 2**26
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_storage_is_read_once(model: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shared = api().torch.zeros(100)
+    changed = copy.deepcopy(model)
+    for layer in changed.model[:3]:
+        layer.register_buffer("extra", shared)
+    api().torch.save({"model": changed}, tmp_path / "detector.pt")
+    read: list[str] = []
+    plain = zipfile.ZipFile.read
+    monkeypatch.setattr(zipfile.ZipFile, "read", lambda self, name: read.append(name) or plain(self, name))
+    with pytest.raises(DetectionError):
+        load_weights(tmp_path / "detector.pt", "cpu")
+    assert read and len(read) == len(set(read))
 
 
 class Made:

@@ -37,7 +37,7 @@ def test_columns_may_have_any_order(tmp_path: Path) -> None:
 
 BROKEN = [
     pytest.param([], 1, "image is missing", id="empty"),
-    pytest.param([HEAD.removesuffix(",score"), ROW], 1, "score is missing", id="no-score"),
+    pytest.param([HEAD.removesuffix(",score"), ROW], 1, "has no column score", id="no-score"),
     pytest.param([HEAD + ",colour", ROW], 1, "'colour' is unknown", id="unknown-column"),
     pytest.param([HEAD + ",yaw", ROW], 1, "two columns have the same name", id="column-twice"),
     pytest.param([HEAD, ROW, "3,bed"], 3, "has 2 fields", id="too-few"),

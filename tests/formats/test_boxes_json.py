@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.boxes_json import read_boxes
+from annotator.formats.boxes_json import read_boxes, write_boxes
 from annotator.geometry.oriented_box import box_corners
 from annotator.types.errors import FormatError
 
@@ -30,6 +30,18 @@ def test_a_frame_may_have_one_object_a_list_or_an_empty_list(tmp_path: Path):
     np.testing.assert_allclose(truth.box.rotation[:, 0], [0, 1, 0])
     np.testing.assert_allclose(truth.box.center_m, [0, 0, 1])
     np.testing.assert_allclose(truth.box.size_m, [0.2, 0.1, 0.05])
+
+
+def test_attributes_are_read_and_written(tmp_path: Path):
+    values = {"glove": True, "fingers": 5, "length": 0.5, "side": "left"}
+    boxes = read_boxes(write(tmp_path, {"a": [UNIT | {"attributes": values}, UNIT]}))
+    assert [each.attributes for each in boxes["a"]] == [values, {}]
+    write_boxes(tmp_path / "again.json", boxes)
+    again = read_boxes(tmp_path / "again.json")["a"]
+    assert [(each.attributes, type(each.attributes.get("fingers"))) for each in again] == [
+        (values, int),
+        ({}, type(None)),
+    ]
 
 
 @pytest.mark.shared
@@ -54,6 +66,7 @@ def test_real_files_agree_with_their_own_corners(shared: Path, folder: str, fram
         pytest.param({"a": [UNIT, UNIT | {"size": [1, 2]}]}, r"a\.1\.size", id="two-sizes"),
         pytest.param({"a": UNIT | {"size": [1, 0, 1]}}, "frame a, hand: box sizes must be positive", id="flat"),
         pytest.param({"a": UNIT | {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}, "proper rotation", id="mirror"),
+        pytest.param({"a": UNIT | {"attributes": {"b": [1]}}}, r"a\.0\.attributes\.b", id="list-of-values"),
         pytest.param({"a": UNIT | {"label": ""}}, "a.0.label", id="no-label"),
         pytest.param({"a": UNIT | {"corners": [[0, 0, 1]] * 8}}, "corners differ by up to", id="other-corners"),
         pytest.param('{"a": {"label": "x", "center": [0, NaN, 0]}}', "a.0.center.1", id="nan"),

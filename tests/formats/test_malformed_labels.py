@@ -248,7 +248,7 @@ PLY = READERS[CLOUD][1]
 # Cases found by hand or by fuzzing, with the expected message. The first one crashed the program.
 FOUND: list[tuple[str, bytes, str]] = [
     ("boxes_json", b'{"0": ' + b"9" * 5000 + b"}", "boxes.json: has a number that cannot be read"),
-    ("boxes_json", b"[" * 200_000, "boxes.json: is nested too deeply"),
+    ("boxes_json", b'{"a":' + b"[" * 200_000, "boxes.json: is nested too deeply"),
     ("boxes_json", changed(BOXES, "\ud800", "000", "label"), r"has an unpaired surrogate \('.ud800'\)"),
     ("boxes_json", changed(BOXES, 1e308, "000", "rotation", 0, 0), "000.0.rotation.0.0: Input should be less than"),
     ("boxes_json", changed(BOXES, 1e300, "000", "center", 0), "000.0.center.0: Input should be less than"),
@@ -365,7 +365,7 @@ def test_named_pipes_are_errors_and_do_not_block(tmp_path: Path) -> None:
 
 
 def test_long_files_are_not_read_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("annotator.formats.json_file.MAX_BYTES", 1 << 20)
+    monkeypatch.setattr("annotator.formats.json_stream.MAX_BYTES", 1 << 20)
     path = tmp_path / "boxes.json"
     with path.open("wb") as file:
         file.truncate(4 << 30)  # sparse

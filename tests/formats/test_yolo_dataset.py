@@ -12,7 +12,7 @@ import yaml
 from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.yolo_dataset import YoloWriter
 from annotator.formats.yolo_read import read_yolo
-from annotator.types import Box2D
+from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.importing.picture_labels import PictureLabels
 
@@ -41,6 +41,7 @@ def test_a_written_dataset_reads_back(tmp_path: Path) -> None:
         "train": "images/train",
         "val": "images/val",
         "names": {0: "Büro \U0001f600", 1: "no"},
+        "box_kind": "silhouette",
     }
     first, second = read_yolo(tmp_path)
     assert first.picture == tmp_path / "images/train/a.b.png"
@@ -169,3 +170,17 @@ def test_invalid_file_names_are_errors(tmp_path: Path, name: str) -> None:
     picture = PictureLabels(name, tmp_path, (), None, lambda _w, _h: ())
     with pytest.raises(FormatError, match=r"coco\.json: .* leads out of the image folder or is not a valid name"):
         picture.file(Path("coco.json"))
+
+
+def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> None:
+    writer = YoloWriter(tmp_path, ("no",))
+    writer.add(LabelledPicture("a.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
+    writer.add(LabelledPicture("b.png", b"", 4, 2, (BOX,), box_kind=BoxKind.BOX))
+    writer.add(LabelledPicture("c.png", b"", 4, 2, (BOX,)))
+    writer.finish()
+    kinds = [BoxKind.BOX, BoxKind.BOX, BoxKind.SILHOUETTE]
+    assert [picture.box_kind for picture in read_yolo(tmp_path)] == kinds
+    text = (tmp_path / "data.yaml").read_text()
+    for theirs, found in (("box_kind: tight", [None] * 3), ("box_kind: [1]", [None] * 3), ("box_kind: box", kinds)):
+        (tmp_path / "data.yaml").write_text(text.replace("box_kind: box", theirs, 1))
+        assert [picture.box_kind for picture in read_yolo(tmp_path)] == found

@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
-from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project import FramePart, NewLabel, Project, ProjectConfig, StoredFrame, WriteContext
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
+from annotator.project.classes.edit import ClassEdit
 from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
 from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
@@ -29,7 +32,13 @@ from annotator.types import (
 )
 
 NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
-DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments")
+DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "frame_attributes")
+ATTRIBUTES = (
+    Attribute(name="occlusion", kind=AttributeKind.INTEGER, minimum=0.0, maximum=3.0, default=0),
+    Attribute(name="pose", kind=AttributeKind.CHOICE, choices=("sitting", "lying"), classes=("person",)),
+    Attribute(name="side", kind=AttributeKind.TEXT, of=AttributeOf.TRACK),
+    Attribute(name="weather", kind=AttributeKind.NUMBER, of=AttributeOf.FRAME),
+)
 
 
 def by_hand(revision: int = 0, author: str = "ann") -> WriteContext:
@@ -96,6 +105,37 @@ def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
     return state
 
 
+def sorted_state(project: Project) -> dict[str, list[tuple[object, ...]]]:
+    """As `state_of`, without the order of rows that belong to different frames."""
+    return {table: sorted(rows, key=str) for table, rows in state_of(project).items()}
+
+
+def _renamed(config: ProjectConfig, number: int) -> ClassEdit:
+    return edit.rename_class(config, config.classes[number % len(config.classes)], "hand" if number else "palm")
+
+
+def _merged(config: ProjectConfig, number: int) -> ClassEdit:
+    old = config.classes[number % len(config.classes)]
+    return edit.merge_classes(config, [old], next(name for name in config.classes if name != old))
+
+
+def _added(config: ProjectConfig, number: int) -> ClassEdit:
+    return edit.add_class(config, ("hand", "person", "palm")[number % 3])
+
+
+def _changed(config: ProjectConfig, number: int) -> ClassEdit:
+    if number == 0:
+        return edit.rename_attribute(config, "pose", "posture")
+    if number == 1:
+        return edit.remove_class(config, config.classes[-1])
+    return (
+        edit.remove_attribute(config, "side") if number == 2 else edit.put_attribute(config, ATTRIBUTES[0], drop=True)
+    )
+
+
+CLASS_EDITS = (_renamed, _merged, _added, _changed)
+
+
 def some_boxes(count: int) -> list[Box2D]:
     return [Box2D("hand", float(n), 0.0, n + 1.5, 2.0) for n in range(count)]
 
@@ -103,7 +143,21 @@ def some_boxes(count: int) -> list[Box2D]:
 Step = tuple[str, int, int, int]
 """The kind of the step, the index of the frame, and two small parameters."""
 
-STEPS = ("propose", "create", "accept", "edit", "reject", "delete", "image", "view", "lock", "bulk", "track", "span")
+STEPS = (
+    "propose",
+    "bring",
+    "create",
+    "accept",
+    "edit",
+    "reject",
+    "delete",
+    "image",
+    "view",
+    "lock",
+    "bulk",
+    "track",
+    "span",
+)
 
 
 def lists_of_steps(*more: str, frames: int, longest: int) -> st.SearchStrategy[list[Step]]:
@@ -127,6 +181,14 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
             by_machine(frame.revision),
             lost=[lost_object()] * b,
         ),
+        "bring": lambda: project.proposals.bring(
+            f"detector {b}",
+            {
+                frame.id: [
+                    NewLabel(("hand", "person")[n % 2], box_at(2.0 * n + 0.15 * b), b / 4 or None) for n in range(a)
+                ]
+            },
+        ),
         "create": lambda: project.labels.create(
             frame.id, [NewLabel("hand", box_at(2.0 * n)) for n in range(a)], change
         ),
@@ -142,6 +204,11 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
         "adjust": lambda: project.adjustments.correct(
             frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), "ann"
         ),
+        "values": lambda: project.labels.set_attributes(
+            frame.id, uid, {"occlusion": a or None, "side": f"side {b}"}, change
+        ),
+        "frame values": lambda: project.frames.set_attributes(frame.id, {"weather": float(a) or None}, change),
+        "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), "ann"),
         "bulk": lambda: project.log.append(
             frame.id, [LabelAccepted(uid=label.uid) for label in labels] + [LabelDeleted(uid=uid)], change
         ),
@@ -210,3 +277,9 @@ def proposals(draw: st.DrawFn) -> Proposal:
     quality = Quality(*(draw(st.floats(allow_nan=False)) for _ in range(3)), *later)
     trace = tuple(draw(st.lists(step_traces(), max_size=2)))
     return Proposal(draw(words), draw(st.floats(0, 1)), draw(oriented_boxes()), draw(boxes_2d()), trace, quality)
+
+
+def give_attributes(project: Project) -> None:
+    """Gives the project the attributes `ATTRIBUTES`."""
+    for attribute in ATTRIBUTES:
+        project.change_classes(lambda config, attribute=attribute: edit.put_attribute(config, attribute), "ann")

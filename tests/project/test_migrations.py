@@ -2,50 +2,26 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from pathlib import Path
 
 import pytest
-from store_samples import by_hand, lost_object, proposal_at, state_of
+from old_versions import replaced_by, version_one
+from store_samples import by_hand, proposal_at, state_of
 
 from annotator.project import create_project, open_project
-from annotator.project.event_types import FrameFinalised, ProposalsReplaced, ProposedObject
-from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration
-from annotator.project.records import ProposalRecord
+from annotator.project.event_types import FrameFinalised, ProposalsReplaced
+from annotator.project.migrations import MIGRATIONS, Migration
 from annotator.project.schema import METADATA
 from annotator.project.store import open_store
 from annotator.types import BoxKind, DetectorKind, Source
 from annotator.types.errors import ProjectError
 
 
-def version_one(path: Path) -> None:
-    """A database of version 1 with sample rows, written without the store."""
-    path.unlink()
-    connection = sqlite3.connect(path)
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-    for statement in MIGRATIONS[0].statements:
-        connection.execute(statement)
-    connection.execute("PRAGMA user_version = 1")
-    connection.execute("INSERT INTO recordings VALUES (1, '/take', 'rgbd', 'take', 1, NULL, 7)")
-    connection.execute("INSERT INTO frames VALUES (1, 1, 'a', 0, 2, 1), (2, 1, 'b', 1, 0, 0)")
-    passed = ProposalsReplaced(
-        objects=(ProposedObject(uid="u", proposal=ProposalRecord.of(proposal_at())),), lost=(lost_object(),)
-    )
-    for number, payload in enumerate((passed, FrameFinalised()), 1):
-        connection.execute(
-            "INSERT INTO events VALUES (?, 1, NULL, ?, ?, ?, 'ann', 5, 'auto')",
-            (number, number, payload.kind, payload.model_dump_json()),
-        )
-    connection.commit()
-    connection.close()
-
-
 @pytest.fixture
 def old(tmp_path: Path) -> Path:
-    create_project(tmp_path, "old", ["hand"]).close()
-    version_one(tmp_path / "old" / "project.db")
-    return tmp_path / "old"
+    return version_one(tmp_path, {"a": [replaced_by("u", proposal_at()), FrameFinalised()], "b": []})
 
 
 def _version(path: Path) -> int:
@@ -135,6 +111,17 @@ def test_a_newer_database_is_refused_and_not_changed(old: Path) -> None:
     ):
         open_store(path, migrations=MIGRATIONS[:1])
     assert _version(path) == newest
+
+
+def test_an_upgrade_that_is_killed_afterwards_leaves_a_database_that_opens(tmp_path: Path) -> None:
+    create_project(tmp_path, "room", ["hand"]).close()
+    next_one = (*MIGRATIONS, Migration(len(MIGRATIONS) + 1, ("CREATE TABLE more (a)",)))
+    left = tmp_path / "left"
+    store = open_store(tmp_path / "room" / "project.db", migrations=next_one)
+    shutil.copytree(tmp_path / "room", left)  # as after a kill: with the `-wal`
+    store.close()
+    assert (left / "project.db-wal").stat().st_size > 0
+    open_store(left / "project.db", migrations=next_one).close()
 
 
 def test_a_migration_that_fails_leaves_the_database_as_it_was(old: Path) -> None:

@@ -49,6 +49,7 @@ def test_labels_boxes_and_events_are_counted(project: Project, recording: Stored
     project.boxes.set_on_view(view, boxes + boxes[:1], BoxKind.BOX, WriteContext(0, "file", Source.IMPORTED))
 
     numbers = json.loads(project.statistics().model_dump_json())
+    assert numbers.pop("progress")["forecast"]["frames_left"] == 3
     assert numbers == {
         "recordings": 1,
         "frames": 5,
@@ -68,6 +69,7 @@ def test_labels_boxes_and_events_are_counted(project: Project, recording: Stored
             "by_kind": {"box": 3, "silhouette": 0},
         },
         "suggested": {},
+        "attributes": {},
         "image_boxes": {"pictures": 2, "boxes": 2, "boxes_by_source": {"manual": 2, "auto": 0, "imported": 0}},
         "view_boxes": {"pictures": 1, "boxes": 3, "boxes_by_source": {"manual": 0, "auto": 0, "imported": 3}},
         "events": 7,

@@ -11,6 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from replacing import replace_database, replace_folder
 from store_samples import box_at, by_hand
 
 from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
@@ -32,33 +33,18 @@ def _label(project: Project, frame: int) -> None:
     project.labels.create(frame, [NewLabel("hand", box_at())], by_hand(project.frames.get(frame).revision))
 
 
-def _folder(folder: Path, backup: Path) -> None:
-    shutil.rmtree(folder)
-    shutil.copytree(backup, folder)
-
-
-def _database(folder: Path, backup: Path) -> None:
-    (folder / "project.db").unlink()
-    with (
-        closing(sqlite3.connect(backup / "project.db")) as source,
-        closing(sqlite3.connect(folder / "new.db")) as target,
-    ):
-        source.backup(target)
-    (folder / "new.db").rename(folder / "project.db")
-
-
 def _link(folder: Path, backup: Path) -> None:
     folder.rename(folder.with_name("moved"))
     folder.symlink_to(backup)
 
 
-@pytest.mark.parametrize("replace", [_folder, _database, _link])
+@pytest.mark.parametrize("replace", [replace_folder, replace_database, _link])
 def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
     project: Project, frame: int, backup: Path, replace: Callable[[Path, Path], None]
 ) -> None:
     replace(project.path, backup)
     assert not project.is_current
-    with pytest.raises(ReplacedError, match="was replaced by another file while it was open"):
+    with pytest.raises(ReplacedError, match="was replaced by another file, or written over, while it was open"):
         _label(project, frame)
     with pytest.raises(ReplacedError):
         project.labels.of_frame(frame)
@@ -69,6 +55,39 @@ def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
         _label(anew, frame)
     with open_project(project.path) as again:
         assert len(again.labels.of_frame(frame)) == 2
+
+
+@pytest.mark.parametrize("checkpoint", ["PASSIVE", "TRUNCATE"])
+@pytest.mark.parametrize("is_read", [True, False])
+def test_a_database_that_is_written_over_is_noticed(
+    project: Project, frame: int, backup: Path, checkpoint: str, is_read: bool
+) -> None:
+    open_project(backup).close()
+    with closing(sqlite3.connect(project.path / "project.db")) as connection:
+        connection.execute(f"PRAGMA wal_checkpoint({checkpoint})")
+    if is_read:
+        project.labels.of_frame(frame)
+    # as `cp` does: the file stays the same, and so does the `-wal` beside it
+    shutil.copyfile(backup / "project.db", project.path / "project.db")
+    with pytest.raises(ReplacedError, match="written over"):
+        project.labels.create(frame, [NewLabel("hand", box_at())], by_hand(2))
+    assert not project.is_current
+    with pytest.raises(ReplacedError):
+        project.labels.of_frame(frame)
+    project.close()
+    with open_project(project.path) as anew:
+        assert anew.problems() == []
+        assert len(anew.labels.of_frame(frame)) == 1, "the copy's state, not mixed with what came after it"
+        _label(anew, frame)
+        assert len(anew.labels.of_frame(frame)) == 2
+
+
+def test_an_open_project_survives_checkpoints_of_others(project: Project, frame: int) -> None:
+    with open_project(project.path) as other, closing(sqlite3.connect(project.path / "project.db")) as connection:
+        for number in range(12):
+            _label((project, other)[number % 2], frame)
+            connection.execute(f"PRAGMA wal_checkpoint({('PASSIVE', 'RESTART', 'TRUNCATE')[number % 3]})")
+        assert len(project.labels.of_frame(frame)) == len(other.labels.of_frame(frame)) == 12
 
 
 def test_what_a_removed_database_held_is_kept(project: Project, frame: int, backup: Path) -> None:
@@ -101,7 +120,7 @@ def test_what_a_replaced_database_held_is_kept_while_it_is_read(project: Project
     thread = threading.Thread(target=read)
     thread.start()
     assert reads.wait(10)
-    _database(project.path, backup)
+    replace_database(project.path, backup)
     replaced.set()
     project.close()
     thread.join()
@@ -135,7 +154,7 @@ def test_a_disk_that_is_full_leaves_no_mixture(
     def full(*_: object) -> None:
         raise OSError("No space left on device")
 
-    _database(project.path, backup)
+    replace_database(project.path, backup)
     monkeypatch.setattr("annotator.project.database.replaced._copied", full)
     project.close()
     assert "could not be kept" in caplog.text
@@ -148,11 +167,11 @@ def test_a_replacement_during_a_write_is_noticed_before_it_is_acknowledged(
     project: Project, frame: int, backup: Path
 ) -> None:
     with pytest.raises(ReplacedError), project.store.write():
-        _folder(project.path, backup)
+        replace_folder(project.path, backup)
     # or between a connection's opening and its use
     with open_project(project.path) as anew:
         held = [anew.store.engine.connect() for _ in range(anew.store.pool.checkedin())]
-        _folder(project.path, backup)
+        replace_folder(project.path, backup)
         with pytest.raises(ReplacedError):
             anew.log.last()
         for connection in held:
@@ -196,5 +215,10 @@ def test_an_older_project_that_cannot_be_written_is_not_upgraded(
     with closing(sqlite3.connect(tmp_path / "old" / "project.db")) as database:
         database.execute(f"PRAGMA user_version = {store_module.MIGRATIONS[-1].version - 1}")
     monkeypatch.setattr("annotator.project.database.file.os.access", lambda *_: False)
-    with pytest.raises(ProjectError, match="read-only disk"):
+    with pytest.raises(
+        ProjectError, match=r"older annotator and must be upgraded .* read-only disk, .* copy its folder"
+    ):
         open_project(tmp_path / "old")
+    monkeypatch.setattr(store_module, "MIGRATIONS", store_module.MIGRATIONS[:-2])
+    with pytest.raises(ProjectError, match="newer annotator"):
+        store_module.open_store(tmp_path / "old" / "project.db", migrations=store_module.MIGRATIONS)

@@ -93,7 +93,7 @@ def test_an_unknown_class_is_refused(project: Project, frame: int) -> None:
         lambda: project.labels.create(frame, [NewLabel("hnad", box_at())], by_hand()),
         lambda: project.proposals.replace(frame, [proposal_at(label="hnad")], by_machine()),
     ):
-        with pytest.raises(ProjectError, match=r"'hnad' is not a class of the project \(hand, person\)"):
+        with pytest.raises(ProjectError, match=r"'hnad' is not a class of the project; did you mean 'hand'\?"):
             refused()
     assert project.frames.get(frame).revision == 0
 

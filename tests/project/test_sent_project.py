@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from annotator.project import create_project, list_projects, open_project
+from annotator.project.backup.verify import verify
 from annotator.types.errors import NotFoundError, ProjectError
 
 PLACES = (
@@ -52,6 +53,7 @@ def test_a_project_with_a_link_that_leads_out_is_refused(
         shutil.rmtree(sent / place) if (sent / place).is_dir() else (sent / place).unlink(missing_ok=True)
     link(sent / place, outside)
     before = sorted(tmp_path.rglob("*"))
+    assert f"{place}: is a link that leads out of the project" in verify(sent).problems[0]
     with pytest.raises(ProjectError, match=rf"{place}: is a link that leads out of the project.*(remove|put)"):
         open_project(sent)
     assert sorted(tmp_path.rglob("*")) == before

@@ -37,15 +37,16 @@ def make(folder: Path, *names: str) -> None:
 def refusal(path: Path) -> str:
     with pytest.raises(UnknownFormatError) as caught:
         open_recording(path)
+    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 @pytest.mark.parametrize(("names", "said"), CASES)
 def test_the_nearest_format_is_named_with_what_is_missing(tmp_path: Path, names: tuple[str, ...], said: str):
     make(tmp_path, *names)
-    first = refusal(tmp_path).splitlines()[0]
-    assert first.startswith(f"{tmp_path}: no known recording format in this folder; ")
-    assert said in first
+    message = refusal(tmp_path)
+    assert message.startswith(f"{tmp_path}: no known recording format in this folder; ")
+    assert said in message
 
 
 def test_every_format_of_the_table_looks_like_itself(tmp_path: Path):
@@ -69,12 +70,12 @@ def test_a_kitti_folder_without_calibration_says_so(tmp_path: Path):
 def test_recordings_are_searched_three_levels_down(tmp_path: Path):
     make(tmp_path, "b/c/take/color/1.png", "b/c/take/depth/1.png", "a/color/1.png", "a/depth/1.png")
     make(tmp_path, "d/e/f/deep/color/1.png", "d/e/f/deep/depth/1.png", ".hidden/color/1.png", ".hidden/depth/1.png")
-    assert refusal(tmp_path).endswith("\nit contains recordings; give the path of one of them: a, b/c/take")
+    assert refusal(tmp_path).endswith("; it contains recordings; give the path of one of them: a, b/c/take")
 
 
 def test_recordings_below_that_cannot_be_opened_are_shown_with_their_problem(tmp_path: Path):
     make(tmp_path, "drive/image_2/1.png", "drive/velodyne/1.bin")
-    assert "it contains recordings that cannot be opened:\n  " in refusal(tmp_path)
+    assert "it contains recordings that cannot be opened: " in refusal(tmp_path)
     assert f"{tmp_path}/drive: looks like a KITTI object folder: calib/ is missing" in refusal(tmp_path)
 
 
@@ -102,7 +103,20 @@ def test_a_part_of_a_recording_names_the_recording(tmp_path: Path):
     assert refusal(tmp_path / "scene" / "depth" / "1.png").endswith(f"recording {tmp_path / 'scene'}; give that path")
 
 
-@pytest.mark.parametrize(("name", "said"), [("take.ZIP", "unpack it"), ("take.mp4", "a video, which has no depth")])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("take.ZIP", "unpack it"),
+        ("take.mp4", "a video, which has no depth"),
+        ("boxes.json", "it holds boxes; give the recording's folder"),
+        ("notes.txt", "notes.txt` lists what each format needs"),
+    ],
+)
 def test_single_files_are_told_what_to_do(tmp_path: Path, name: str, said: str):
     (tmp_path / name).touch()
-    assert said in refusal(tmp_path / name).splitlines()[0]
+    assert said in refusal(tmp_path / name)
+
+
+def test_a_missing_path_is_told_which_part_is_missing(tmp_path: Path):
+    make(tmp_path, "kitti/")
+    assert f"no such file or folder ({tmp_path} has no kiti; did you mean kitti?)" in refusal(tmp_path / "kiti" / "a")

@@ -1,26 +1,23 @@
-"""Fixtures: a real server on 127.0.0.1 with a generated project, and its clients."""
+"""Fixtures of a server with a generated project, and of what its jobs and Review use."""
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from live_server import OPERATOR, PATIENCE_S, Live, running, wait_until
+from live_server import PATIENCE_S, wait_until
+from room_server import live, web_settings
 
-from annotator.project import create_project
-from annotator.recordings import open_recording
 from annotator.types import BoxKind
-from annotator.web.settings import ServerSettings
-from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.tracks.follow_frames import Follower
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
 
-__all__ = ["OPERATOR", "Live", "running"]
+__all__ = ["live", "web_settings"]
 
 
 @pytest.fixture
@@ -34,21 +31,6 @@ def jobs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Worker processes can import `fake_jobs` and `knowing_jobs`."""
     paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
-
-
-@pytest.fixture
-def web_settings(tmp_path: Path, generated: Path) -> ServerSettings:
-    """Settings of a server with the project `room` of 5 unlabelled frames of people, and the folder `generated`."""
-    with create_project(tmp_path / "projects", "room", ("person",)) as project:
-        register_recording(project, open_recording(generated / "people"))
-    return ServerSettings(tmp_path / "projects", (generated,), port=0)
-
-
-@pytest.fixture
-def live(web_settings: ServerSettings) -> Iterator[Live]:
-    """A server for one test, with the project `room`."""
-    with running(web_settings) as server:
-        yield server
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import httpx
+from websockets.sync.client import ClientConnection, connect
 
 from annotator.web.settings import ServerSettings
 
@@ -46,6 +47,12 @@ class Live:
     def socket_url(self, path: str) -> str:
         """The address of a WebSocket."""
         return self.url.replace("http", "ws", 1) + path
+
+    def listen(self, query: str = "?project=room", cookie: str | None = None, **how: Any) -> ClientConnection:
+        """A socket of events, as from the server's own page; of the signed-in client unless another cookie is given."""
+        headers = {"Cookie": self.cookies() if cookie is None else cookie}
+        given = {"origin": self.url, **how}
+        return connect(self.socket_url(f"/api/events{query}"), additional_headers=headers, **given)
 
     def cookies(self) -> str:
         """The header `Cookie` of the signed-in client."""

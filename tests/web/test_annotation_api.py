@@ -40,6 +40,7 @@ def test_the_state_of_a_frame_has_labels_boxes_and_neighbours(live: Live, projec
         "finalised": False,
         "previous": 1,
         "next": 3,
+        "attributes": {},
     }
     assert (frame["image"]["width"], frame["image"]["height"]) == (320, 240)
     assert frame["points"] > 10_000
@@ -212,6 +213,9 @@ def test_the_queue_and_checks_list_doubtful_labels(live: Live, project: Project)
     uids = propose(project, 1, 0.0, 0.1)
     found = live.client.get(f"{ROOM}/queue", params={"order": "worst", "limit": 1}).json()
     assert found["remaining"] == 2 and found["items"][0]["uid"] in uids
+    assert found["items"][0]["sources"] == ["annotator"]
+    assert live.client.get(f"{ROOM}/queue", params={"source": "theirs"}).json()["remaining"] == 0
+    assert live.client.get(f"{ROOM}/queue/sources").json() == {"annotator": 2}
     teach = live.client.get(f"{ROOM}/queue", params={"order": "teach"}).json()
     assert teach["items"][0]["uid"] is None
     assert live.client.get(f"{ROOM}/queue", params={"order": "worse"}).status_code == 422

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from annotator.project import WriteContext, create_project
-from annotator.project.backup.automatic import FOLDER, Reason, automatic_backups
+from annotator.project.backup.automatic import FOLDER, Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.take_in import restore
 from annotator.types import BoxKind
-from annotator.web.automatic_backups import AutomaticBackups
+from annotator.web.background.automatic_backups import PAUSE_S, AutomaticBackups
 from annotator.web.context import Context
+from annotator.web.leftovers import clear_leftovers
 from annotator.web.settings import ServerSettings
 
 OLD = 1_000_000_000
@@ -43,16 +44,32 @@ def test_an_open_project_is_backed_up_once_for_its_changes(changed: Path) -> Non
         context.close()
 
 
-def test_a_failed_backup_is_logged_once_and_disturbs_nobody(changed: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (changed.parent / FOLDER).write_text("in the way")
+def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
+    changed: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    in_the_way, now = changed.parent / FOLDER, [0.0]
+    in_the_way.write_text("in the way")
     context = Context(ServerSettings(changed.parent))
     try:
         context.project("room")
-        backups = AutomaticBackups(context)
+        backups = AutomaticBackups(context, lambda: now[0])
         with caplog.at_level(logging.WARNING, "annotator.web"):
-            for _ in range(2):
-                backups.make_due()
-        assert [record.message for record in caplog.records if "no automatic backup" in record.message] != []
-        assert len(caplog.records) == 1
+            backups.make_due()
+            in_the_way.unlink()
+            now[0] = PAUSE_S - 1
+            backups.make_due()
+        assert ["no automatic backup" in record.message for record in caplog.records] == [True]
+        assert automatic_backups(changed) == []
+        now[0] = PAUSE_S
+        backups.make_due()
+        assert len(automatic_backups(changed)) == 1
     finally:
         context.close()
+
+
+def test_what_a_killed_backup_has_left_is_removed_at_the_next_start(changed: Path) -> None:
+    back_up_automatically(changed, Reason.CHANGES)
+    left = changed.parent / FOLDER / "room" / f".room-backup.{'0' * 32}.unfinished"
+    left.mkdir()
+    clear_leftovers(changed.parent)
+    assert not left.exists()

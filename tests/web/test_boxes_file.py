@@ -92,6 +92,9 @@ def test_a_coco_file_is_described_before_it_is_imported(live: Live, generated: P
         "ambiguous": 0,
         "boxes": {"Person": people, "dog": 1},
         "replaced": 0,
+        "labelled": None,
+        "scores": None,
+        "source": "street_boxes",
         "renamed": None,
         "taken_for": [],
     }
@@ -127,6 +130,53 @@ def test_an_import_is_undone_as_one_action(live: Live, generated: Path, tmp_path
     assert project.history.next("Bob")[0] is not None, "what another operator drew is not part of it"
 
 
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(
+    live: Live, tmp_path: Path, is_packed: bool
+) -> None:
+    project = live.context.project("room")
+    first, second = (frame.key for frame in project.frames.of()[:2])
+    if is_packed:
+        row = "Car 0 0 0 10 10 50 50 1.5 1.6 4.0 {} 1.0 9.0 0.1 {}\n"
+        rows = {first: row.format(0.0, -2.5) + row.format(5.0, 7.5), second: "", "elsewhere": ""}
+        sent = send(live, "mine.zip", packed({f"label_2/{key}.txt": text for key, text in rows.items()}))
+        low, high = -2.5, 7.5
+    else:
+        entry = {"label": "Car", "size": [4.0, 1.6, 1.5], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+        boxes = [entry | {"center": [x, 0.0, 9.0], "score": score} for x, score in ((0.0, 0.25), (5.0, 0.75))]
+        sent = send(live, "mine.json", json.dumps({first: boxes, second: [], "elsewhere": []}).encode())
+        low, high = 0.25, 0.75
+    known = {key: sent[key] for key in ("images", "unmatched_names", "boxes", "labelled", "scores", "source")}
+    assert known == {
+        "images": 3,
+        "unmatched_names": ["elsewhere"],
+        "boxes": {"Car": 2},
+        "labelled": 0,
+        "scores": [low, high],
+        "source": sent["name"].removesuffix(".json"),
+    }
+    done = run(project, tmp_path, upload=sent["id"], names={"Car": "person"}, source="mine", min_score=low + 0.1)
+    assert done.message == (
+        "1 boxes of mine proposed in 2 frames, 1 boxes with a lower score left out, "
+        "1 frames that the project does not have left out"
+    )
+    (stored,) = project.labels.select()
+    assert ([each.source for each in stored.said], stored.label.state.value) == (["mine"], "proposed")
+    assert project.history.next("Ada")[0] == f"import boxes of mine (frames {first} to {second})"
+    project.history.undo("Ada")
+    assert project.labels.select() == ()
+    if is_packed:
+        return
+    sent = send(live, "mine.json", json.dumps({first: boxes, second: boxes}).encode())
+    done = run(project, tmp_path, upload=sent["id"], names={"Car": "person"}, become="labels")
+    assert done.message == "4 labels imported in 2 frames"
+    assert {each.label.author for each in project.labels.select()} == {"Ada"}
+    assert send(live, "more.json", json.dumps({first: boxes}).encode())["labelled"] == 1
+    assert project.history.next("Ada")[0] == f"import 3D boxes (frames {first} to {second})"
+    project.history.undo("Ada")
+    assert project.labels.select() == ()
+
+
 @pytest.mark.usefixtures("jobs_on_path")
 def test_nothing_is_undone_while_an_import_stores_its_boxes(
     live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch
@@ -141,7 +191,7 @@ def test_nothing_is_undone_while_an_import_stores_its_boxes(
     for step in ("undo", "redo"):
         refused = live.client.post(f"{ROOM}/{step}", json={})
         assert refused.status_code == 409
-        assert "your import of 2D boxes is still running" in refused.json()["error"]["message"]
+        assert "your import of boxes is still running" in refused.json()["error"]["message"]
     assert not live.context.jobs.stores_boxes("room", "Bob"), "other operators can undo what is theirs"
     (project.path / "go_on").touch()
     wait_for(live, job, LIFT_STAGE)
@@ -218,13 +268,13 @@ def test_images_of_several_recordings_need_a_choice(live: Live, generated: Path)
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("boxes.txt", b"0 0.5 0.5 0.1 0.1", "neither a COCO file (.json) nor a packed"),
+        ("boxes.txt", b"0 0.5 0.5 0.1 0.1", "neither a file of boxes in JSON nor a packed"),
         ("boxes.json", b"{", "boxes.json"),
         ("boxes.json", b'{"images": [], "annotations": [], "categories": []}', "none of the dataset's images"),
         ("set.zip", b"PK no zip", "cannot be unpacked"),
         ("set.zip", damaged(), "cannot be unpacked"),
         ("boxes.json", TWICE, "a/000000.jpg and b/000000.jpg both match frame 000000; keep one of them"),
-        ("set.zip", packed({"a.png": "x"}), "contains no dataset of 2D boxes"),
+        ("set.zip", packed({"a.png": "x"}), "contains no dataset of boxes"),
         ("set.zip", packed({"../../../out.json": "{}"}), "leads out of its folder"),
         ("set.zip", packed({"classes.txt": "person\n", "1.txt": "0 0.5\n"}), "1.txt"),
     ],

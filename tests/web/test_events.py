@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from live_server import PATIENCE_S
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import ClientConnection
 
 from annotator.project import WriteContext, open_project
 from annotator.types import Source
@@ -26,9 +26,8 @@ WaitFor = Callable[[Callable[[], Any]], None]
 
 def listen(live: Live, project: str | None = "room", name: str = "Ada") -> ClientConnection:
     query = "" if project is None else f"?project={project}"
-    headers = {"Cookie": f"annotator_operator={name}"}
     # max_queue=None: a client with a full queue would not read the server's close frame
-    return connect(live.socket_url("/api/events" + query), additional_headers=headers, origin=live.url, max_queue=None)
+    return live.listen(query, f"annotator_operator={name}", max_queue=None)
 
 
 def next_of(socket: ClientConnection, kind: str) -> dict[str, Any]:
@@ -78,10 +77,7 @@ def test_pages_see_the_operators_of_open_frames(live: Live, wait_for: WaitFor) -
 
 def test_the_event_socket_needs_an_operator_and_a_project(live: Live) -> None:
     for query, cookie, status in (("?project=room", "", 403), ("?project=nobody", "annotator_operator=A", 403)):
-        with (
-            pytest.raises(InvalidStatus) as refused,
-            connect(live.socket_url("/api/events" + query), additional_headers={"Cookie": cookie}, origin=live.url),
-        ):
+        with pytest.raises(InvalidStatus) as refused, live.listen(query, cookie):
             pass
         assert refused.value.response.status_code == status
 
@@ -100,13 +96,7 @@ def test_invalid_messages_close_the_socket(live: Live, message: str | bytes, wai
 
 def test_a_slow_page_does_not_delay_others(live: Live, wait_for: WaitFor) -> None:
     """The slow page does not read at all: its queue fills up, and the server disconnects it."""
-    slow = connect(
-        live.socket_url("/api/events?project=room"),
-        additional_headers={"Cookie": "annotator_operator=Slow"},
-        origin=live.url,
-        max_queue=1,
-        close_timeout=0.1,
-    )
+    slow = live.listen(cookie="annotator_operator=Slow", max_queue=1, close_timeout=0.1)
     with listen(live) as quick:
         next_of(quick, "presence")
         filling = {"type": "frame", "project": "room", "text": "x" * 20_000}

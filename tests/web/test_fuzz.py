@@ -43,6 +43,8 @@ def test_no_request_causes_a_server_error(fuzzed: ServerSettings, monkeypatch: p
         schema = schemathesis.openapi.from_dict(live.client.get("/api/openapi.json").json())
         operations = [found.ok() for found in schema.get_all_operations()]
         assert len(operations) > 20
+        # last, since the others need the project and its recording
+        operations.sort(key=lambda each: each.method.upper() == "DELETE" or each.path.endswith("/rename"))
         answers: dict[int, int] = {}
         faults: list[str] = []
         numbers = count()
@@ -62,6 +64,6 @@ def test_no_request_causes_a_server_error(fuzzed: ServerSettings, monkeypatch: p
 
         for operation in operations:
             PATIENT(given(case=operation.as_strategy())(ask))()
-        assert live.client.get("/api/projects/room").status_code == 200, "the server still answers"
+        assert live.client.get("/api/projects").status_code == 200, "the server still answers"
     assert not faults, "\n".join(faults[:20])
     assert answers.get(200, 0) > 20, answers

@@ -20,15 +20,15 @@ from annotator.project.log import ChangedFrame, Log
 from annotator.project.models import Models
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.web import learning
+from annotator.web.background import learning
+from annotator.web.background.learning import Learner
+from annotator.web.background.watch import Watch
 from annotator.web.context import Context
 from annotator.web.jobs import runner
 from annotator.web.jobs.messages import PAUSE, RESUME, STOP
 from annotator.web.jobs.records import WORK, JobState, TrainRequest
 from annotator.web.jobs.runner import STEPPED_ASIDE, JobRunner
 from annotator.web.jobs.worker import Orders
-from annotator.web.learning import Learner
-from annotator.web.watch import Watch
 from annotator.workflows.training.held_out import Decision
 
 if TYPE_CHECKING:

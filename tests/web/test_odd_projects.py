@@ -16,26 +16,25 @@ import pytest
 from fastapi import FastAPI
 from in_process import HERE, ask
 from live_server import PATIENCE_S, wait_until
+from replacing import replace_folder
+from room_api import BOX, ROOM
 
 from annotator.project import create_project
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.types.errors import NotFoundError
 from annotator.web import fairness, projects
 from annotator.web.app import create_app
+from annotator.web.background.learning import Learner
+from annotator.web.background.watch import Watch
 from annotator.web.fairness import Fair
-from annotator.web.learning import Learner
 from annotator.web.leftovers import clear_leftovers
 from annotator.web.server_lock import hold_server_lock
 from annotator.web.settings import ServerSettings
-from annotator.web.watch import Watch
 
 if TYPE_CHECKING:
     import httpx
 
     from annotator.web.context import Context
-
-ROOM = "/api/projects/room"
-BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [0.9, 0.1, 0.4, 0.1]}
 
 
 @pytest.fixture
@@ -63,8 +62,7 @@ def test_a_project_replaced_by_its_backup_is_opened_anew(app: FastAPI, web_setti
     shutil.copytree(room, backup)
     assert draw(app, 1).status_code == 200
     old = context.project("room")
-    shutil.rmtree(room)
-    shutil.copytree(backup, room)
+    replace_folder(room, backup)
     # what had begun before is refused, what begins now is stored in the new one
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(type(context), "project", lambda *_: old)
@@ -241,9 +239,10 @@ def test_a_start_removes_what_killed_processes_left(
     root, mark = web_settings.projects_root, "0123456789abcdef" * 2
     left = [root / f".new.{mark}.unfinished", root / "room" / f".project.json.{mark}.tmp"]
     left.append(root / "room" / "views" / f".{mark}.png.{mark}.tmp")
-    young, others = root / f".young.{mark}.unfinished", root / "room" / "views" / f"{mark}.tmp"
-    for path in (*left, young, others):
-        path.mkdir()
+    young, others = root / f".young.{mark}.tmp", root / "room" / "views" / f"{mark}.tmp"
+    left[0].mkdir()
+    for path in (*left[1:], young, others):
+        path.touch()
         if path is not young:
             os.utime(path, (0, 0))
     left.append(root / f".link.{mark}.tmp")
@@ -259,7 +258,6 @@ def test_a_start_removes_what_killed_processes_left(
 
 def test_a_start_leaves_alone_what_a_process_still_fills(web_settings: ServerSettings) -> None:
     with unfinished_folder(web_settings.projects_root, "restored") as filled:
-        os.utime(filled, (0, 0))
         clear_leftovers(web_settings.projects_root)
         assert filled.exists()
 

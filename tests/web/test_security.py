@@ -16,8 +16,6 @@ from in_process import HERE, ask, open_socket
 from live_server import PATIENCE_S
 from starlette.routing import BaseRoute
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
-from websockets.typing import Origin
 
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
@@ -312,17 +310,15 @@ def test_an_unexpected_error_reveals_no_details(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("origin", [None, "http://evil.example"])
 def test_sockets_of_foreign_pages_are_refused(live: Live, origin: str | None) -> None:
-    url, cookie = live.socket_url("/api/events?project=room"), {"Cookie": live.cookies()}
-    with pytest.raises(InvalidStatus) as refused, connect(url, additional_headers=cookie, origin=origin):
+    with pytest.raises(InvalidStatus) as refused, live.listen(origin=origin):
         pass
     assert refused.value.response.status_code == 403
-    with connect(url, additional_headers=cookie, origin=live.url) as socket_:
+    with live.listen() as socket_:
         assert "presence" in socket_.recv(timeout=PATIENCE_S)
 
 
 def test_a_socket_that_a_route_refuses_logs_nothing(live: Live, caplog: pytest.LogCaptureFixture) -> None:
-    url = live.socket_url("/api/events?project=nothing")
-    with pytest.raises(InvalidStatus) as refused, connect(url, additional_headers=_cookie(live), origin=_origin(live)):
+    with pytest.raises(InvalidStatus) as refused, live.listen("?project=nothing"):
         pass
     assert refused.value.response.status_code == 403
     live.client.get("/api/session")
@@ -330,8 +326,7 @@ def test_a_socket_that_a_route_refuses_logs_nothing(live: Live, caplog: pytest.L
 
 
 def test_a_page_that_sends_too_many_messages_is_disconnected(live: Live) -> None:
-    url = live.socket_url("/api/events?project=room")
-    with connect(url, additional_headers=_cookie(live), origin=_origin(live)) as socket_:
+    with live.listen() as socket_:
         with suppress(ConnectionClosed):
             for _ in range(3 * MESSAGES_BURST):
                 # one that causes no event: a page that does not read its events is disconnected for that
@@ -341,11 +336,3 @@ def test_a_page_that_sends_too_many_messages_is_disconnected(live: Live) -> None
                 socket_.recv(timeout=PATIENCE_S)
     assert socket_.close_code == 1008
     assert live.client.get("/api/session").status_code == 200
-
-
-def _cookie(live: Live) -> dict[str, str]:
-    return {"Cookie": live.cookies()}
-
-
-def _origin(live: Live) -> Origin:
-    return Origin(live.url)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from live_server import PATIENCE_S, wait_until
 from room_api import BOX, ROOM, change, propose, state
@@ -216,3 +219,56 @@ def test_a_stale_revision_returns_both_versions(live: Live, project: Project, ge
     stale = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 0, "uid": uid})
     assert (stale.status_code, stale.json()["state"]["frame"]["revision"]) == (409, 1)
     assert latest(live) is None
+
+
+def test_a_sheet_shows_pictures_and_accepts_in_one_step(live: Live, project: Project) -> None:
+    uids = [propose(project, frame, 0.1)[0] for frame in (1, 2, 3)]
+    for frame, uid in enumerate(uids, 1):
+        change(live.client, state(live.client, frame)["frame"]["revision"], track(uid), frame=frame)
+    boxes = live.client.get(f"{ROOM}/recordings/1/tracks/7").json()["boxes"]
+    answer = live.client.get(f"{ROOM}/recordings/1/tracks/7/sheet")
+    tiles = [json.loads(line) for line in answer.text.splitlines()]
+    assert [tile["uid"] for tile in tiles] == uids
+    assert all(base64.b64decode(tile["png"]).startswith(b"\x89PNG") for tile in tiles)
+    assert live.client.get(f"{ROOM}/recordings/9/tracks/7/sheet").status_code == 404
+    seen = [{key: box[key] for key in ("frame", "revision", "uid")} for box in boxes[:2]]
+    body = {"boxes": seen, "effort": {"actions": 2, "seconds": 3.0}}
+    assert live.client.post(f"{ROOM}/sheet/accept", json=body).json() == {"accepted": 2}
+    after = [box["state"] for box in live.client.get(f"{ROOM}/recordings/1/tracks/7").json()["boxes"]]
+    assert after == ["accepted", "accepted", "proposed"]
+    refused = live.client.post(f"{ROOM}/sheet/accept", json=body)
+    assert refused.status_code == 400
+    assert "open the sheet again" in refused.text
+
+
+def track(uid: str) -> dict[str, Any]:
+    """The change that puts a label into track 7."""
+    return {"kind": "track", "uid": uid, "track_id": 7}
+
+
+def test_later_proposals_are_corrected_alike_in_one_step(live: Live, project: Project) -> None:
+    uids = [propose(project, frame, 0.1)[0] for frame in (1, 2, 3)]
+    for frame, uid in enumerate(uids, 1):
+        change(live.client, state(live.client, frame)["frame"]["revision"], track(uid), frame=frame)
+    (label,) = state(live.client, 1)["labels"]
+    was = label["box"]
+    revision = state(live.client, 1)["frame"]["revision"]
+    body = {"revision": revision, "uid": uids[0], "was": was, "effort": {"actions": 1, "seconds": 2.0}}
+    refused = live.client.post(f"{ROOM}/frames/1/carry", json=body)
+    assert (refused.status_code, "reviewed" in refused.text) == (400, True)
+    center = [was["center"][0] + 0.25, *was["center"][1:]]
+    edit = {"kind": "edit", "uid": uids[0], "label": label["label"], "box": {**was, "center": center}, "track_id": 7}
+    edited = change(live.client, revision, edit).json()
+    assert live.client.post(f"{ROOM}/frames/1/carry", json=body).status_code == 409
+    body["revision"] = edited["frame"]["revision"]
+    before = [state(live.client, frame)["labels"][0]["box"]["center"] for frame in (2, 3)]
+    assert live.client.post(f"{ROOM}/frames/1/carry", json=body).json() == {"changed": 2}
+    after = [state(live.client, frame)["labels"][0] for frame in (2, 3)]
+    moved = [np.subtract(each["box"]["center"], old) for each, old in zip(after, before, strict=True)]
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 0.25, atol=1e-6)
+    assert [each["state"] for each in after] == ["proposed", "proposed"]
+    live.client.post(f"{ROOM}/undo", json={})
+    assert [state(live.client, frame)["labels"][0]["box"]["center"] for frame in (2, 3)] == before
+    (unchanged,) = state(live.client, 1)["labels"]
+    body |= {"was": unchanged["box"], "revision": state(live.client, 1)["frame"]["revision"]}
+    assert "not corrected" in live.client.post(f"{ROOM}/frames/1/carry", json=body).text

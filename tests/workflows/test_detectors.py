@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from annotator.project import Project
+from annotator.project.classes import edit
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
-from annotator.workflows.detectors import active_detectors, load_detector
+from annotator.workflows.detectors import active_detectors, image_model, load_detector
 
 
 def register(project: Project, role: DetectorKind, content: bytes = b"no weights") -> Path:
@@ -48,3 +49,14 @@ def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: objec
     settings: dict[str, Any] = {"image_size_px": 96, name: value}
     with pytest.raises(ConfigError, match=f"detector setting {name}: .*, not {value!r}"):
         load_detector(tmp_path / "detector.pt", **settings)
+
+
+def test_a_detector_follows_classes_that_were_changed_after_its_training(people: Project) -> None:
+    register(people, DetectorKind.IMAGE)
+    assert image_model(people).names == ()
+    people.change_classes(lambda config: edit.rename_class(config, "person", "human"), "ann")
+    people.change_classes(lambda config: edit.rename_class(config, "human", "adult"), "ann")
+    assert image_model(people).names == (("person", "adult"),)
+    people.change_classes(lambda config: edit.add_class(config, "child"), "ann")
+    people.change_classes(lambda config: edit.remove_class(config, "adult"), "ann")
+    assert image_model(people).names == (("person", None),)

@@ -10,14 +10,13 @@ import { ApiError, isAborted } from "./errors.js";
  */
 export function createApi(effort, onSignedOut) {
   /**
-   * @template T
    * @param {string} method
    * @param {string} path
    * @param {unknown} body
-   * @param {RequestOptions} [options]
-   * @returns {Promise<T>}
+   * @param {RequestOptions} options
+   * @throws {ApiError} an answer that is an error, or none.
    */
-  async function request(method, path, body, options = {}) {
+  async function send(method, path, body, options) {
     /** @type {Record<string, string>} */
     const headers = { Accept: "application/json" };
     const isFile = body instanceof Blob;
@@ -40,15 +39,46 @@ export function createApi(effort, onSignedOut) {
         "The server does not respond. Saved work is safe. Check that the server is running, then try again.",
       );
     }
+    if (response.ok) return response;
     const answer = await readJson(response);
-    if (response.ok) return answer;
     if (response.status === 401) onSignedOut();
     const { kind = "HttpError", message = `The server responded with ${response.status} ${response.statusText}` } =
       answer?.error ?? {};
     throw new ApiError(response.status, kind, message, answer ?? {});
   }
 
+  /**
+   * @template T
+   * @param {string} method
+   * @param {string} path
+   * @param {unknown} body
+   * @param {RequestOptions} [options]
+   * @returns {Promise<T>}
+   */
+  async function request(method, path, body, options = {}) {
+    return readJson(await send(method, path, body, options));
+  }
+
   return {
+    /**
+     * A GET of lines of JSON; `onLine` is called with each as it arrives.
+     *
+     * @template T
+     * @param {string} path
+     * @param {(line: T) => unknown} onLine
+     * @param {RequestOptions} [options]
+     */
+    async lines(path, onLine, options = {}) {
+      const response = await send("GET", path, undefined, options);
+      let rest = "";
+      const decoder = new TextDecoder();
+      for await (const chunk of chunks(response)) {
+        const parts = (rest + decoder.decode(chunk, { stream: true })).split("\n");
+        rest = parts.pop() ?? "";
+        for (const part of parts) onLine(JSON.parse(part));
+      }
+    },
+
     /**
      * @template T
      * @param {string} path
@@ -111,6 +141,12 @@ export function createApi(effort, onSignedOut) {
       return answer;
     },
   };
+}
+
+/** @param {Response} response */
+async function* chunks(response) {
+  const reader = response.body?.getReader();
+  for (let read = await reader?.read(); read?.value; read = await reader?.read()) yield read.value;
 }
 
 /** @param {Response} response */

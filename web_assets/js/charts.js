@@ -22,6 +22,13 @@ function loadPlotly() {
   return loading;
 }
 
+/**
+ * A name as a chart shows it: plotly takes some HTML.
+ *
+ * @param {string} name
+ */
+export const plain = (name) => name.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
+
 /** The theme's current colours: the computed colour of a probe element is the resolved CSS variable. */
 function themeColors() {
   const probe = document.createElement("i");
@@ -48,6 +55,17 @@ function themeColors() {
   probe.remove();
   return colors;
 }
+
+/** @param {{ x?: unknown, y?: unknown }} trace */
+const hasValues = ({ x, y }) => [x, y].every((list) => Array.isArray(list) && list.some((value) => value !== null));
+
+/** @param {string} color */
+const nothingYet = (color) => ({
+  text: "nothing measured yet",
+  font: { color },
+  showarrow: false,
+  ...{ xref: "paper", yref: "paper", x: 0.5, y: 0.5 },
+});
 
 /**
  * A chart in `host` that follows the theme and the size of the host.
@@ -81,6 +99,7 @@ export function createChart(host, make) {
       hovermode: "closest",
     };
     const full = { ...base, ...layout, xaxis: { ...axis, ...layout.xaxis }, yaxis: { ...axis, ...layout.yaxis } };
+    if (!traces.some(hasValues)) Object.assign(full, { annotations: [nothingYet(colors.muted)] });
     await plotly.react(host, traces, full, { displayModeBar: false, responsive: true });
   }
 

@@ -3,13 +3,24 @@
 const PALETTE = ["#ff9f1c", "#2ec4f0", "#b5e61d", "#ff5d8f", "#9d8df1", "#ffe14d", "#3ddc97", "#ff7043", "#d0a2f7"];
 
 /**
- * The colour of a class by its position in the project's list; grey if it is not listed.
+ * The colour of a class: the one that was set, else by its position in the project's list; grey if it is not listed.
  *
- * @param {string[]} classes
+ * @param {Pick<Api.ProjectInfo, "classes" | "class_styles">} project
  * @param {string} label
  */
-export function classColor(classes, label) {
-  const index = classes.indexOf(label);
+export function classColor({ classes, class_styles }, label) {
+  const { colour } = /** @type {{ colour?: string }} */ (class_styles[label] ?? {});
+  return colour ?? colorIn(classes, label);
+}
+
+/**
+ * The colour of a name by its position in a list.
+ *
+ * @param {string[]} names
+ * @param {string} name
+ */
+export function colorIn(names, name) {
+  const index = names.indexOf(name);
   return index < 0 ? "#c3c9d4" : PALETTE[index % PALETTE.length];
 }
 
@@ -20,4 +31,14 @@ export function classColor(classes, label) {
  */
 export function trackColor(id) {
   return id === null ? "#c3c9d4" : PALETTE[Math.abs(id) % PALETTE.length];
+}
+
+/**
+ * Whether white text is easier to read on a colour than black text.
+ *
+ * @param {string} color as #rrggbb
+ */
+export function isDark(color) {
+  const [red, green, blue] = [1, 3, 5].map((at) => Number.parseInt(color.slice(at, at + 2), 16));
+  return 0.299 * red + 0.587 * green + 0.114 * blue < 110;
 }

@@ -23,7 +23,13 @@ export function openDialog({ title, content, actions, submit, required = false, 
     const problem = h("p", { class: "error-box", role: "alert", hidden: true });
     const buttons = actions.map(({ label, value, kind }, index) => {
       const look = kind ?? (index === actions.length - 1 ? "primary" : "");
-      return h("button", { type: "submit", value, class: look, "data-testid": `dialog-${value}` }, label);
+      // fields need not be filled for "Cancel"
+      const formnovalidate = index < actions.length - 1;
+      return h(
+        "button",
+        { type: "submit", value, class: look, formnovalidate, "data-testid": `dialog-${value}` },
+        label,
+      );
     });
     const last = buttons[buttons.length - 1];
     const dialog = h("dialog", { class: wide ? "wide" : "", "aria-label": title, "data-testid": testid });

@@ -47,6 +47,14 @@ export const KEYS = [
     group: "Frames and boxes",
   },
   {
+    id: "attribute",
+    keys: alt("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"),
+    shown: ["Alt", "its key"],
+    label: "Next value of an attribute, or a class (their keys are set with the classes)",
+    modes: EDITING,
+    group: "Frames and boxes",
+  },
+  {
     id: "delete",
     keys: ["Delete", "Backspace"],
     shown: ["Del"],
@@ -84,6 +92,14 @@ export const KEYS = [
     group: "Label",
   },
   { id: "accept", keys: ["Space"], label: "Accept, then go to the next", modes: ["review"], group: "Review" },
+  {
+    id: "accept-all",
+    keys: ["Shift+Space"],
+    shown: ["Shift", "Space"],
+    label: "Accept all open boxes of the frame, then go to the next",
+    modes: ["review"],
+    group: "Review",
+  },
   { id: "reject", keys: ["X"], label: "Reject", modes: ["review"], group: "Review" },
   { id: "refit", keys: ["G"], label: "Fit again from this box", modes: ["review"], group: "Review" },
   { id: "flip", keys: ["F"], label: "Turn the heading by 90°", modes: ["review"], group: "Review" },
@@ -136,10 +152,24 @@ export const KEYS = [
     group: "Tracks",
   },
   {
+    id: "sheet",
+    keys: ["S"],
+    label: "Contact sheet of this object's track",
+    modes: ["review"],
+    group: "Tracks",
+  },
+  {
     id: "copy-next",
     keys: ["Shift+C"],
     shown: ["Shift", "C"],
     label: "Copy this box to the next frame",
+    modes: ["review"],
+    group: "Tracks",
+  },
+  {
+    id: "carry",
+    keys: ["A"],
+    label: "Correct the later proposals of the track like this box",
     modes: ["review"],
     group: "Tracks",
   },
@@ -221,6 +251,11 @@ export const KEYS = [
   },
 ];
 
+/** @param {string} keys */
+function alt(keys) {
+  return [...keys].map((key) => `Alt+${key}`);
+}
+
 /** @param {string[]} prefixes */
 function arrows(prefixes) {
   return prefixes.flatMap((prefix) =>
@@ -235,6 +270,9 @@ function arrows(prefixes) {
  */
 function keyName(event) {
   let name = event.key === " " ? "Space" : event.key;
+  // a Mac types other characters with Alt
+  const plain = event.altKey && !/^[a-z0-9]$/i.test(name) && /^(?:Key|Digit)(.)$/.exec(event.code);
+  if (plain) name = plain[1];
   const isLetter = /^\p{L}$/u.test(name);
   if (isLetter) name = name.toUpperCase();
   const shift = event.shiftKey && (isLetter || name.length > 1) ? "Shift+" : "";
@@ -250,6 +288,7 @@ const TYPED = new Set(["text", "search", "email", "url", "password", "tel", "dat
  * @param {string} name
  */
 function isForField(event, name) {
+  if (/^Alt\+[0-9A-Z]$/.test(name)) return false;
   // an element of this page or of the 3D view's, or a window
   const {
     tagName: tag,

@@ -167,11 +167,58 @@ async function readjust({ recording, operator }) {
   await follow(true);
 }
 
-/** Opens the frame anew if its recording was adjusted while there was no connection. */
+/**
+ * Reads the project again; modes then show its classes, and read the frame again.
+ *
+ * @param {Messages["classes"]} message
+ */
+function takeClasses({ operator }) {
+  app.frames.miss();
+  if (operator !== app.state.operator) toast(`${operator} has changed the classes or attributes.`);
+  refreshProject().catch(toast);
+}
+
+/**
+ * Shows the same under the project's new name. What is not saved yet is saved there.
+ *
+ * @param {Messages["renamed"]} message
+ */
+async function rename({ name, operator }) {
+  const { mode, frame, query } = app.state.route;
+  history.replaceState(null, "", makeHash(name, mode, frame, Object.fromEntries(query)));
+  app.state.set({ route: parseHash(location.hash) });
+  toast(`${operator} has renamed this project to ${name}.`);
+  await refreshProject();
+  await follow(true);
+}
+
+/**
+ * Leaves the frame if its recording was removed.
+ *
+ * @param {Messages["recordings"]} message
+ */
+async function reread({ recording, operator }) {
+  await refreshProject();
+  const { route, frame, project } = app.state;
+  const isThere = project?.recordings.some(({ id }) => id === recording);
+  if (isThere || frame?.frame.recording !== recording) return;
+  if (route.frame === null) {
+    app.frames.close();
+    return;
+  }
+  toast(`${operator} has removed this recording from the project.`, "warn");
+  if (!(await mayLeave())) return;
+  app.frames.close();
+  comeBack({ ...route, frame: null });
+  await follow(true);
+}
+
+/** Opens the frame anew if its recording was adjusted while there was no connection. Classes may have changed, too. */
 async function catchUp() {
   const { route, frame } = app.state;
-  if (!["label", "review"].includes(route.mode) || frame === null) return;
   try {
+    await refreshProject();
+    if (!["label", "review"].includes(route.mode) || frame === null) return;
     /** @type {FrameState} */
     const now = await app.api.get(app.path("frames", frame.frame.id));
     const isShown = app.state.route.project === route.project && app.state.frame?.frame.id === frame.frame.id;
@@ -328,6 +375,13 @@ async function start() {
     app.state.set({ jobs: [job, ...app.state.jobs.filter((other) => other.id !== job.id)] }),
   );
   app.events.on("adjusted", (message) => void readjust(message));
+  app.events.on("classes", takeClasses);
+  app.events.on("renamed", (message) => void rename(message));
+  app.events.on("removed", ({ operator }) => {
+    toast(`${operator} has removed this project.`, "warn");
+    app.go("#/");
+  });
+  app.events.on("recordings", (message) => void reread(message));
   app.events.on("replaced", () =>
     toast("This project was replaced on the server. Reload the page: what it shows is no longer stored.", "error"),
   );

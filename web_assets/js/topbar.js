@@ -186,8 +186,8 @@ function jobs(app) {
       app.state.jobs.find(({ state }) => state === "queued");
     link.hidden = !running;
     if (!running) return;
-    link.href =
-      running.kind === "import" ? "#/" : makeHash(running.project, running.kind === "export" ? "export" : "train");
+    const mode = running.kind === "export" ? "export" : "train";
+    link.href = ["import", "copy"].includes(running.kind) ? "#/" : makeHash(running.project, mode);
     link.title = `${running.kind} in ${running.project}: ${running.stage}`;
     text.textContent = running.state === "queued" ? `${running.kind} queued` : running.kind;
     if (running.total > 0) bar.value = running.done / running.total;

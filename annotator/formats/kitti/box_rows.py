@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.attributes import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti
 from annotator.formats.kitti.label_files import DECIMALS, KittiLabel, heading_rotation
 from annotator.geometry.edges import cut_segments
 from annotator.geometry.nearest_upright import nearest_upright
@@ -67,7 +68,12 @@ def rounded_box(box: OrientedBox) -> OrientedBox:
 
 
 def upright_row(
-    label: str, box: OrientedBox, score: float | None, frame: Frame, sight: Sight | None = None
+    label: str,
+    box: OrientedBox,
+    score: float | None,
+    frame: Frame,
+    sight: Sight | None = None,
+    attributes: Values = NO_VALUES,
 ) -> KittiLabel:
     """Returns the row of a box that is upright in the labels' frame.
 
@@ -77,6 +83,7 @@ def upright_row(
     Args:
         score: score of a result; None in a label.
         sight: lines of sight of the frame's cloud, for the occlusion; None: the box counts as visible.
+        attributes: of the label; its `truncation` and `occlusion` replace the measured ones.
     """
     T = label_frame(frame)
     derived = derived_box(replace(frame.camera, distortion=()), box, T)
@@ -85,7 +92,15 @@ def upright_row(
     rotation_y = heading(box)
     edges, truncated = (OUTSIDE_IMAGE, 1.0) if derived is None else (derived.clipped, derived.truncated)
     alpha, bottom = observation_angle(rotation_y, x, z), y + height / 2
-    occluded = VISIBLE if sight is None else occlusion(box if T is None else box.transformed(T), sight)
+    held = held_by_kitti(attributes)
+    truncated = float(held.get(TRUNCATION, truncated))
+    if OCCLUSION in held:
+        sight = None
+    occluded = (
+        int(held.get(OCCLUSION, VISIBLE))
+        if sight is None
+        else occlusion(box if T is None else box.transformed(T), sight)
+    )
     return KittiLabel(label, truncated, occluded, alpha, *edges, height, width, length, x, bottom, z, rotation_y, score)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.attributes import of_kitti
 from annotator.formats.reading import finite_number
 from annotator.formats.text_folder import text_rows
 from annotator.types import Box2D, OrientedBox, Truth
@@ -215,6 +216,8 @@ def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, p
     try:
         box = label_box(row)
         image_box = row.image_box if row.right > row.left and row.bottom > row.top else None
-        return Truth(row.label, box if T is None else box.transformed(T), track_id, row.score, image_box)
+        values = of_kitti(row.truncated, row.occluded)
+        box = box if T is None else box.transformed(T)
+        return Truth(row.label, box, track_id, row.score, image_box, attributes=values)
     except ValueError as error:
         raise FormatError(path, str(error), line) from error

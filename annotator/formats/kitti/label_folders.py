@@ -10,7 +10,7 @@ camera 0 plus t is the same point in the colour camera's frame (KITTI object dev
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,8 +37,8 @@ Frames = dict[str, tuple[Truth, ...]]
 """The objects of each labelled frame, in rectified camera 0, by `RECORDING/KEY` or only `KEY`."""
 
 
-def read_kitti_labels(path: Path) -> Frames:
-    """Returns the objects of all frames, in file order, without DontCare.
+def each_kitti_frame(path: Path) -> Iterator[tuple[str, tuple[Truth, ...]]]:
+    """Yields the objects of each frame, in file order, without DontCare.
 
     Args:
         path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
@@ -50,20 +50,20 @@ def read_kitti_labels(path: Path) -> Frames:
     """
     place = _place(path)
     if place.is_file() and place.suffix == ".txt":
-        return _tracked(place)
-    dataset_names, frames = DatasetNames.of(place), Frames()
+        yield from _tracked(place).items()
+        return
+    dataset_names = DatasetNames.of(place)
     for stem, file, text in text_files(place, within=LABELS):
         lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
         rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
-        frames[dataset_names.frame(stem)] = _objects(rows, file, dataset_names)
-    return frames
+        yield dataset_names.frame(stem), _objects(rows, file, dataset_names)
 
 
 def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
     """Returns the shift from rectified camera 0 to the colour camera, metres, of each frame with a calibration.
 
     Args:
-        path: as in `read_kitti_labels`; archives and tracking files have no calibrations.
+        path: as in `each_kitti_frame`; archives and tracking files have no calibrations.
 
     Raises:
         FormatError: a calibration is damaged, or frames.csv does not list a label file.
@@ -166,7 +166,12 @@ def _rows(text: str, file: Path, scored: bool) -> tuple[KittiLabel, ...]:
 def _row(text: str, file: Path, line: int, scored: bool) -> KittiLabel:
     row = parse_label_line(text, file, line)
     if scored and row.score is None:
-        raise FormatError(file, "has 15 fields; a result row has 16, with the score as the last", line)
+        raise FormatError(
+            file,
+            "has no score, so it is a label and no result; a result row has 16 fields, with the score as the last: "
+            "append one to each row (1.0 if all are equally certain), and give DETECTIONS before TRUTH",
+            line,
+        )
     if row.right < row.left or row.bottom < row.top:
         edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
         raise FormatError(

@@ -20,6 +20,7 @@ from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import new_folder
+from annotator.formats.attributes import held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
 from annotator.formats.frame_class_names import CLASS_NAMES, ClassWords
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
@@ -30,7 +31,7 @@ from annotator.formats.kitti.box_rows import (
     upright_box,
     upright_row,
 )
-from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, dump_label_line
+from annotator.formats.kitti.label_files import DECIMALS, DONT_CARE, KittiLabel, dump_label_line
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import straightened
@@ -42,7 +43,7 @@ TRAINING, IMAGE_SETS = "training", "ImageSets"
 # KITTI's names of the parts; trainval.txt lists train and val.
 SPLITS = ("train", "val", "test")
 TEST = SPLITS[-1]
-NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.DEPTH_COLOR, Lost.TIME, Lost.GRAVITY)
+NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.SAID, Lost.LENS, Lost.DEPTH_COLOR, Lost.TIME, Lost.GRAVITY)
 # Rectified camera 0 <- LiDAR: x right = -y left, y down = -z up, z forward = x.
 CAMERA_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
@@ -121,16 +122,23 @@ def item_rows(
 ) -> Iterator[tuple[Label, KittiLabel]]:
     """Yields the labels inside the image with their rows, and counts boxes and losses.
 
-    All fields of a row follow from its rounded 3D box, so the row is consistent when read back.
+    All fields of a row follow from its rounded 3D box, so the row is consistent when read back; but truncation and
+    occlusion are those of the label's attributes, if it has them.
     """
     sight = Sight(item.frame.cloud.xyz_m)
+    losses.add_values(item.attributes)
     for label in item.labels:
         upright, tilt_rad = upright_box(label.box, item.frame)
-        row = upright_row(words[label.label], rounded_box(upright), None, item.frame, sight)
+        rounded = rounded_box(upright)
+        row = upright_row(words[label.label], rounded, None, item.frame, sight, label.attributes)
         if not is_in_image(row):
             losses.add(Lost.OUTSIDE)
             continue
         losses.add_tilt(tilt_rad)
+        losses.add_rounding(upright, rounded)
+        held = held_by_kitti(label.attributes)
+        losses.add_values(label.attributes.keys() - held.keys())
+        losses.add_values(f"{name}, rounded" for name, value in held.items() if round(value, DECIMALS) != value)
         if words.is_changed(label.label):
             losses.add(Lost.NAME)
         counts[label.label] += 1

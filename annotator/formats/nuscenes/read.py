@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
@@ -11,15 +11,17 @@ import numpy as np
 from pydantic import RootModel
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.attributes import VISIBILITY, from_dotted
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model
-from annotator.formats.nuscenes.model import Category, Instance, SampleAnnotation
+from annotator.formats.nuscenes.model import Attribute, Category, Instance, SampleAnnotation, Visibility
 from annotator.formats.nuscenes.shapes import box_from
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.geometry.oriented_box import box_corners
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Record, SampleData, Sensor, pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
+from annotator.types.label import AttributeValue
 
 # A box is in an image if one of its corners is, and all are in front of the camera (devkit: `BoxVisibility.ANY`).
 NEAREST_M = 0.1
@@ -36,11 +38,13 @@ class NuScenesBox:
         box: camera frame; from `read_sample_boxes`, global frame.
         track_id: the instance's id in the project it was exported from; in other datasets the instance's row number
             if it has more than one annotation, else None.
+        attributes: `vehicle.moving` as vehicle = moving, and the visibility's level as `visibility`.
     """
 
     label: str
     box: OrientedBox
     track_id: int | None
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
 
 
 def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[NuScenesBox, ...]]:
@@ -96,6 +100,9 @@ class _Labels:
         self._poses = self._table("ego_pose", EgoPose)
         self._categories = self._table("category", Category)
         self._instances = self._table("instance", Instance)
+        # other tools leave these tables out
+        self._names = self._named("attribute", Attribute, "name")
+        self._levels = self._named("visibility", Visibility, "level")
         self._numbers = {token: number for number, token in enumerate(self._instances)}
         self._of_sample: dict[str, list[tuple[int, SampleAnnotation]]] = {}
         for index, row in enumerate(self._table("sample_annotation", SampleAnnotation).values()):
@@ -129,7 +136,9 @@ class _Labels:
                 category = self._row(
                     "instance", self._numbers[instance.token], self._categories, "category", instance.category_token
                 )
-                yield NuScenesBox(category.name, box, track_of(instance, self._numbers[instance.token]))
+                track_id = track_of(instance, self._numbers[instance.token])
+                values = values_of(annotation, instance, self._names, self._levels)
+                yield NuScenesBox(category.name, box, track_id, values)
 
     def _pose(self, table: str, row: EgoPose | CalibratedSensor) -> RigidTransform:
         try:
@@ -147,6 +156,10 @@ class _Labels:
             by_token[row.token] = row
         return by_token
 
+    def _named(self, table: str, model: type[Row], field: str) -> dict[str, str]:
+        has_table = (self._folder / f"{table}.json").is_file()
+        return {token: getattr(row, field) for token, row in self._table(table, model).items()} if has_table else {}
+
     def _row(self, table: str, index: int, rows: Mapping[str, Row], other: str, token: str) -> Row:
         if token not in rows:
             raise FormatError(
@@ -156,9 +169,25 @@ class _Labels:
         return rows[token]
 
 
+def values_of(
+    annotation: SampleAnnotation, instance: Instance, names: Mapping[str, str], levels: Mapping[str, str]
+) -> dict[str, AttributeValue]:
+    """Returns the attributes of a box, with names and levels by their tokens; see `NuScenesBox`.
+
+    Levels of visibility in annotator's own exports are measured, unless they are an attribute as well.
+    """
+    values = from_dotted(names[token] for token in annotation.attribute_tokens if token in names)
+    level = None if _is_ours(instance) else levels.get(annotation.visibility_token)
+    return values if level is None else values | {VISIBILITY: level}
+
+
+def _is_ours(instance: Instance) -> bool:
+    return "track_id" in instance.model_fields_set
+
+
 def track_of(instance: Instance, number: int) -> int | None:
     """Returns the track of an instance, of which `number` is the row; see `NuScenesBox`."""
-    if "track_id" in instance.model_fields_set:
+    if _is_ours(instance):
         return instance.track_id
     return number if instance.nbr_annotations > 1 else None
 

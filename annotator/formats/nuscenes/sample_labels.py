@@ -6,8 +6,8 @@ from collections.abc import Set
 from pathlib import Path
 from typing import TypeVar
 
-from annotator.formats.nuscenes.model import Category, Instance, SampleAnnotation
-from annotator.formats.nuscenes.read import NuScenesBox, track_of
+from annotator.formats.nuscenes.model import Attribute, Category, Instance, SampleAnnotation, Visibility
+from annotator.formats.nuscenes.read import NuScenesBox, track_of, values_of
 from annotator.formats.nuscenes.shapes import box_from
 from annotator.nuscenes_tables import Record, TableError, find_rows, read_rows
 from annotator.types.errors import FormatError
@@ -30,6 +30,8 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScen
     # all of them, because a track is the row's number
     instances = {row.token: (number, row) for number, row in enumerate(_rows(tables / "instance.json", Instance))}
     classes = {row.token: row.name for row in _rows(tables / "category.json", Category)}
+    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
+    levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
     boxes: dict[str, list[NuScenesBox]] = {sample: [] for sample in samples}
     for row in annotations:
         if row.instance_token not in instances:
@@ -44,8 +46,13 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScen
         except ValueError as error:
             raise FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}") from error
         label = classes[instance.category_token]
-        boxes[row.sample_token].append(NuScenesBox(label, box, track_of(instance, number)))
+        values = values_of(row, instance, names, levels)
+        boxes[row.sample_token].append(NuScenesBox(label, box, track_of(instance, number), values))
     return {sample: tuple(found) for sample, found in boxes.items()}
+
+
+def _rows_if_any(path: Path, model: type[Row]) -> list[Row]:
+    return _rows(path, model) if path.is_file() else []
 
 
 def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list[Row]:

@@ -13,8 +13,10 @@ from typing import TypeVar
 
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.attributes import VISIBILITY as VISIBLE
+from annotator.formats.attributes import dotted
 from annotator.formats.dataset_writing import DatasetItem, FileNames
-from annotator.formats.nuscenes.model import Category, Instance, Log, Map, SampleAnnotation, Visibility
+from annotator.formats.nuscenes.model import Attribute, Category, Instance, Log, Map, SampleAnnotation, Visibility
 from annotator.formats.nuscenes.shapes import quaternion, vector, width_length_height
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.point_index import PointIndex
@@ -26,6 +28,7 @@ CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
 MAP_FILE = "maps/none.png"
 # nuScenes' levels with their least visible fraction.
 VISIBILITY = {"1": (0.0, "v0-40"), "2": (0.4, "v40-60"), "3": (0.6, "v60-80"), "4": (0.8, "v80-100")}
+LEVELS = {level: number for number, (_, level) in VISIBILITY.items()}
 # Namespace of the tokens: the same project gives the same tables.
 NAMESPACE = uuid.UUID("0b9c4a1e-7d55-5f0a-8a57-3a1a5e9be6d2")
 # Interval of samples without a time, as in nuScenes.
@@ -52,6 +55,7 @@ class Tables:
     _annotations: dict[str, list[SampleAnnotation]] = field(default_factory=dict)
     _instances: dict[str, tuple[str, int | None]] = field(default_factory=dict)
     _order: list[str] = field(default_factory=list)
+    _attributes: set[str] = field(default_factory=set)
     _shifts_us: dict[Key, int] = field(default_factory=dict)
     _starts_us: set[int] = field(default_factory=set)
 
@@ -98,7 +102,7 @@ class Tables:
         annotations = {row.token: row for rows in self._annotations.values() for row in linked(rows)}
         return {
             "category": [Category(token=token("category", name), name=name) for name in self.classes],
-            "attribute": [],
+            "attribute": [Attribute(token=token("attribute", name), name=name) for name in sorted(self._attributes)],
             "visibility": [Visibility(token=name, level=level) for name, (_, level) in VISIBILITY.items()],
             "instance": [self._instance(each) for each in self._instances],
             "sensor": [
@@ -160,11 +164,16 @@ class Tables:
             instance = token("instance", item.recording, item.split, label.label, *identity, occurrence)
             self._instances.setdefault(instance, (label.label, label.track_id))
             box = label.box.transformed(T_level_camera)
+            visibility = LEVELS.get(str(label.attributes.get(VISIBLE))) or _visibility(sight, label)
+            # with a given level, too, so that an import can tell it from a measured one
+            names = dotted(label.attributes)
+            self._attributes |= set(names)
             row = SampleAnnotation(
                 token=token("annotation", sample.token, instance),
                 sample_token=sample.token,
                 instance_token=instance,
-                visibility_token=_visibility(sight, label),
+                visibility_token=visibility,
+                attribute_tokens=tuple(token("attribute", name) for name in names),
                 translation=vector(box.center_m),
                 size=width_length_height(box),
                 rotation=quaternion(box.T_camera_box.rotation),

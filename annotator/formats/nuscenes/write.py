@@ -34,7 +34,7 @@ from annotator.types.errors import FormatError
 
 VERSION = "v1.0-annotator"
 SPLITS = "splits.json"
-NOT_HELD = (Lost.SCORE, Lost.STATE, Lost.LENS, Lost.DEPTH_COLOR)
+NOT_HELD = (Lost.SCORE, Lost.STATE, Lost.SAID, Lost.LENS, Lost.DEPTH_COLOR)
 _ROWS = TypeAdapter(list[SerializeAsAny[Record]])
 
 
@@ -67,6 +67,7 @@ def write_nuscenes(
             (part / MAP_FILE).write_bytes(_black_pixel())
         for item in items:
             count_lost(losses, item, NOT_HELD)
+            losses.add_values(item.attributes)
             if item.frame.up is None:
                 losses.add(Lost.LEVEL)
             frame_id = ids.add(out, item)

@@ -39,9 +39,17 @@ class Text(_Record):
     val: str
 
 
-class Attributes(_Record):
-    """Attributes of a cuboid."""
+class Boolean(_Record):
+    """A named yes or no."""
 
+    name: str | None = None
+    val: bool
+
+
+class Attributes(_Record):
+    """Attributes of a cuboid, or data of a context."""
+
+    boolean: tuple[Boolean, ...] | None = None
     num: tuple[Num, ...] | None = None
     text: tuple[Text, ...] | None = None
 
@@ -166,11 +174,26 @@ class FrameProperties(_Record):
     transforms: dict[str, Transform] | None = None
 
 
+class FrameContext(_Record):
+    """The data of a context in one frame."""
+
+    context_data: Attributes | None = None
+
+
+class Context(_Record):
+    """What holds for a scene as a whole; annotator writes one, of the type `frame`, for attributes of frames."""
+
+    name: str
+    type: str
+    frame_intervals: tuple[FrameInterval, ...] | None = None
+
+
 class Frame(_Record):
     """One moment."""
 
     frame_properties: FrameProperties | None = None
     objects: dict[Uid, FrameObject] | None = None
+    contexts: dict[Uid, FrameContext] | None = None
 
 
 class Metadata(_Record):
@@ -189,6 +212,7 @@ class Content(_Record):
     coordinate_systems: dict[str, CoordinateSystem] | None = None
     streams: dict[str, Stream] | None = None
     objects: dict[Uid, Object] | None = None
+    contexts: dict[Uid, Context] | None = None
     frames: dict[FrameNumber, Frame] | None = None
     frame_intervals: tuple[FrameInterval, ...] | None = None
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
 
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model, unique_keys
 from annotator.formats.openlabel.coordinates import Coordinates
 from annotator.formats.openlabel.model import Attributes, Content, Cuboid, Document, Frame, FrameProperties, Object
+from annotator.formats.openlabel.named_values import values_of
+from annotator.formats.openlabel.said_text import SAID_BY, said_from
 from annotator.formats.openlabel.shapes import box_from
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
-from annotator.types.label import MOST_TRACK
+from annotator.types.label import MOST_TRACK, AttributeValue, Said
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,8 @@ class OpenLabelBox:
         score: the attribute `score`, if any.
         state: the review state from the attribute `state`, if any.
         box_kind: what the box encloses, from the attribute `box_kind`, else the whole object.
+        attributes: values of all other attributes, by name.
+        said: what sources of boxes said of the object, from the attribute `said_by`.
     """
 
     label: str
@@ -35,6 +39,8 @@ class OpenLabelBox:
     score: float | None = None
     state: ReviewState | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    said: tuple[Said, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +51,13 @@ class OpenLabelFrame:
         name: "RECORDING/KEY" from frames.csv; else the stem of the sensor's file, else the frame's number.
         boxes: in the sensor's coordinates.
         of_camera: True if the sensor is a camera; False: the document has no camera, the sensor is its LiDAR.
+        attributes: of the frame, from contexts.
     """
 
     name: str
     boxes: tuple[OpenLabelBox, ...]
     of_camera: bool
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
 
 
 def read_openlabel(path: Path) -> dict[str, OpenLabelFrame]:
@@ -105,7 +113,9 @@ def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) ->
                 # null means "no cuboid" in the standard
                 if cuboid.val is not None
             )
-            yield OpenLabelFrame(name, boxes, of_camera)
+            contexts = (frame.contexts or {}).values()
+            values = {key: value for each in contexts for key, value in values_of(each.context_data).items()}
+            yield OpenLabelFrame(name, boxes, of_camera, values)
 
 
 def _documents(path: Path) -> list[Path]:
@@ -163,14 +173,17 @@ def _box(
     texts = {text.name: text.val for text in attributes.text or ()}
     try:
         box, track_id = box_from(cuboid.val or ()), _track(numbers.get("track_id"), uid)
+        said = said_from(texts[SAID_BY]) if SAID_BY in texts else ()
         if system != sensor:
-            box = box.transformed(coordinates.transform(sensor, system))
+            T = coordinates.transform(sensor, system)
+            box, said = box.transformed(T), tuple(each.transformed(T) for each in said)
     except ValueError as error:
         raise FormatError(path, f"{where}: {error}") from error
     state, kind = texts.get("state"), texts.get("box_kind")
     review = ReviewState(state) if state in set(ReviewState) else None
     box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
-    return OpenLabelBox(each.type, box, track_id, numbers.get("score"), review, box_kind)
+    values = values_of(attributes)
+    return OpenLabelBox(each.type, box, track_id, numbers.get("score"), review, box_kind, values, said)
 
 
 def _track(attribute: float | None, uid: str) -> int | None:

@@ -16,27 +16,30 @@ from annotator.formats.openlabel.model import (
     AttributeKind,
     Attributes,
     Content,
+    Context,
     CoordinateSystem,
     Cuboid,
     DataPointer,
     Document,
     Frame,
+    FrameContext,
     FrameInterval,
     FrameObject,
     FrameProperties,
     FrameStream,
     Metadata,
-    Num,
     Object,
     ObjectData,
     Pinhole,
     Stream,
     StreamProperties,
     Sync,
-    Text,
 )
+from annotator.formats.openlabel.named_values import FRAME_CONTEXT, attributes_of, key_of
+from annotator.formats.openlabel.said_text import SAID_BY, said_text
 from annotator.formats.openlabel.shapes import cuboid_values, pinhole_of, transform_values
 from annotator.types import BoxKind, Label
+from annotator.types.label import AttributeValue
 
 BASE, CAMERA, CLOUD = "base", "camera", "cloud"
 # Axes of the root system (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
@@ -92,6 +95,9 @@ class Scene:
         self._frames[number] = Frame(
             frame_properties=FrameProperties(timestamp=time, streams=streams),
             objects=self._objects(number, item.labels) or None,
+            contexts={self._context: FrameContext(context_data=attributes_of(item.attributes))}
+            if item.attributes
+            else None,
         )
 
     def document(self) -> Document:
@@ -119,11 +125,21 @@ class Scene:
                     ),
                     CLOUD: Stream(type="lidar", uri="clouds"),
                 },
+                contexts=self._contexts(),
                 objects={uid: _object(track) for uid, track in self._tracks.items()} or None,
                 frames={str(number): self._frames[number] for number in numbers},
                 frame_intervals=_intervals(numbers),
             )
         )
+
+    @property
+    def _context(self) -> str:
+        return _uuid(self.recording, FRAME_CONTEXT)
+
+    def _contexts(self) -> dict[str, Context] | None:
+        numbers = sorted(number for number, frame in self._frames.items() if frame.contexts)
+        context = Context(name=FRAME_CONTEXT, type=FRAME_CONTEXT, frame_intervals=_intervals(numbers))
+        return {self._context: context} if numbers else None
 
     def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, FrameObject]:
         objects: dict[str, FrameObject] = {}
@@ -154,8 +170,16 @@ def _seconds(time_ns: int) -> str:
 
 
 def _cuboid(label: Label, uid: str) -> Cuboid:
-    numbers = {"score": label.score, "track_id": label.track_id, "expected_iou_loss": label.expected_iou_loss}
-    texts = {"state": label.state.value, "source": label.source.value, "author": label.author}
+    numbers: dict[str, AttributeValue | None] = {
+        "score": label.score,
+        "track_id": label.track_id,
+        "expected_iou_loss": label.expected_iou_loss,
+    }
+    texts: dict[str, AttributeValue | None] = {
+        "state": label.state.value,
+        "source": label.source.value,
+        "author": label.author,
+    }
     if label.suggestion is not None:
         texts |= {
             "suggested_by": label.suggestion.detector,
@@ -163,22 +187,23 @@ def _cuboid(label: Label, uid: str) -> Cuboid:
         }
     if label.box_kind is not BoxKind.BOX:
         texts["box_kind"] = label.box_kind.value
+    if label.said:
+        texts[SAID_BY] = said_text(label.said)
+    own = {name: value for name, value in (numbers | texts).items() if value is not None}
     return Cuboid(
         name=f"{CAMERA}__cuboid__{label.label}",
         val=cuboid_values(label.box),
         coordinate_system=CAMERA,
         uid=uid,
-        attributes=Attributes(
-            num=tuple(Num(name=n, val=v) for n, v in numbers.items() if v is not None) or None,
-            text=tuple(Text(name=name, val=value) for name, value in texts.items()),
-        ),
+        attributes=attributes_of(own | {key_of(name): value for name, value in label.attributes.items()}),
     )
 
 
 def _kinds(cuboid: Cuboid) -> dict[str, AttributeKind]:
     attributes = cuboid.attributes or Attributes()
     kinds: dict[str, AttributeKind] = {each.name: "num" for each in attributes.num or () if each.name}
-    return kinds | {each.name: "text" for each in attributes.text or () if each.name}
+    kinds |= {each.name: "text" for each in attributes.text or () if each.name}
+    return kinds | {each.name: "boolean" for each in attributes.boolean or () if each.name}
 
 
 def _object(track: _Track) -> Object:

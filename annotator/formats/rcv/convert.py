@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.rcv.model import FRAME_OF_REFERENCE, Matrix3, RcvCamera, RcvLabels, RcvObject, Vector3
+from annotator.formats.rcv.model import FRAME_OF_REFERENCE, Matrix3, RcvCamera, RcvLabels, RcvObject, RcvSaid, Vector3
 from annotator.geometry.transforms import corners_4x8
 from annotator.types import Camera, Frame, Label, OrientedBox
+from annotator.types.label import AttributeValue, Said
 
 # Tolerance between quaternion or corners and the centre, rotation and size; metres for corners.
 AGREEMENT = 1e-6
@@ -34,7 +35,13 @@ def camera_from(record: RcvCamera) -> Camera:
 
 
 def labels_record(
-    frame_id: str, recording: str, frame: Frame, labels: Sequence[Label], image: str, cloud: str
+    frame_id: str,
+    recording: str,
+    frame: Frame,
+    labels: Sequence[Label],
+    image: str,
+    cloud: str,
+    attributes: Mapping[str, AttributeValue],
 ) -> RcvLabels:
     """Returns the record of one frame; `image` and `cloud` are its files within the dataset."""
     return RcvLabels(
@@ -49,6 +56,7 @@ def labels_record(
         frame_of_reference=FRAME_OF_REFERENCE,
         up=None if frame.up is None else _vector(frame.up),
         camera=camera_record(frame.camera),
+        attributes=dict(attributes),
         objects=tuple(object_record(label) for label in labels),
     )
 
@@ -67,10 +75,12 @@ def object_record(label: Label) -> RcvObject:
         expected_iou_loss=label.expected_iou_loss,
         suggestion=label.suggestion,
         box_kind=label.box_kind,
+        attributes=dict(label.attributes),
+        said=tuple(map(_said_record, label.said)),
         center=_vector(box.center_m),
         size=_vector(box.size_m),
         rotation=_matrix(box.rotation),
-        quaternion=tuple(box.T_camera_box.rotation.as_quat(canonical=True, scalar_first=True).tolist()),
+        quaternion=_quaternion(box),
         corners=tuple(tuple(row) for row in corners_4x8(box).tolist()),
     )
 
@@ -104,7 +114,33 @@ def label_from(record: RcvObject) -> Label:
         expected_iou_loss=record.expected_iou_loss,
         suggestion=record.suggestion,
         box_kind=record.box_kind,
+        attributes=record.attributes,
+        said=tuple(map(_said, record.said)),
     )
+
+
+def _said_record(said: Said) -> RcvSaid:
+    return RcvSaid(
+        source=said.source,
+        label=said.label,
+        score=said.score,
+        track_id=said.track_id,
+        box_kind=said.box_kind,
+        center=_vector(said.box.center_m),
+        size=_vector(said.box.size_m),
+        quaternion=_quaternion(said.box),
+    )
+
+
+def _said(record: RcvSaid) -> Said:
+    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
+    box = OrientedBox(RigidTransform.from_components(np.array(record.center), rotation), np.array(record.size))
+    return Said(record.source, record.label, box, record.score, record.track_id, record.box_kind)
+
+
+def _quaternion(box: OrientedBox) -> tuple[float, float, float, float]:
+    w, x, y, z = box.T_camera_box.rotation.as_quat(canonical=True, scalar_first=True).tolist()
+    return (w, x, y, z)
 
 
 def _vector(values: np.ndarray) -> Vector3:

@@ -98,7 +98,7 @@ def _write_frame(part: Path, frame_id: str, item: DatasetItem, options: RcvOptio
     image, cloud = f"images/{frame_id}.{options.image_format}", f"clouds/{frame_id}.ply"
     (part / image).write_bytes(encoded_image(item.frame.rgb, options.image_format, options.jpeg_quality))
     write_ply(part / cloud, item.frame.cloud)
-    record = labels_record(frame_id, item.recording, item.frame, item.labels, image, cloud)
+    record = labels_record(frame_id, item.recording, item.frame, item.labels, image, cloud, item.attributes)
     (part / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 

@@ -21,6 +21,7 @@ DISTORTION = "OpenCV: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]; empty f
 LARGEST = 1e9
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+Values = dict[str, bool | int | Number | str]
 Vector3 = tuple[Number, Number, Number]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 Row8 = tuple[Number, Number, Number, Number, Number, Number, Number, Number]
@@ -42,6 +43,19 @@ class RcvCamera(_Record):
     distortion: tuple[Number, ...] = ()
 
 
+class RcvSaid(_Record):
+    """What one source, such as a detector, said of an object before its review; the box as in `RcvObject`."""
+
+    source: str = Field(min_length=1, max_length=200)
+    label: str = Field(min_length=1)
+    score: float | None = Field(None, ge=0, le=1)
+    track_id: BoundedTrack | None = None
+    box_kind: BoxKind = BoxKind.BOX
+    center: Vector3
+    size: tuple[Positive, Positive, Positive]
+    quaternion: tuple[Number, Number, Number, Number]
+
+
 class RcvObject(_Record):
     """One object of a frame.
 
@@ -60,6 +74,8 @@ class RcvObject(_Record):
     expected_iou_loss: float | None = Field(None, ge=0, le=1)
     suggestion: Suggestion | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Values = Field(default_factory=dict)
+    said: tuple[RcvSaid, ...] = ()
     center: Vector3
     size: tuple[Positive, Positive, Positive]
     rotation: Matrix3
@@ -71,7 +87,7 @@ class RcvLabels(_Record):
     """`labels/ID.json`: one frame.
 
     `key`, `index` and `recording` are the frame's origin; `up` is the unit vector against gravity in the camera frame,
-    None if unknown.
+    None if unknown. `attributes` are values of the frame itself.
     """
 
     id: str
@@ -85,6 +101,7 @@ class RcvLabels(_Record):
     frame_of_reference: str
     up: Vector3 | None
     camera: RcvCamera
+    attributes: Values = Field(default_factory=dict)
     objects: tuple[RcvObject, ...]
 
 

@@ -13,7 +13,7 @@ from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from
 from annotator.formats.rcv.export import MANIFEST
-from annotator.formats.rcv.model import RcvLabels, RcvManifest
+from annotator.formats.rcv.model import RcvLabels, RcvManifest, Values
 from annotator.image_bytes import read_image
 from annotator.types import Frame, Label, PointCloud
 from annotator.types.errors import FormatError
@@ -56,10 +56,10 @@ class RcvDataset:
         """
         return _labels(*self._record(i))
 
-    def named_labels(self, i: int) -> tuple[str, tuple[Label, ...]]:
-        """Returns the labels of frame `i` with its original name `RECORDING/KEY`; errors as `labels`."""
+    def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values]:
+        """Returns the name `RECORDING/KEY` of frame `i`, its labels, and its own attributes; errors as `labels`."""
         path, record = self._record(i)
-        return f"{record.recording}/{record.key}", _labels(path, record)
+        return f"{record.recording}/{record.key}", _labels(path, record), record.attributes
 
     def frame(self, i: int) -> RcvFrame:
         """Reads frame `i` with its labels.
@@ -115,6 +115,8 @@ def read_rcv(path: Path) -> RcvDataset:
     Raises:
         FormatError: `path` is not an rcv dataset, or its manifest contradicts itself.
     """
+    if path.exists() and not (path / MANIFEST).exists():
+        raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}")
     manifest = read_model(path / MANIFEST, RcvManifest)
     if len(manifest.frames) != manifest.counts.frames or len(set(manifest.frames)) != len(manifest.frames):
         raise FormatError(

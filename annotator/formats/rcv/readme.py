@@ -52,6 +52,8 @@ if unknown. `timestamp_ns` is the capture time in nanoseconds, or null.
 | `expected_iou_loss` | 1 - IoU with the true box, as the fit expects it; null if unknown or edited |
 | `suggestion` | the view detector that suggested boxes to the operator, and whether they were corrected; or null |
 | `box_kind` | what the box encloses: `box` (the whole object) or `silhouette` (only what is seen of it) |
+| `attributes` | values of the box's attributes, by name |
+| `said` | what each source, such as another detector, said of the object before the review |
 | `track_id` | the same number for the same object over a recording, or null |
 
 The corners' order, as signs along the box's own x, y, z:

@@ -165,6 +165,12 @@ def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
             label file.
     """
     place = path / "label" if (path / "label").is_dir() else path
+    if place == path and (path / "image").is_dir():
+        raise FormatError(
+            path,
+            "has images and no folder label/, so there are no labels to import; extract them with VoteNet's script, or "
+            "give SUN RGB-D's table SUNRGBDMeta3DBB_v2.mat instead",
+        )
     dataset_names = DatasetNames.of(place)
     frames = {}
     for stem, file, text in text_files(place):

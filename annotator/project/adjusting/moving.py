@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Select, bindparam, select, update
 
 from annotator.project.adjusting.adjustment import Adjustment, put_adjustment, read_adjustment
 from annotator.project.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
-from annotator.project.records import BoxRecord, ViewGeometry, parsed
+from annotator.project.records import BoxRecord, SaidRecord, ViewGeometry, parsed, said_json, said_of
 from annotator.project.schema import events, frames, labels, view_labels
 from annotator.types import NO_CORRECTION, Correction
 
@@ -90,7 +90,13 @@ def moved_geometry(geometry: ViewGeometry, T: RigidTransform) -> ViewGeometry:
 def moved_label(state: str, T: RigidTransform) -> str:
     """A label's state, as `read_state` returns it, moved with the cloud."""
     label = parsed(LabelState.model_validate_json, state)
-    return label.model_copy(update={"box": moved_box(label.box, T)}).model_dump_json()
+    update = {"box": moved_box(label.box, T), "said": moved_said(label.said, T)}
+    return label.model_copy(update=update).model_dump_json()
+
+
+def moved_said(said: tuple[SaidRecord, ...], T: RigidTransform) -> tuple[SaidRecord, ...]:
+    """What sources say of objects, moved with the cloud."""
+    return tuple(each.model_copy(update={"box": moved_box(each.box, T)}) for each in said)
 
 
 def moved_view(state: str, T: RigidTransform) -> str:
@@ -102,13 +108,20 @@ def moved_view(state: str, T: RigidTransform) -> str:
 
 
 def _move_labels(connection: Connection, frame_ids: Select[tuple[int]], T: RigidTransform) -> None:
-    rows = connection.execute(select(labels.c.id, labels.c.box).where(labels.c.frame_id.in_(frame_ids)))
+    columns = (labels.c.id, labels.c.box, labels.c.said)
+    rows = connection.execute(select(*columns).where(labels.c.frame_id.in_(frame_ids)))
     moved = [
-        {"row": row.id, "moved": moved_box(parsed(BoxRecord.model_validate_json, row.box), T).model_dump_json()}
+        {
+            "row": row.id,
+            "moved": moved_box(parsed(BoxRecord.model_validate_json, row.box), T).model_dump_json(),
+            "moved_said": said_json(moved_said(said_of(row.said), T)),
+        }
         for row in rows
     ]
     if moved:
-        connection.execute(update(labels).where(labels.c.id == bindparam("row")).values(box=bindparam("moved")), moved)
+        same = labels.c.id == bindparam("row")
+        change = update(labels).where(same).values(box=bindparam("moved"), said=bindparam("moved_said"))
+        connection.execute(change, moved)
 
 
 def _move_views(connection: Connection, frame_ids: Select[tuple[int]], T: RigidTransform) -> None:

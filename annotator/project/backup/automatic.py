@@ -1,4 +1,5 @@
-"""Automatic backups: before a database is upgraded or repaired, and after some hours of changes while a server runs.
+"""Automatic backups: before a database is upgraded or repaired, before classes or values are merged or removed, and
+after some hours of changes while a server runs.
 
 They are files in `.backups/PROJECT` beside the project's folder, so they outlive it. Only the last few of each kind are
 kept. They contain the active detectors, not all.
@@ -31,10 +32,12 @@ class Reason(StrEnum):
     CHANGES = "changes"
     UPGRADE = "before-upgrade"
     REPAIR = "before-repair"
+    CLASSES = "before-classes"
 
 
 def automatic_backups(project: Path, reason: Reason | None = None) -> list[Path]:
     """The automatic backups of the project in a folder (for one reason), the oldest first."""
+    project = project.resolve()
     return sorted((project.parent / FOLDER / project.name).glob(f"*-{reason or '*'}.zip"))
 
 
@@ -62,7 +65,10 @@ def back_up_before_upgrade(project: Path) -> None:
     try:
         back_up_automatically(project, Reason.UPGRADE)
     except ProjectError as error:
-        raise ProjectError(f"{project}: is not upgraded, because it cannot be backed up first: {error}") from error
+        raise ProjectError(
+            f"{project}: is not upgraded, because it cannot be backed up first: {error}; mend this, or copy the "
+            "project's folder to a place where you may write"
+        ) from error
 
 
 class BackupClock:

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
 
+from annotator.files import link_out
 from annotator.project.config import CONFIG_FILE
 from annotator.project.store import DATABASE_FILE
+from annotator.types.errors import ProjectError
 
 MODELS_FOLDER, VIEWS_FOLDER = "models", "views"
 VIEW_FILE = re.compile(r"([0-9a-f]{64})\.png")
@@ -63,7 +65,9 @@ def stored_files(connection: sqlite3.Connection) -> StoredFiles:
     Raises:
         sqlite3.Error: it cannot be read.
     """
-    ids = connection.execute("SELECT DISTINCT view_id FROM events WHERE view_id IS NOT NULL ORDER BY view_id")
+    # changes of the classes have an id of no view
+    of_views = "SELECT DISTINCT view_id FROM events WHERE view_id IS NOT NULL AND view_id <> 'classes' ORDER BY view_id"
+    ids = connection.execute(of_views)
     views = tuple(f"{VIEWS_FOLDER}/{row[0]}.png" for row in ids)
     models: dict[int, tuple[str, ...]] = {}
     outside = []
@@ -101,6 +105,24 @@ def folder_files(folder: Path, stored: StoredFiles) -> Iterator[str]:
     for run in {str(PurePosixPath(name).parent) for name in named if name.count("/") >= 3}:
         found.update(_files_in(folder, run))
     yield from sorted(found)
+
+
+def require_own_files(project: Path) -> None:
+    """Refuses a project with links that lead out of it: somebody may have sent it, to read or replace other files.
+
+    Raises:
+        ProjectError: the message names the link.
+    """
+    try:
+        # images of views are many; who reads one refuses a link
+        link = link_out(project, VIEWS_FOLDER)
+    except OSError as error:
+        raise ProjectError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    if link is not None:
+        raise ProjectError(
+            f"{link}: is a link that leads out of the project, which has all its files in its own folder; remove the "
+            "link, or put what it leads to in its place"
+        )
 
 
 def is_regular(folder: Path, name: str) -> bool:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from annotator.project.backup.snapshot import reading
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS
+from annotator.project.store import LOCKED, is_lock
+from annotator.types.errors import ProjectError
 
 # Tables that SQLite's ANALYZE makes.
 _STATISTICS = ("sqlite_stat1", "sqlite_stat4")
@@ -23,12 +25,17 @@ def database_problems(path: Path) -> list[str]:
     """The problems of the database `path`, of any version; empty for a sound one.
 
     Nothing in the file is trusted: its schema is compared as text before any of its tables is read.
+
+    Raises:
+        ProjectError: another process has locked it, so that nothing is known.
     """
     try:
         with reading(path) as connection:
             connection.execute("BEGIN")
             return list(_problems(connection))
     except sqlite3.Error as error:
+        if is_lock(error):
+            raise ProjectError(f"{path}: {LOCKED}") from error
         return [f"cannot be read: {error}"]
 
 

@@ -4,10 +4,11 @@ SQLite keeps the latest transactions in `project.db-wal`. If a process is killed
 to whatever `project.db` it finds when the database is opened next: also to an older copy that somebody has put there.
 The result is a newer state than that of the copy, or a damaged database. SQLite's own headers do not prevent this.
 
-So each write transaction stores a random token and the token of the transaction before it (table `generation`). The
+So each write transaction stores a new token and the token of the transaction before it (table `generation`). The
 first write of a process is a transaction that is moved into `project.db` at once, so the file then differs from every
 earlier copy of it. A `-wal` belongs to a database if the token in `project.db` is one of those in the `-wal`, or the
-one before its first.
+one before its first. A token consists of a number, one more than that of the token before, and of random digits. So a
+process that has the database open notices an older copy, too.
 """
 
 from __future__ import annotations
@@ -29,8 +30,11 @@ NO_TOKEN = "0" * 32
 # Attempts to read both files while another process writes.
 _ATTEMPTS = 5
 _ADVANCE = (
-    "UPDATE generation SET chain = 'annotator-generation ' || substr(chain, -32) || ' ' || lower(hex(randomblob(16)))"
+    "UPDATE generation SET chain = 'annotator-generation ' || substr(chain, -32) || ' ' "
+    "|| printf('%016d', CAST(substr(chain, -32, 16) AS INTEGER) + 1) || lower(hex(randomblob(8)))"
 )
+# of a token; the first tokens were random throughout, and count from the digits that they happen to begin with
+_NUMBER = re.compile(r"[0-9]{0,16}")
 _CHAIN = re.compile(rb"annotator-generation ([0-9a-f]{32}) ([0-9a-f]{32})")
 # SQLite's file format, sections 4.1 and 4.2: sizes of the headers of a WAL and of its frames, the two magic numbers.
 # Sizes of pages that SQLite knows.
@@ -39,9 +43,11 @@ _HEADER, _FRAME_HEADER, _MAGIC = 32, 24, (0x377F0682, 0x377F0683)
 _TABLE_LEAF = 0x0D
 
 
-def advance(connection: Connection) -> None:
-    """Stores a new token, within the caller's write transaction."""
+def advance(connection: Connection) -> str:
+    """Stores a new token, within the caller's write transaction, and returns it."""
     connection.exec_driver_sql(_ADVANCE)
+    token: str = connection.exec_driver_sql("SELECT substr(chain, -32) FROM generation").scalar_one()
+    return token
 
 
 def has_foreign_wal(path: Path) -> bool:
@@ -59,6 +65,74 @@ def has_foreign_wal(path: Path) -> bool:
         if before is None or after is None:
             return False
     return False  # in use, and thus not left over
+
+
+class Lineage:
+    """Notices that another database, or an older copy, was written over an open one, whose file stays the same.
+
+    Call `begin` first; before, nothing is noticed.
+    """
+
+    def __init__(self) -> None:
+        self._path: Path | None = None
+        # time and size of the file when it was last looked at, and the token in it
+        self._stamp: tuple[int, int] | None = None
+        self._stored = NO_TOKEN
+        # the newest token known: of this process, or seen at the last look
+        self._newest = NO_TOKEN
+        self._is_broken = False
+
+    def begin(self, path: Path) -> None:
+        """Takes the present content of the database `path` for the right one."""
+        self._path, self._stamp, self._stored = path, _stamp(path), _stored(path) or NO_TOKEN
+
+    def is_broken(self) -> bool:
+        """True if what the file contains does not come from what it contained before."""
+        # only a checkpoint or a copy writes to the file itself, so this is rarely more than one `stat`
+        stamp = None if self._is_broken or self._path is None else _stamp(self._path)
+        if stamp is not None and stamp != self._stamp:
+            assert self._path is not None
+            # known before the file is read: other threads look and write, too
+            known, newest = self._stored, self._newest
+            stored, seen = _stored(self._path), _seen(self._path)
+            if seen is None or (stored is None and known != NO_TOKEN):  # locked, or damaged: SQLite reports it
+                return False
+            stored = stored or NO_TOKEN
+            if _is_older(stored, known) or _is_older(seen, newest) or has_foreign_wal(self._path):
+                self._is_broken = True
+            else:
+                self._stamp, self._stored = stamp, stored
+                self.written(seen)
+        return self._is_broken
+
+    def written(self, token: str) -> None:
+        """Remembers a token that the database has got."""
+        if not _is_older(token, self._newest):
+            self._newest = token
+
+    def has_left_wal(self) -> bool:
+        """True if the `-wal` beside the database is that of the former content, and not of what replaced it."""
+        if self._path is None or (wal := _read_wal(wal_of(self._path))) is None:
+            return False
+        return has_foreign_wal(self._path) or any(self._stored in link for link in wal.chain)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:  # the file itself is missing, which is noticed elsewhere
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def _is_older(token: str, known: str) -> bool:
+    """Whether a database with a token is not the one with a known token, or a later state of it."""
+    return token != known and _number(token) <= _number(known)
+
+
+def _number(token: str) -> int:
+    match = _NUMBER.match(token, 0, 16)
+    return int(match[0] or 0) if match else 0
 
 
 def wal_of(path: Path) -> Path:
@@ -123,10 +197,19 @@ def _links(page: bytes) -> Iterator[tuple[str, str]]:
 
 
 def _stored(path: Path) -> str | None:
-    """The last token in the database file itself; None if it has none or cannot be read, which SQLite reports later."""
-    # immutable: without the WAL; through SQLite, because closing an own file handle would release SQLite's locks
+    """The last token in the database file itself, without the WAL; None if it has none or cannot be read."""
+    return _token(path, "immutable=1")
+
+
+def _seen(path: Path) -> str | None:
+    """The last token that a new connection sees, so without cached pages; None if it cannot be read."""
+    return _token(path, "mode=ro")
+
+
+def _token(path: Path, how: str) -> str | None:
+    # through SQLite, because closing an own file handle would release SQLite's locks
     try:
-        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?immutable=1", uri=True)) as connection:
+        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?{how}", uri=True)) as connection:
             row = connection.execute("SELECT chain FROM generation").fetchone()
     except sqlite3.Error:
         return None

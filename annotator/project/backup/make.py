@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import time
 import zipfile
@@ -20,6 +21,9 @@ from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.store import DATABASE_FILE, Clock, explained
 from annotator.types.errors import RESTORE, ProjectError
+
+# What a backup leaves free on the disk, bytes.
+SPARE_BYTES = 2**25
 
 
 @dataclass(frozen=True)
@@ -54,8 +58,12 @@ def back_up(
     if out.exists():
         raise ProjectError(f"{out} exists already; choose another file")
     try:
-        with unfinished_folder(out.parent, out.name) as place:
+        # by the project's name, since that of a backup contains the moment: the next one finds what a killed one left
+        with unfinished_folder(out.parent, f"{project.resolve().name}-backup") as place:
             database, part = place / DATABASE_FILE, place / "backup.zip"
+            if (project / DATABASE_FILE).is_file():  # else `write_snapshot` says what to do
+                # the copy of the database, and the same in the archive
+                _require_space(place, 2 * (project / DATABASE_FILE).stat().st_size)
             write_snapshot(project / DATABASE_FILE, database)
             if problems := database_problems(database):
                 raise ProjectError(
@@ -82,6 +90,7 @@ def _write(
         version, events, last, labels = _counts(connection)
     names = list(folder_files(project, stored))
     files = []
+    _require_space(part.parent, database.stat().st_size + sum((project / name).stat().st_size for name in names))
     part.touch(mode=0o600, exist_ok=False)  # the database in it is for its owner only
     with part.open("wb") as target:
         with zipfile.ZipFile(target, "w", allowZip64=True) as archive:
@@ -104,6 +113,14 @@ def _write(
         target.flush()
         os.fsync(target.fileno())
     return manifest
+
+
+def _require_space(folder: Path, needed: int) -> None:
+    """Raises OSError if a backup would fill the disk, which saves of labels may need."""
+    free = shutil.disk_usage(folder).free
+    if free < needed + SPARE_BYTES:
+        needs, has = ((size + 2**20 - 1) >> 20 for size in (needed + SPARE_BYTES, free))
+        raise OSError(f"it may take {needs} MiB, with some to spare, and the disk has {has} MiB; free some space")
 
 
 def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:

@@ -26,9 +26,10 @@ from annotator.project.derived import apply_event, rebuild
 from annotator.project.event_types import LabelRestored
 from annotator.project.events import Event, event_of, insert_event
 from annotator.project.migrations import MIGRATIONS
-from annotator.project.schema import PackedText, events, frames, image_labels, labels, view_labels
+from annotator.project.schema import PackedText, events, frame_attributes, frames, image_labels, labels, view_labels
 from annotator.project.store import DATABASE_FILE, Store, create_store, explained, open_store
-from annotator.project.undo_state import FRAME, IMAGE, LABEL, VIEW, read_state, restoring
+from annotator.project.tidying.removed import hide_removed
+from annotator.project.undo_state import FRAME, IMAGE, LABEL, VALUES, VIEW, read_state, restoring
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
@@ -72,17 +73,12 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
 
     Raises:
         ConfigError: an invalid name.
-        ProjectError: nothing can be read, the new name is taken, or it cannot be written.
+        ProjectError: it is locked, nothing can be read, the new name is taken, or it cannot be written.
     """
     database = project / DATABASE_FILE
     if not is_regular(project, DATABASE_FILE):
         raise ProjectError(f"{database}: is missing, or no regular file; there is nothing to repair")
-    try:
-        read_config(project)
-        is_sound = not has_foreign_wal(database) and not database_problems(database)
-    except ProjectError:
-        is_sound = False
-    if is_sound:
+    if _has_config(project) and not has_foreign_wal(database) and not database_problems(database):
         backup = back_up_automatically(project, Reason.REPAIR)
         with closing(open_store(database)) as store:
             try:
@@ -91,6 +87,14 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
             except ProjectError:
                 pass  # contradicting events: the salvage leaves them out
     return _salvage(project, new_name or f"{project.resolve().name}-repaired")
+
+
+def _has_config(project: Path) -> bool:
+    try:
+        read_config(project)
+    except ProjectError:
+        return False
+    return True
 
 
 def _salvage(project: Path, name: str) -> Repaired:
@@ -163,6 +167,7 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
                 _count_lost(repaired, "events")
             else:
                 repaired.events += 1
+        hide_removed(connection)
 
 
 def _advice(project: Path) -> str:
@@ -224,6 +229,8 @@ def _targets(source: sqlite3.Connection) -> Iterator[tuple[int | None, str]]:
     yield from ((row["frame_id"], f"{LABEL}:{row['uid']}") for row in _rows(source, labels.name, nobody))
     yield from ((row["frame_id"], IMAGE) for row in _rows(source, image_labels.name, nobody, "frame_id"))
     yield from ((row["frame_id"], f"{VIEW}:{row['view_id']}") for row in _rows(source, view_labels.name, nobody))
+    of_frames = _rows(source, frame_attributes.name, nobody, "frame_id")
+    yield from ((row["frame_id"], VALUES) for row in of_frames)
     yield from ((row["id"], FRAME) for row in _rows(source, frames.name, nobody))
 
 

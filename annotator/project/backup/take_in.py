@@ -25,12 +25,15 @@ from annotator.project.backup.generation import wal_of
 from annotator.project.backup.snapshot import reading, write_snapshot
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.backup.verify import verify
-from annotator.project.config import CONFIG_FILE, check_name, read_config, write_config
+from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
 from annotator.project.store import DATABASE_FILE, explained
+from annotator.project.tidying.unlabelled import remove_labels
 from annotator.types.errors import FormatError, ProjectError
 
 # Bound of a foreign project's settings, bytes.
 _MOST_CONFIG = 2**20
+# Windows has neither of the last two, nor links and pipes as others have them.
+_FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def restore(
@@ -64,11 +67,18 @@ def copy_project(
     name: str,
     models: ModelChoice = ModelChoice.ALL,
     progress: Progress = lambda done, total: None,
+    *,
+    labels: bool = True,
+    sent: bool = True,
 ) -> Path:
     """Makes the project `root/name` of the project in `folder`, which nobody needs to trust; returns its folder.
 
     Only the regular files that a project consists of are copied: no links, caches or converted networks. The copy is
     verified before it gets its name.
+
+    Args:
+        labels: False for a copy with the recordings and detectors only.
+        sent: False for a project of one's own, which other processes may be writing to.
 
     Raises:
         ConfigError: an invalid name.
@@ -83,17 +93,15 @@ def copy_project(
     if (folder / CONFIG_FILE).stat().st_size > _MOST_CONFIG:
         raise ProjectError(f"{folder / CONFIG_FILE}: is larger than {_MOST_CONFIG >> 20} MiB")
     with new_project(root, name) as place:
-        copied = place / "copied"
-        copied.mkdir()
-        # copied before SQLite sees it: opening a database can write to its folder
-        for part in (DATABASE_FILE, wal_of(Path(DATABASE_FILE)).name):
-            if is_regular(folder, part):
-                copy_regular(folder / part, copied / part)
         database = place / DATABASE_FILE
-        write_snapshot(copied / DATABASE_FILE, database)
-        shutil.rmtree(copied)
+        if sent:
+            _take_database(folder, place)
+        else:
+            write_snapshot(folder / DATABASE_FILE, database)
         if problems := database_problems(database):
             raise ProjectError(f"{folder / DATABASE_FILE}: {problems[0]}")
+        if not labels:
+            remove_labels(database)
         with explained(database):
             keep_models(database, models)
             with reading(database) as connection:
@@ -108,6 +116,17 @@ def copy_project(
     return root / name
 
 
+def _take_database(folder: Path, place: Path) -> None:
+    """Copies a foreign database before SQLite sees it: opening one can write to its folder."""
+    copied = place / "copied"
+    copied.mkdir()
+    for part in (DATABASE_FILE, wal_of(Path(DATABASE_FILE)).name):
+        if is_regular(folder, part):
+            copy_regular(folder / part, copied / part)
+    write_snapshot(copied / DATABASE_FILE, place / DATABASE_FILE)
+    shutil.rmtree(copied)
+
+
 @contextmanager
 def new_project(root: Path, name: str) -> Iterator[Path]:
     """Yields a hidden folder for the content of a project, which becomes `root/name` if the block succeeds.
@@ -115,9 +134,7 @@ def new_project(root: Path, name: str) -> Iterator[Path]:
     Raises:
         ProjectError: the name is taken, or the folder cannot be written.
     """
-    path = root / name
-    if os.path.lexists(path):
-        raise ProjectError(f"{path} exists already; choose another name")
+    path = free_path(root, name)
     try:
         with unfinished_folder(root, name) as place:
             yield place
@@ -138,8 +155,8 @@ def copy_regular(source: Path, target: Path) -> None:
     Raises:
         OSError: it is a link or no regular file, or cannot be read or written.
     """
-    # O_NOFOLLOW and O_NONBLOCK: it may have been replaced by a link or a pipe since it was listed
-    with os.fdopen(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+    # it may have been replaced by a link or a pipe since it was listed
+    with os.fdopen(os.open(source, _FLAGS), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(f"{source} is not a regular file")
         with target.open("xb") as out:

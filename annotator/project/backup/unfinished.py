@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
-import time
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
-from annotator.files import private_folder
-
-# A folder without a lock is left alone for this long: it may be one whose process is about to lock it.
-YOUNG_S = 10.0
+from annotator.files import lock_folder, locked_folder, private_folder
 
 
 @contextmanager
@@ -26,12 +23,15 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
         OSError: the folder cannot be created.
     """
     root.mkdir(parents=True, exist_ok=True)
-    for left in root.glob(f".{name}.*.unfinished"):
-        if is_abandoned(left):
-            shutil.rmtree(left, ignore_errors=True)
-    folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
-    private_folder(folder)
-    lock = _lock(folder)
+    for left in root.glob(f".{glob.escape(name)}.*.unfinished"):
+        remove_abandoned(left)
+
+    def make() -> Path:
+        folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
+        private_folder(folder)
+        return folder
+
+    folder, lock = locked_folder(make)
     try:
         yield folder
     finally:
@@ -40,31 +40,16 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
             os.close(lock)
 
 
-def is_abandoned(folder: Path) -> bool:
-    """True if no process holds the folder's lock."""
-    with suppress(OSError):
-        if time.time() - folder.stat().st_mtime < YOUNG_S:
-            return False
-    lock = _lock(folder)
+def remove_abandoned(folder: Path) -> bool:
+    """Removes a folder if no process holds its lock; returns whether it is gone.
+
+    Without locks, as on Windows, it stays.
+    """
+    lock = lock_folder(folder)
     if lock is None:
         return False
-    os.close(lock)
-    return True
-
-
-def _lock(folder: Path) -> int | None:
-    """The descriptor that holds the folder's lock until it is closed; None if it is taken, or if there are no locks."""
     try:
-        import fcntl
-    except ImportError:  # not a POSIX system
-        return None
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        return None
-    return descriptor
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(lock)
+    return not folder.exists()

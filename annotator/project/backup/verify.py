@@ -14,13 +14,22 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, Table, select
 
 from annotator.files import CHUNK_BYTES, open_file
-from annotator.project.backup.content import VIEW_FILE, is_regular, stored_files
+from annotator.project.backup.content import VIEW_FILE, is_regular, require_own_files, stored_files
 from annotator.project.backup.database_check import database_problems
 from annotator.project.backup.generation import has_foreign_wal
 from annotator.project.backup.snapshot import reading, write_snapshot
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.derived import rebuild
-from annotator.project.schema import AnyRow, adjustments, frames, image_labels, labels, revertible, view_labels
+from annotator.project.schema import (
+    AnyRow,
+    adjustments,
+    frame_attributes,
+    frames,
+    image_labels,
+    labels,
+    revertible,
+    view_labels,
+)
 from annotator.project.store import DATABASE_FILE, explained, foreign_wal, open_store
 from annotator.types.errors import ProjectError
 
@@ -33,6 +42,7 @@ _KEYS: dict[Table, tuple[str, ...]] = {
     view_labels: ("view_id", "frame_id"),
     revertible: ("event_id",),
     adjustments: ("recording_id",),
+    frame_attributes: ("frame_id",),
 }
 _NUMBERED = (labels, view_labels)
 
@@ -69,6 +79,7 @@ def verify(project: Path, *, deep: bool = False) -> Verification:
 
 def _checked(project: Path, deep: bool) -> list[str]:
     try:
+        require_own_files(project)
         if not is_regular(project, CONFIG_FILE):
             return [f"{CONFIG_FILE} is missing, or no regular file"]
         read_config(project)

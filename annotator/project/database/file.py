@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
 
+from annotator.project.backup.generation import Lineage
 from annotator.types.errors import ProjectError, ReplacedError
 
 WAL, SHARED_MEMORY, JOURNAL = "-wal", "-shm", "-journal"
@@ -32,6 +33,7 @@ class DatabaseFile:
         is_fixed: True if nothing but a replacement changes it: it is read without SQLite's locks.
         beside: identities of SQLite's files beside it, by suffix, once they exist. SQLite keeps them while a
             connection is open; without them, processes would not see each other's changes, and lose them.
+        lineage: of the content, since a copy can be written over the file.
     """
 
     path: Path
@@ -41,6 +43,7 @@ class DatabaseFile:
     is_writable: bool = True
     is_fixed: bool = False
     beside: dict[str, Identity | None] = field(default_factory=dict)
+    lineage: Lineage = field(default_factory=Lineage)
 
     @property
     def address(self) -> str:
@@ -59,7 +62,7 @@ class DatabaseFile:
             ReplacedError: it is not.
         """
         if (path := self._what_changed()) is not None:
-            what = "was replaced by another file" if path.exists() else "was removed"
+            what = "was replaced by another file, or written over," if path.exists() else "was removed"
             raise ReplacedError(
                 f"{self.path.with_name(path.name)}: {what} while it was open, and nothing was saved in it since; "
                 "reload the page, or start the command again, and repeat the latest change"
@@ -73,8 +76,14 @@ class DatabaseFile:
         """True if its folder is still the one in which it was opened."""
         return identity_of(self.place.parent) == self.folder
 
-    def remember_beside(self) -> None:
-        """Remembers SQLite's files beside the database; called when a connection has used it."""
+    def is_overwritten(self) -> bool:
+        """True if another database was written over the file."""
+        return self.is_writable and not self.is_replaced() and self.lineage.is_broken()
+
+    def remember(self) -> None:
+        """Remembers the content, and SQLite's files beside the database; called when a connection has used it."""
+        if self.is_writable:
+            self.lineage.begin(self.place)
         self.beside.update({suffix: identity_of(self.file_beside(suffix)) for suffix in (WAL, SHARED_MEMORY)})
 
     def left_beside(self) -> list[Path]:
@@ -92,7 +101,8 @@ class DatabaseFile:
         if not self.is_writable:
             return None
         known = ((self.file_beside(suffix), identity) for suffix, identity in self.beside.items())
-        return next((path for path, identity in known if identity_of(path) != identity), None)
+        changed = next((path for path, identity in known if identity_of(path) != identity), None)
+        return self.place if changed is None and self.lineage.is_broken() else changed
 
 
 def database_file(path: Path) -> DatabaseFile:

@@ -23,18 +23,24 @@ def keep_replaced(source: sqlite3.Connection, file: DatabaseFile) -> None:
     """Copies an open database whose file was removed or replaced, to `.replaced/PROJECT.until-TIME.db`.
 
     SQLite's files beside it that still belong to the old database are then removed, as SQLite would take them for
-    those of the new one and mix both.
+    those of the new one and mix both. If a copy was written over the file itself, the `-wal` is emptied: SQLite would
+    move its content into the copy when the last connection is closed.
     """
     left = file.left_beside() if file.is_replaced() else []
+    is_overwritten = file.is_overwritten()
     try:
-        kept = _copied(source, file.place.parent)
+        # of a file that was written over, only the pages in the `-wal` are still those of the old database
+        kept = _copied(source, file.place.parent, is_overwritten)
     except (OSError, sqlite3.Error) as error:
         LOG.error("%s: was replaced, and what it held could not be kept: %s", file.path, error)
         for path in left:
             path.replace(path.with_name(f"{path.name}.of-replaced"))
-        return
-    for path in left:
-        path.unlink(missing_ok=True)
+        kept = None
+    else:
+        for path in left:
+            path.unlink(missing_ok=True)
+    if is_overwritten and file.lineage.has_left_wal():
+        os.truncate(file.file_beside(WAL), 0)
     if kept is not None:
         LOG.warning("%s: was removed or replaced while it was open; what it held is kept in %s", file.path, kept)
 
@@ -44,8 +50,12 @@ def kept_copies(project: Path) -> list[Path]:
     return sorted((project.parent / _FOLDER).glob(f"{glob.escape(project.name)}.until-*.db"))
 
 
-def _copied(source: sqlite3.Connection, project: Path) -> Path | None:
-    """The copy; None for a database without any event."""
+def _copied(source: sqlite3.Connection, project: Path, is_checked: bool) -> Path | None:
+    """The copy; None for a database without any event.
+
+    Args:
+        is_checked: whether to raise sqlite3.DatabaseError for a copy that is damaged.
+    """
     (newest_ns,) = source.execute("SELECT max(time_ns) FROM events").fetchone()
     if newest_ns is None:
         return None
@@ -62,6 +72,8 @@ def _copied(source: sqlite3.Connection, project: Path) -> Path | None:
         unfinished.touch(0o600)
         with closing(sqlite3.connect(unfinished)) as target:
             source.backup(target)
+            if is_checked and (found := target.execute("PRAGMA integrity_check(1)").fetchone()[0]) != "ok":
+                raise sqlite3.DatabaseError(found)
         unfinished.replace(path)
         sync_folder(folder)
     finally:

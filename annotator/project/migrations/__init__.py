@@ -28,6 +28,9 @@ from annotator.project.migrations import (
     m0013_reader_options,
     m0014_adjustments,
     m0015_generation,
+    m0016_attributes,
+    m0017_removed,
+    m0018_said,
 )
 from annotator.types.errors import ProjectError
 
@@ -63,7 +66,27 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(13, m0013_reader_options.STATEMENTS),
     Migration(14, m0014_adjustments.STATEMENTS),
     Migration(15, m0015_generation.STATEMENTS),
+    Migration(16, m0016_attributes.STATEMENTS),
+    Migration(17, m0017_removed.STATEMENTS),
+    Migration(18, m0018_said.STATEMENTS),
 )
+
+
+def require_known(version: int, path: Path, migrations: Sequence[Migration]) -> None:
+    """Refuses a database of a version after the last of `migrations`.
+
+    Args:
+        path: the database file, for messages.
+
+    Raises:
+        ProjectError: it is newer.
+    """
+    newest = migrations[-1].version
+    if version > newest:
+        raise ProjectError(
+            f"{path}: was written by a newer annotator (database version {version}, this one supports up to {newest}); "
+            "update annotator"
+        )
 
 
 def upgrade(connection: Connection, path: Path, migrations: Sequence[Migration]) -> None:
@@ -76,12 +99,7 @@ def upgrade(connection: Connection, path: Path, migrations: Sequence[Migration])
         ProjectError: the database is newer than the last of `migrations`.
     """
     version = connection.exec_driver_sql("PRAGMA user_version").scalar_one()
-    newest = migrations[-1].version
-    if version > newest:
-        raise ProjectError(
-            f"{path}: was written by a newer annotator (database version {version}, this one supports up to {newest}); "
-            "update annotator"
-        )
+    require_known(version, path, migrations)
     for migration in migrations:
         if migration.version > version:
             for statement in migration.statements:

@@ -62,7 +62,7 @@ def exported_frame(
 
 def _inside(folder: Path, name: str) -> Path:
     if not is_within(folder, name):
-        raise FrameError(folder / name[:60], "is outside the dataset", REMEDY)
+        raise FrameError(folder, f"has a frame with the file {name[:60]!r}, which is outside the dataset", REMEDY)
     return folder / name
 
 

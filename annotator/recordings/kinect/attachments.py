@@ -29,7 +29,7 @@ def tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
                 )
                 if stream.type == "attachment" and is_named:
                     return tags, bytes(stream.data)
-    except (OSError, ValueError) as error:
+    except (av.error.FFmpegError, OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be read as Matroska ({error}); {REMEDY}") from error
     raise RecordingError(f"{path}: has no calibration attached; record it with the Azure Kinect SDK's recorder")
 

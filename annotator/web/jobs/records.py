@@ -12,6 +12,7 @@ from annotator.types import BoxKind, DetectorKind, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.web.schemas import ClassName, RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
+from annotator.workflows.importing.proposals_3d import MOST_NAME
 
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
@@ -62,13 +63,17 @@ class LiftRequest(_Request):
 
 
 class BoxesRequest(_Request):
-    """Import the 2D boxes of a file that a page has sent.
+    """Import the boxes of a file that a page has sent.
 
     Attributes:
         upload: its id.
         names: the project's class of each class of the file that has another name.
-        recording: the recording of its images; null: any.
-        lift: then propose 3D boxes from them.
+        recording: the recording of its images or frames; null: any.
+        box_kind: what 2D boxes enclose.
+        lift: then propose 3D boxes from 2D boxes.
+        become: what 3D boxes become: proposals, or labels on frames without labels.
+        source: name of 3D boxes as a source of proposals; null: that of the file.
+        min_score: proposals with lower scores, as in the file, are left out.
     """
 
     kind: Literal["boxes"]
@@ -77,6 +82,9 @@ class BoxesRequest(_Request):
     recording: RowId | None = None
     box_kind: BoxKind = BoxKind.SILHOUETTE
     lift: bool = False
+    become: Literal["proposals", "labels"] = "proposals"
+    source: Annotated[str, Field(min_length=1, max_length=MOST_NAME)] | None = None
+    min_score: Annotated[float, Field(allow_inf_nan=False)] | None = None
 
 
 class SplitRequest(_Request):
@@ -128,8 +136,16 @@ class ImportRequest(_Request):
     recordings: Ids
 
 
+class CopyRequest(_Request):
+    """Copy the project to a new one of that name; `labels`: with its labels, not only its recordings and detectors."""
+
+    kind: Literal["copy"]
+    name: Annotated[str, Field(max_length=64)]
+    labels: bool = True
+
+
 JobRequest = Annotated[
-    TrainRequest | ProposeRequest | LiftRequest | BoxesRequest | ExportRequest | ImportRequest,
+    TrainRequest | ProposeRequest | LiftRequest | BoxesRequest | ExportRequest | ImportRequest | CopyRequest,
     Field(discriminator="kind"),
 ]
 
@@ -151,6 +167,7 @@ WORK: dict[str, str] = {
     "boxes": "annotator.web.jobs.work:boxes_work",
     "export": "annotator.web.jobs.work:export_work",
     "import": "annotator.web.jobs.work:import_work",
+    "copy": "annotator.web.jobs.work:copy_work",
 }
 
 
@@ -199,7 +216,7 @@ class Job(BaseModel):
 
     id: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
     project: str
-    kind: Literal["train", "propose", "lift", "boxes", "export", "import"]
+    kind: Literal["train", "propose", "lift", "boxes", "export", "import", "copy"]
     state: JobState = JobState.QUEUED
     stage: str = ""
     done: float = 0.0

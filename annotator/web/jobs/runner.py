@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from annotator.files import end_of_file, is_within, private_folder
-from annotator.types.errors import ConfigError, NotFoundError
+from annotator.types.errors import ConfigError, InUseError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, require_own_files, write_journal
 from annotator.web.jobs.messages import Failed, Finished, Measured, Order, Progress, Stopped, WorkerMessage
@@ -202,6 +202,26 @@ class JobRunner:
         if waiting:
             return self._update(job_id, state=JobState.CANCELLED, message="stopped before it began")
         return self._update(job_id, stage="stopping") if running else job
+
+    def require_none(self, project: str) -> None:
+        """Checks that no job of a project runs or waits.
+
+        Raises:
+            InUseError: one does.
+        """
+        for job in self.all():
+            if job.project == project and not job.state.ended:
+                raise InUseError(
+                    f"project {project} has a job that runs or waits ({job.kind}); stop it, or wait until it is done"
+                )
+
+    def renamed(self, project: str, name: str) -> None:
+        """Lists the jobs of a project under its new name."""
+        for job in self.all():
+            if job.project == project:
+                self._update(job.id, project=name)
+        with self._lock:
+            write_journal(self.folder, reversed(self.all()))
 
     def file(self, job_id: str) -> Path:
         """The file of an export.

@@ -13,11 +13,13 @@ from typing import TypeVar
 from annotator.detection.config import PICTURES_A_SECOND, TrainingConfig
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.project import new_action
+from annotator.project.backup.take_in import copy_project
 from annotator.types import DetectorKind
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import (
     LIFT_STAGE,
     BoxesRequest,
+    CopyRequest,
     CurvePoint,
     ExportRequest,
     ImportRequest,
@@ -28,7 +30,17 @@ from annotator.web.jobs.records import (
 from annotator.web.uploads import find_upload, remove_upload
 from annotator.workflows.detectors import used_model
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
-from annotator.workflows.importing import Imported, Importer, import_image_boxes
+from annotator.workflows.importing import (
+    BoxFormat,
+    Imported,
+    ImportedLabels,
+    ImportedProposals,
+    Importer,
+    import_image_boxes,
+    import_labels,
+    import_proposals,
+    read_labels,
+)
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
@@ -171,9 +183,13 @@ def lift_work(job: JobContext, request: LiftRequest) -> Outcome:
 
 
 def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
-    """Imports the 2D boxes of a file as one action of the operator, and proposes 3D boxes from them if asked to."""
+    """Imports the boxes of a file as one action of the operator; proposes 3D boxes from 2D boxes if asked to."""
     project, upload = job.project, find_upload(job.project, request.upload)
     recording = None if request.recording is None else project.recordings.get(request.recording).name
+    if isinstance(upload.format, BoxFormat):
+        outcome = _boxes_3d(job, request, upload.path, upload.format, recording)
+        remove_upload(project, upload.id)
+        return outcome
     # loaded first, so that nothing is imported if it cannot be
     view = require_view(project) if request.lift else None
     job.progress("read the file")
@@ -203,6 +219,56 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
     return Outcome(message, result)
 
 
+def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFormat, recording: str | None) -> Outcome:
+    """Imports 3D boxes as proposals or labels."""
+    job.progress("read the file")
+    dataset, importer = read_labels(format, path), Importer(job.operator, new_action())
+    progress = job.counter("store the boxes")
+    done: ImportedProposals | ImportedLabels
+    if request.become == "proposals":
+        done = import_proposals(
+            job.project,
+            dataset,
+            request.source,
+            recording=recording,
+            min_score=request.min_score,
+            names=request.names,
+            importer=importer,
+            progress=progress,
+        )
+        boxes = done.proposals.total()
+        parts = [
+            f"{boxes} boxes of {done.source} proposed in {done.frames} frames",
+            f"{done.merged} of them are objects that others see as well" if done.merged else "",
+            f"{done.covered} boxes of reviewed objects left out" if done.covered else "",
+            f"{done.unsure} boxes with a lower score left out" if done.unsure else "",
+            f"{done.finalised} finalised frames left as they are" if done.finalised else "",
+        ]
+    else:
+        done = import_labels(job.project, dataset, recording, progress, request.names, importer)
+        boxes = done.labels.total()
+        parts = [
+            f"{boxes} labels imported in {done.frames} frames",
+            f"{done.already} frames with labels left as they are" if done.already else "",
+            f"{done.not_reviewed} boxes that are not accepted left out" if done.not_reviewed else "",
+        ]
+    left_out, renamed = done.other_classes.total(), done.renamed
+    parts += [
+        f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
+        f"{left_out} boxes of other classes left out ({', '.join(sorted(done.other_classes))})" if left_out else "",
+        f"{len(done.unmatched)} frames that the project does not have left out" if done.unmatched else "",
+        f"{len(done.unreadable)} frames could not be read" if done.unreadable else "",
+    ]
+    result: dict[str, object] = {
+        "frames": done.frames,
+        "boxes": boxes,
+        "left_out": done.other_classes,
+        "unmatched": done.unmatched[:MOST_FAILURES],
+        "unreadable": done.unreadable[:MOST_FAILURES],
+    }
+    return Outcome(", ".join(filter(None, parts)), result)
+
+
 def _imported(done: Imported) -> tuple[str, dict[str, object]]:
     left_out = sum(done.other_classes.values())
     renamed = done.renamed
@@ -213,6 +279,9 @@ def _imported(done: Imported) -> tuple[str, dict[str, object]]:
         f"{left_out} boxes of other classes left out ({', '.join(sorted(done.other_classes))})" if left_out else "",
         f"{len(done.unmatched)} images without a frame left out" if done.unmatched else "",
         f"{done.finalised} finalised frames left as they are" if done.finalised else "",
+        f"{done.values.set} values of attributes for 3D labels and frames" if done.values.set else "",
+        f"{done.values.kept} that differ from theirs left out" if done.values.kept else "",
+        _left_out(done.values.left_out),
         f"{len(done.unreadable)} frames could not be read" if done.unreadable else "",
     ]
     result: dict[str, object] = {
@@ -224,6 +293,10 @@ def _imported(done: Imported) -> tuple[str, dict[str, object]]:
         "unreadable": done.unreadable[:MOST_FAILURES],
     }
     return ", ".join(filter(None, parts)), result
+
+
+def _left_out(values: Counter[str]) -> str:
+    return f"{values.total()} values of attributes left out: {', '.join(sorted(values))}" if values else ""
 
 
 def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
@@ -239,19 +312,30 @@ def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
 
 def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     """Imports the 3D boxes of recordings."""
-    labels, left_out, unreadable = Counter[str](), Counter[str](), list[str]()
+    labels, left_out, values, unreadable = Counter[str](), Counter[str](), Counter[str](), list[str]()
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
         imported = import_own_labels(job.project, recording.id, counter, request.recordings)
         labels += imported.labels
         left_out += imported.other_classes
+        values += imported.values
         unreadable += imported.unreadable
     message = f"{labels.total()} boxes imported"
     if left_out:
         message += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
+    if values:
+        message += f", {_left_out(values)}"
     if unreadable:
         message += f", those of {len(unreadable)} frames could not be read"
     return Outcome(message, {"labels": labels, "left_out": left_out, "unreadable": unreadable[:MOST_FAILURES]})
+
+
+def copy_work(job: JobContext, request: CopyRequest) -> Outcome:
+    """Copies the project, with or without its labels."""
+    folder, counter = job.project.path, job.counter("copy files")
+    copy_project(folder, folder.parent, request.name, progress=counter, labels=request.labels, sent=False)
+    without = "" if request.labels else ", without labels"
+    return Outcome(f"copied to {request.name}{without}", {"project": request.name})
 
 
 def export_work(job: JobContext, request: ExportRequest) -> Outcome:

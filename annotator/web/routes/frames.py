@@ -96,7 +96,7 @@ def _step(
     effort = None if body.effort is None else body.effort.stored()
     if ctx.jobs.stores_boxes(name, operator):
         # the import is one action: what it stores after its undo could not be undone
-        raise HistoryError("your import of 2D boxes is still running; stop it or wait, then undo it as a whole")
+        raise HistoryError("your import of boxes is still running; stop it or wait, then undo it as a whole")
     ctx.follow_runs.stop(name, operator)
     try:
         reverted = method(ctx.project(name))(operator, skip=body.skip, effort=effort)

@@ -8,9 +8,10 @@ from fastapi import APIRouter, Body, Path
 from fastapi.responses import FileResponse
 from pydantic import BaseModel
 
+from annotator.project.config import free_path
 from annotator.types import ReviewState
 from annotator.web.context import Ctx, Operator
-from annotator.web.jobs.records import Job, JobRequest
+from annotator.web.jobs.records import CopyRequest, Job, JobRequest
 from annotator.workflows.exporting import WRITERS, ExportFormat
 
 router = APIRouter(tags=["jobs"])
@@ -47,8 +48,11 @@ class FormatList(BaseModel):
 
 @router.post("/api/projects/{project}/jobs", status_code=201)
 def begin(project: str, body: Annotated[JobRequest, Body()], ctx: Ctx, operator: Operator) -> Job:
-    """Start a job (train, propose, lift, export or import); it waits until earlier jobs have ended."""
-    return ctx.jobs.add(project, ctx.project(project).path, body, operator)
+    """Start a job (train, propose, lift, export, import or copy); it waits until earlier jobs have ended."""
+    path = ctx.project(project).path
+    if isinstance(body, CopyRequest):
+        free_path(path.parent, body.name)
+    return ctx.jobs.add(project, path, body, operator)
 
 
 @router.get("/api/jobs")

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query
 
 from annotator.web.context import Ctx
 from annotator.web.schemas import ClassName, RowId, Schema
+from annotator.workflows.importing.proposals_3d import MOST_NAME
 from annotator.workflows.workbench.review_queue import Order
 from annotator.workflows.workbench.review_queue import queue as all_items
 
@@ -15,10 +16,11 @@ router = APIRouter(tags=["queue"])
 
 # The page requests the queue again long before it has shown this many items.
 MOST_ITEMS = 500
+SourceName = Annotated[str, Query(min_length=1, max_length=MOST_NAME)]
 
 
 class ItemJson(Schema):
-    """A proposal to review, or (uid null) a frame to draw on."""
+    """A proposal to review, or (uid null) a frame to draw on; `sources` are all that see the object."""
 
     frame: int
     key: str
@@ -26,6 +28,7 @@ class ItemJson(Schema):
     uid: str | None
     label: str | None
     doubt: float | None
+    sources: list[str]
 
 
 class QueueOut(Schema):
@@ -42,10 +45,16 @@ def queue(
     order: Order = Order.WORST,
     recording: RowId | None = None,
     label: ClassName | None = None,
+    attribute: ClassName | None = None,
+    value: Annotated[str | None, Query(max_length=1000)] = None,
+    source: SourceName | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST_ITEMS)] = MOST_ITEMS,
 ) -> QueueOut:
-    """Proposals to review, or the frames whose labels would improve the detectors most."""
-    queued = all_items(ctx.project(name), order, recording, label)
+    """Proposals to review, or the frames whose labels would improve the detectors most.
+
+    `attribute` without `value`: those that have no value of it. `source`: those of objects that it sees.
+    """
+    queued = all_items(ctx.project(name), order, recording, label, attribute, value, source, limit)
     items = [
         ItemJson(
             frame=item.frame.id,
@@ -54,7 +63,14 @@ def queue(
             uid=item.uid,
             label=item.label,
             doubt=item.doubt,
+            sources=list(item.sources),
         )
-        for item in queued[:limit]
+        for item in queued.items
     ]
-    return QueueOut(items=items, remaining=len(queued))
+    return QueueOut(items=items, remaining=queued.total)
+
+
+@router.get("/api/projects/{name}/queue/sources")
+def sources(ctx: Ctx, name: str) -> dict[str, int]:
+    """The number of objects that each source sees among the proposals to review; "annotator" for our own."""
+    return ctx.project(name).labels.waiting_sources()

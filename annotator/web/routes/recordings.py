@@ -1,25 +1,31 @@
-"""Recordings: the folders that they may be added from; adding and moving them."""
+"""Recordings: the folders that they may be added from; listing, adding, moving and removing them."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
+from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.recordings import ReaderOptions
-from annotator.types.errors import InputError
+from annotator.types.errors import InputError, MovedError
 from annotator.web.context import Ctx, Operator
+from annotator.web.errors import error_response, status_of
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId
-from annotator.workflows.add_recordings import add_recordings, move_recording
+from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
 from annotator.workflows.recorded.own_labels import has_own_labels
 
 router = APIRouter(tags=["recordings"])
 
 FolderPath = Annotated[str, Query(max_length=4096)]
+
+MOVED: dict[int | str, dict[str, Any]] = {
+    400: {"description": "If it is a recording of the project that has only moved, `moved` has its id and name."}
+}
 
 
 class FolderEntry(BaseModel):
@@ -48,10 +54,30 @@ class RecordingPath(BaseModel):
 
 
 class NewRecording(RecordingPath):
-    """A recording to add; `labels`: also import the 3D boxes that it contains; `options`: how it is read."""
+    """A recording to add.
+
+    Attributes:
+        labels: also import the 3D boxes that it contains.
+        as_new: add it even if it seems to be one of the project that has only moved.
+        options: how it is read.
+    """
 
     labels: bool = True
+    as_new: bool = False
     options: ReaderOptions = ReaderOptions()
+
+
+class ListedRecording(RecordingInfo):
+    """A recording with its number of labels; `removed_by` is null unless it was removed from the project."""
+
+    labels: int
+    removed_by: str | None
+
+
+class ListedRecordings(BaseModel):
+    """The recordings of a project, and those that were removed from it."""
+
+    recordings: list[ListedRecording]
 
 
 class AddedRecording(BaseModel):
@@ -90,11 +116,28 @@ def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListin
     return FolderListing(path=listing.path, parent=listing.parent, entries=entries)
 
 
-@router.post("/api/projects/{project}/recordings")
-def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> AddedRecordings:
+@router.get("/api/projects/{project}/recordings")
+def recordings(project: str, ctx: Ctx, operator: Operator) -> ListedRecordings:
+    """The recordings of a project, also those that were removed from it."""
+    stored = ctx.project(project).recordings
+    numbers = stored.label_counts()
+    return ListedRecordings(
+        recordings=[
+            ListedRecording(**dict(recording_info(each)), labels=numbers.get(each.id, 0), removed_by=each.removed_by)
+            for each in (*stored.all(), *stored.removed())
+        ]
+    )
+
+
+@router.post("/api/projects/{project}/recordings", response_model=AddedRecordings, responses=MOVED)
+def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> AddedRecordings | JSONResponse:
     """Add a recording below one of the server's folders to a project; its files are not copied."""
     opened, path = ctx.project(project), ctx.folders.find(body.path)
-    results = add_recordings(opened, [path], options=body.options)
+    try:
+        results = add_recordings(opened, [path], options=body.options, as_new=body.as_new)
+    except MovedError as error:
+        message, moved = ctx.public_message(str(error)), {"id": error.recording_id, "name": error.name}
+        return error_response(type(error).__name__, message, status_of(error), moved=moved)
     ctx.caches.frames.forget(opened)
     added = [
         AddedRecording(
@@ -127,3 +170,23 @@ def move(project: str, recording: RowId, body: RecordingPath, ctx: Ctx, operator
     moved = move_recording(opened, recording, path, operator)
     ctx.caches.frames.forget(opened)
     return recording_info(moved)
+
+
+@router.delete("/api/projects/{project}/recordings/{recording}")
+def remove(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
+    """Remove a recording from a project; its labels stay in the history and come back with it."""
+    ctx.project(project).recordings.remove(recording, operator)
+    return _changed(project, recording, ctx, operator)
+
+
+@router.post("/api/projects/{project}/recordings/{recording}/restore")
+def restore(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
+    """Bring a removed recording back, with its labels."""
+    bring_back(ctx.project(project), recording)
+    return _changed(project, recording, ctx, operator)
+
+
+def _changed(project: str, recording: int, ctx: Ctx, operator: str) -> ListedRecordings:
+    ctx.caches.frames.forget(ctx.project(project))
+    ctx.hub.send({"type": "recordings", "project": project, "recording": recording, "operator": operator})
+    return recordings(project, ctx, operator)

@@ -15,7 +15,8 @@ from annotator.web.context import Context, Ctx, Operator
 from annotator.web.follow_runs import Direction, FollowRequest, FollowRunJson
 from annotator.web.frame_json import frame_state, stale_response
 from annotator.web.routes.frames import STALE
-from annotator.web.schemas import Effort, FrameStateJson, RowId, Schema, Uid
+from annotator.web.schemas import Box3DJson, Effort, FrameStateJson, RowId, Schema, Uid
+from annotator.workflows.tracks.carry_correction import carry_correction
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
 from annotator.workflows.tracks.follow_recording import follow_from_frame
@@ -30,9 +31,10 @@ TrackId = Annotated[int, Path(ge=-(2**53), le=2**53)]
 
 
 class TrackBox(Schema):
-    """One box of an object."""
+    """One box of an object; `revision` is that of its frame."""
 
     frame: int
+    revision: int
     key: str
     index: int | None
     uid: str
@@ -57,6 +59,21 @@ class CopyNextOut(Schema):
     """The next frame."""
 
     frame: int
+
+
+class CarryIn(Schema):
+    """A reviewed label, and its box before it was corrected."""
+
+    revision: RowId
+    uid: Uid
+    was: Box3DJson
+    effort: Effort | None = None
+
+
+class CarryOut(Schema):
+    """Number of proposals that were corrected alike."""
+
+    changed: int
 
 
 class FollowIn(Schema):
@@ -94,11 +111,20 @@ class InterpolateOut(Schema):
 
 @router.get("/api/projects/{name}/recordings/{recording_id}/tracks/{track_id}")
 def track(ctx: Ctx, name: str, recording_id: RowId, track_id: TrackId) -> TrackOut:
-    """All boxes of an object."""
-    boxes = boxes_of(ctx.project(name), recording_id, track_id)
+    """All boxes of an object. The pictures of its contact sheet are drawn in the meantime."""
+    project = ctx.project(name)
+    boxes = boxes_of(project, recording_id, track_id)
+    ctx.caches.sheets.prepare(project, recording_id, boxes)
     return TrackOut(
         boxes=[
-            TrackBox(frame=frame.id, key=frame.key, index=frame.index, uid=label.uid, state=label.state)
+            TrackBox(
+                frame=frame.id,
+                revision=frame.revision,
+                key=frame.key,
+                index=frame.index,
+                uid=label.uid,
+                state=label.state,
+            )
             for frame, label in boxes
         ]
     )
@@ -119,6 +145,20 @@ def copy_to_next(
     for changed, receipt in done.changed:
         ctx.hub.frame_changed(name, changed, receipt.revision, operator)
     return CopyNextOut(frame=done.frame_id)
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/carry", response_model=CarryOut, responses=STALE)
+def carry(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CarryIn) -> CarryOut | JSONResponse:
+    """Correct the later proposals of a track like this box; one undo step."""
+    project = ctx.project(name)
+    effort = None if body.effort is None else body.effort.stored()
+    try:
+        done = carry_correction(project, frame_id, body.uid, body.revision, body.was.box(), operator, effort=effort)
+    except StaleRevisionError as error:
+        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
+    for changed, receipt in done:
+        ctx.hub.frame_changed(name, changed, receipt.revision, operator)
+    return CarryOut(changed=len(done))
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/follow", response_model=FollowRunJson, responses=STALE)

@@ -15,13 +15,14 @@ from annotator.workflows.checking.sources import find_sources
 
 
 class DatasetReport(BaseModel):
-    """The findings by file and line, and the number of each severity, including those that are not listed."""
+    """The findings by file and line, and the number of each severity and rule, including those that are not listed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     datasets: tuple[DatasetFacts, ...]
     findings: tuple[Finding, ...]
     counts: dict[Severity, int]
+    by_rule: dict[str, int]
 
 
 def check_datasets(path: Path, progress: Progress | None = None) -> DatasetReport:
@@ -41,7 +42,9 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
             facts += _read_other_software(source, findings)
         else:
             facts.append(DatasetCheck(source, findings).run(progress))
-    return DatasetReport(datasets=tuple(facts), findings=findings.all(), counts=findings.counts())
+    return DatasetReport(
+        datasets=tuple(facts), findings=findings.all(), counts=findings.counts(), by_rule=findings.by_rule()
+    )
 
 
 def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> list[DatasetFacts]:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict
 from annotator.formats.rcv.export import MANIFEST
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError
+from annotator.types.names import folded
 from annotator.workflows.checking import rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.box_rules import heading_jumps, odd_size_message, usual_sizes
@@ -245,5 +246,5 @@ def _spellings(names: set[str]) -> Iterator[list[str]]:
     """Returns the groups of class names that differ only in case, spaces, `-` or `_`."""
     groups: dict[str, list[str]] = {}
     for name in sorted(names):
-        groups.setdefault("".join(c for c in name.casefold() if c not in " -_"), []).append(name)
+        groups.setdefault(folded(name), []).append(name)
     return (group for group in groups.values() if len(group) > 1)

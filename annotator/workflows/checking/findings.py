@@ -75,6 +75,13 @@ class Findings:
             each: sum(count for (rule, _), count in self._counts.items() if rule.severity is each) for each in Severity
         }
 
+    def by_rule(self) -> dict[str, int]:
+        """Returns the number of breaches of each rule that was breached, as `counts`."""
+        total: Counter[str] = Counter()
+        for (rule, _), count in self._counts.items():
+            total[rule.id] += count
+        return dict(sorted(total.items()))
+
     def all(self) -> tuple[Finding, ...]:
         """Returns all findings by file and line; the last row of a file counts those that are not kept."""
         more = [

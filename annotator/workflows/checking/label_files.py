@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.boxes_json import entry_truth, read_entries
+from annotator.formats.boxes_json import each_entries, entry_truth
 from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
 from annotator.formats.sunrgbd.labels import extracted_truth
 from annotator.formats.text_folder import text_rows
@@ -164,7 +164,7 @@ class BoxesFile:
     def read(self) -> BoxesFile:
         """Reads the file."""
         try:
-            self.entries.update(read_entries(self.path))
+            self.entries.update(dict(each_entries(self.path)))
         except FormatError as error:
             self.wrong.append(error)
         return self

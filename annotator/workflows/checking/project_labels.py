@@ -7,7 +7,9 @@
   nearest box of its class within its own length);
 - duplicate: two boxes of one class overlap by `OVERLAP_IOU` or more (exact 3D IoU);
 - track: a track has two boxes in one frame, or boxes of two classes;
-- class: the project does not have the label's class.
+- class: the project does not have the label's class;
+- attribute: a required value of the box or its frame is missing, a value does not fit its attribute, or a track has
+  different values of one of its attributes.
 """
 
 from __future__ import annotations
@@ -20,7 +22,10 @@ from enum import StrEnum
 from pydantic import BaseModel, ConfigDict
 
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
+from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.types import Label, OrientedBox, ReviewState
+from annotator.types.label import AttributeValue
+from annotator.types.names import alternatives
 from annotator.workflows.checking.box_rules import (
     LEAST_POINTS,
     OVERLAP_IOU,
@@ -34,6 +39,7 @@ from annotator.workflows.checking.box_rules import (
     usual_sizes,
 )
 from annotator.workflows.checking.point_counts import PointCounts
+from annotator.workflows.frame_source import why_gone
 
 CHECKED_STATES = (*REVIEWED, ReviewState.PROPOSED)
 
@@ -50,6 +56,7 @@ class Kind(StrEnum):
     DUPLICATE = "duplicate"
     TRACK = "track"
     CLASS = "class"
+    ATTRIBUTE = "attribute"
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,7 @@ class CheckReport(BaseModel):
 
     Attributes:
         labels: number of labels checked.
-        unreadable: frames whose points could not be counted, as `key: reason`.
+        unreadable: recordings that are missing, and frames whose points could not be counted, as `key: reason`.
         uncounted: frames whose points were not counted because the time was used up; the next check continues.
     """
 
@@ -117,9 +124,14 @@ def check_project(project: Project, frame_id: int | None = None, budget_s: float
         WarningRow(kind=w.kind, frame=w.frame.id, key=w.frame.key, recording=w.recording, uid=w.uid, message=w.message)
         for w in warnings
     )
+    recordings = project.recordings.all() if frame_id is None else ()
+    gone = (why_gone(each.path, each.name, project.path.name) for each in recordings)
     checked = [e for e in project.labels.select(states=CHECKED_STATES) if frame_id in (None, e.frame_id)]
     return CheckReport(
-        warnings=rows, labels=len(checked), unreadable=tuple(counts.unreadable), uncounted=counts.unknown
+        warnings=rows,
+        labels=len(checked),
+        unreadable=(*filter(None, gone), *counts.unreadable),
+        uncounted=counts.unknown,
     )
 
 
@@ -142,7 +154,8 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
         by_frame[entry.frame_id].append(entry.label)
     usual = usual_sizes((e.label.label, e.label.box.size_m) for e in stored if e.label.state in REVIEWED)
     tracks = _Tracks(stored, frames)
-    classes = set(project.config.classes)
+    config = project.config
+    classes, attributes, of_frames = set(config.classes), config.attributes, project.frames.attributes()
     before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
     warnings: list[LabelWarning] = []
     for frame in frames.values():
@@ -152,6 +165,9 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
         earlier = by_frame.get(before.get(frame.id, -1), [])
         lines = [
             *_class(labels, classes),
+            *_attributes(labels, attributes),
+            *_of_frame(labels[0], attributes, of_frames.get(frame.id, {})),
+            *tracks.contradicting(labels, frame, attributes),
             *_sizes(labels, usual, tracks, frame),
             *_lines(Kind.HEADING, labels, heading_jumps(labels, earlier)),
             *_lines(Kind.DUPLICATE, labels, _duplicates(labels)),
@@ -179,12 +195,29 @@ class _Tracks:
         reviewed = ((key, label.box.size_m) for label, key in tracked if label.state in REVIEWED)
         self.usual = usual_sizes(reviewed, TRACK_SIZE_FACTOR)
         self._classes: dict[str, Counter[str]] = defaultdict(Counter)
+        self._values: dict[tuple[str, str], Counter[AttributeValue]] = defaultdict(Counter)
         for label, key in tracked:
             self._classes[key][label.label] += 1
+            for name, value in label.attributes.items():
+                self._values[key, name][value] += 1
 
     def key(self, label: Label, frame: StoredFrame) -> str:
         """Returns a track's name within the project."""
         return f"{frame.recording_id}/{label.track_id}"
+
+    def contradicting(
+        self, labels: Sequence[Label], frame: StoredFrame, attributes: Sequence[Attribute]
+    ) -> Iterator[Line]:
+        """Yields values of tracks that differ from those in other frames."""
+        names = [each.name for each in attributes if each.of is AttributeOf.TRACK]
+        for label in labels if names else ():
+            for name in names if label.track_id is not None else ():
+                values = self._values[self.key(label, frame), name]
+                value = label.attributes.get(name)
+                if value is not None and len(values) > 1 and value != values.most_common(1)[0][0]:
+                    most = values.most_common(1)[0][0]
+                    message = f"{name} of track {label.track_id} is mostly {most}, but {value} here"
+                    yield Kind.ATTRIBUTE, label.uid, message
 
     def odd(self, labels: Sequence[Label], frame: StoredFrame) -> Iterator[Line]:
         """Yields labels of a frame that contradict their tracks."""
@@ -198,6 +231,26 @@ class _Tracks:
             most = self._classes[self.key(label, frame)].most_common(1)[0][0]
             if most != label.label:
                 yield Kind.TRACK, label.uid, f"track {label.track_id} is mostly {most}, but {label.label} here"
+
+
+def _attributes(labels: Sequence[Label], attributes: Sequence[Attribute]) -> Iterator[Line]:
+    known = {each.name: each for each in attributes}
+    for label in labels:
+        for each in attributes:
+            if each.required and each.is_of(label.label) and each.name not in label.attributes:
+                yield Kind.ATTRIBUTE, label.uid, f"this {label.label} has no value of {each.name}, which is required"
+        for name, value in label.attributes.items():
+            if name not in known or not known[name].is_of(label.label):
+                yield Kind.ATTRIBUTE, label.uid, f"this {label.label} has {name} = {value}, but no such attribute"
+            elif not known[name].fits(value):
+                yield Kind.ATTRIBUTE, label.uid, f"{name} is {value}; it must be {known[name].values_text()}"
+
+
+def _of_frame(first: Label, attributes: Sequence[Attribute], values: Mapping[str, AttributeValue]) -> Iterator[Line]:
+    """Yields what a frame lacks, as a finding about its first label."""
+    for each in attributes:
+        if each.of is AttributeOf.FRAME and each.required and each.default is None and each.name not in values:
+            yield Kind.ATTRIBUTE, first.uid, f"this frame has no value of {each.name}, which is required"
 
 
 def _sizes(
@@ -227,7 +280,11 @@ def _previous_frames(frames: Iterable[StoredFrame], sequences: set[int]) -> dict
 def _class(labels: Sequence[Label], classes: set[str]) -> Iterator[Line]:
     for label in labels:
         if label.label not in classes:
-            yield Kind.CLASS, label.uid, f"the project has no class {label.label!r}"
+            yield (
+                Kind.CLASS,
+                label.uid,
+                f"the project has no class {label.label!r}; {alternatives(label.label, classes)}",
+            )
 
 
 def _duplicates(labels: Sequence[Label]) -> Iterator[tuple[int, str]]:

@@ -201,7 +201,7 @@ def find_sources(path: Path) -> Iterator[SourceOrError]:
         is_empty = False
         yield source
     if is_empty:
-        # raises an error that lists what each reader looked for
+        # raises an error that says what the path looks like
         open_recording(path)
 
 

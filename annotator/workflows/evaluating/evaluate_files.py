@@ -21,11 +21,16 @@ from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.formats.kitti.label_files import KittiLabel
 from annotator.formats.kitti.label_folders import read_kitti_folder
 from annotator.formats.rcv import read_rcv
+from annotator.formats.rcv.export import MANIFEST
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import ConfigError, FormatError
 
 # Used for boxes without a score.
 DEFAULT_SCORE = 1.0
+SCORE_PROJECT = (
+    "to score boxes of another format, add their recording to a project, and its boxes with `annotator add` or "
+    "`annotator import`; then `annotator evaluate --project PROJECT`"
+)
 
 
 class Protocol(StrEnum):
@@ -137,6 +142,11 @@ def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:
 
 
 def _sunrgbd(detections: Path, truth: Path, options: Options) -> Report:
+    for path in (detections, truth):
+        if path.is_dir() or path.suffix == ".json":
+            raise FormatError(
+                path, f"is no CSV file of boxes, one for all images (image,class,cx,...); {SCORE_PROJECT}"
+            )
     detected, true = read_box_csv(detections, scored=True), read_box_csv(truth, scored=False)
     if detected and not {row.image for row in detected} & {row.image for row in true}:
         raise ConfigError(
@@ -194,9 +204,11 @@ def box_table(frames: Sequence[Sequence[ScoredBox]]) -> BoxTable:
 
 def _rcv_boxes(path: Path) -> dict[str, list[ScoredBox]]:
     """Reads the boxes of each frame by `RECORDING/KEY`, without rejected ones."""
+    if path.exists() and not (path / MANIFEST).is_file():
+        raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}; {SCORE_PROJECT}")
     dataset, boxes = read_rcv(path), {}
     for index in range(len(dataset)):
-        name, labels = dataset.named_labels(index)
+        name, labels, _ = dataset.named_labels(index)
         if name in boxes:
             raise FormatError(path, f"frame {name} occurs twice; remove one")
         accepted = (label for label in labels if label.state is not ReviewState.REJECTED)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
+from annotator.types.names import alternatives
 from annotator.workflows.exporting.split import Split, assign
 from annotator.workflows.rigs import once
 
@@ -100,7 +101,7 @@ def labels_by_frame(
     """
     name, classes = project.config.name, project.config.classes
     if unknown := sorted(set(choose.classes or ()) - set(classes)):
-        raise ConfigError(f"project {name} has no class {', '.join(unknown)}; it has {', '.join(classes)}")
+        raise ConfigError(f"project {name} has no class {unknown[0]!r}; {alternatives(unknown[0], classes)}")
     labels: dict[int, list[StoredLabel]] = defaultdict(list)
     for entry in project.labels.select(states=states, recordings=choose.recordings, classes=choose.classes):
         labels[entry.frame_id].append(entry)

@@ -15,6 +15,7 @@ from annotator.formats.nuscenes import write_nuscenes
 from annotator.formats.openlabel import write_openlabel
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv
 from annotator.formats.sunrgbd.folder import write_sunrgbd
+from annotator.formats.sustechpoints import write_sustechpoints
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import base_titles, lifted_from
 from annotator.workflows.exporting.job import ExportJob, ExportReport
@@ -171,3 +172,11 @@ def nuscenes_tables(job: ExportJob) -> ExportReport:
         overwrite=job.overwrite,
     )
     return job.report("nuscenes", dict(objects))
+
+
+def sustechpoints_scenes(job: ExportJob) -> ExportReport:
+    """Writes SUSTechPOINTS' data folder."""
+    objects = write_sustechpoints(
+        job.out, job.items(), job.losses, image_format=job.options.image_format, overwrite=job.overwrite
+    )
+    return job.report("sustechpoints", dict(objects))

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from annotator.formats.attributes import Values
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.losses import Loss, Losses
+from annotator.formats.losses import Loss, Losses, Lost
 from annotator.project import Project
+from annotator.project.classes.attributes import AttributeOf
+from annotator.recordings import Recording
+from annotator.recordings.clouds.cloud_folder import CloudFolder
+from annotator.recordings.look_around import LookAround
+from annotator.recordings.rig import Scanned
+from annotator.types.label import AttributeValue
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
 from annotator.workflows.frame_source import FrameSource
 
@@ -96,10 +104,27 @@ class ExportJob:
         """
         source = FrameSource(self.project)
         for number, chosen in enumerate(self.chosen, 1):
-            labels = [entry.label for entry in chosen.labels]
-            yield DatasetItem(chosen.recording, source.read(chosen.stored), labels, chosen.split)
+            labels = [
+                replace(entry.label, said=tuple(each.said() for each in entry.said)) if entry.said else entry.label
+                for entry in chosen.labels
+            ]
+            if _is_cut(source.recording(chosen.stored.recording_id)):
+                self.losses.add(Lost.CUT)
+            values = self.frame_values(chosen.stored.id)
+            yield DatasetItem(chosen.recording, source.read(chosen.stored), labels, chosen.split, values)
             if self.progress is not None:
                 self.progress(number, len(self.chosen))
+
+    def frame_values(self, frame_id: int) -> Values:
+        """Returns the values of a frame's attributes, with the defaults of those that it lacks."""
+        given, defaults = self._frame_values
+        return defaults | given.get(frame_id, {})
+
+    @cached_property
+    def _frame_values(self) -> tuple[dict[int, dict[str, AttributeValue]], dict[str, AttributeValue]]:
+        of_frames = [each for each in self.project.config.attributes if each.of is AttributeOf.FRAME]
+        defaults = {each.name: each.default for each in of_frames if each.default is not None}
+        return self.project.frames.attributes(), defaults
 
     def report(self, format: str, objects_by_class: dict[str, int], frames: int | None = None) -> ExportReport:
         """Returns the report, with the losses counted so far; `frames` overrides the number of chosen frames."""
@@ -112,3 +137,9 @@ class ExportJob:
             splits=dict(Counter(c.split for c in self.chosen if c.split is not None)),
             losses=self.losses.report(),
         )
+
+
+def _is_cut(recording: Recording) -> bool:
+    """True if the frames' clouds are the part of a scan that the camera sees."""
+    whole = isinstance(recording, CloudFolder) and recording.images is None
+    return isinstance(recording, LookAround) or (isinstance(recording, Scanned) and not whole)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import new_folder
+from annotator.formats.attributes import NO_VALUES, Values
 from annotator.formats.coco_dataset import CocoWriter, is_coco_dataset
 from annotator.formats.dataset_writing import (
     DatasetItem,
@@ -33,7 +34,7 @@ from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.rigs import Rigs
-from annotator.workflows.views.outlines import undrawn
+from annotator.workflows.views.outlines import drawn_of, outlines
 from annotator.workflows.views.places import ViewPlace, write_places
 
 # Thinner boxes are left out, pixels.
@@ -50,7 +51,7 @@ Make = Callable[[Path, Sequence[str], Sequence[str]], PictureWriter]
 
 def coco_dataset(job: ExportJob) -> ExportReport:
     """Writes a COCO detection dataset. Raises as `write_pictures`."""
-    return write_pictures(job, "coco", CocoWriter, is_coco_dataset)
+    return write_pictures(job, "coco", CocoWriter, is_coco_dataset, holds_values=True)
 
 
 def yolo_dataset(job: ExportJob) -> ExportReport:
@@ -64,12 +65,15 @@ def yolo_dataset(job: ExportJob) -> ExportReport:
     return report if report.splits else report.model_copy(update={"notes": (UNDIVIDED,)})
 
 
-def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable[[Path], bool]) -> ExportReport:
+def write_pictures(
+    job: ExportJob, format: str, make: Make, is_dataset: Callable[[Path], bool], holds_values: bool = False
+) -> ExportReport:
     """Writes the dataset atomically.
 
     Args:
         make: creates the format's writer from a folder, the classes and the names of the parts.
         is_dataset: True for a folder that is a dataset of this format, which may be replaced.
+        holds_values: whether the format holds values of attributes.
 
     Raises:
         FormatError: `job.out` exists, or writing fails.
@@ -81,7 +85,7 @@ def write_pictures(job: ExportJob, format: str, make: Make, is_dataset: Callable
     with new_folder(job.out, lambda old: job.overwrite and is_dataset(old) and (old / FRAMES_CSV).is_file()) as folder:
         with writing(job.out):
             writer = make(folder, job.classes, parts)
-        tally = _Tally(job, parts)
+        tally = _Tally(job, parts, holds_values)
         for picture in tally.pictures():
             with writing(job.out):
                 writer.add(picture)
@@ -100,6 +104,7 @@ class _Tally:
 
     job: ExportJob
     parts: tuple[str, ...]
+    holds_values: bool
     names: FileNames = field(default_factory=FileNames)
     origins: list[FrameOrigin] = field(default_factory=list)
     places: dict[str | None, list[ViewPlace]] = field(default_factory=lambda: defaultdict(list))
@@ -144,24 +149,45 @@ class _Tally:
     def _image(self, chosen: ChosenPictures, frame: Frame, others: Sequence[Label]) -> LabelledPicture:
         losses, image_format = self.job.losses, self.job.options.image_format
         labels = [*(entry.label for entry in chosen.labels), *others]
-        drawn = () if chosen.drawn is None else chosen.drawn.boxes
-        seen = undrawn(frame.camera, labels, drawn, MIN_SIDE_PX)
+        drawn = () if chosen.drawn is None else of_classes(chosen.drawn.boxes, self.job.choose.classes)
+        every = outlines(frame.camera, labels, MIN_SIDE_PX)
+        drawn_places = drawn_of(every, drawn)
+        seen = {uid: box for uid, box in every.items() if uid not in drawn_places}
         # a drawn box replaces its label; the other labels are exported as their outlines
         outlined = [label for label in labels if not drawn or label.uid in seen]
         count_lost(
             losses, DatasetItem(chosen.recording, frame, outlined), (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.TIME)
         )
         losses.add(Lost.SOLID, len(outlined))
+        losses.add(Lost.SAID, sum(bool(entry.said) for entry in chosen.labels))
         losses.add(Lost.OUTSIDE, len(outlined) - len(seen))
-        boxes = [*of_classes(drawn, self.job.choose.classes), *seen.values()]
+        values = {label.uid: label.attributes for label in labels}
+        of_drawn = {place: values[uid] for uid, place in drawn_places.items()}
+        boxes = [(box, of_drawn.get(place, NO_VALUES)) for place, box in enumerate(drawn)]
+        boxes += [(box, values[uid]) for uid, box in seen.items()]
         kind = BoxKind.BOX if chosen.drawn is None else chosen.drawn.box_kind
         stem = self.names.add(chosen.recording, chosen.stored.key)
         self.origins.append(FrameOrigin(stem, chosen.recording, chosen.stored.key, chosen.split))
         height_px, width_px = frame.rgb.shape[:2]
-        kept = _fit(boxes, width_px, height_px, kind, losses)
+        kept = _fit(boxes, width_px, height_px, losses)
+        of_boxes = tuple(each for _, each in kept) if self.holds_values and any(each for _, each in kept) else ()
+        of_frame = self.job.frame_values(chosen.stored.id)
+        held = Counter(name for each in (*of_boxes, of_frame if self.holds_values else NO_VALUES) for name in each)
+        losses.add_values((Counter(name for each in (*values.values(), of_frame) for name in each) - held).elements())
+        losses.add(Lost.KIND, 0 if kind is BoxKind.BOX else len(seen))
         with writing(self.job.out):
             content = encoded_image(frame.rgb, image_format)
-        return LabelledPicture(f"{stem}.{image_format}", content, width_px, height_px, kept, chosen.split)
+        return LabelledPicture(
+            f"{stem}.{image_format}",
+            content,
+            width_px,
+            height_px,
+            tuple(box for box, _ in kept),
+            chosen.split,
+            kind,
+            of_boxes,
+            of_frame,
+        )
 
     def _view(self, view: ViewBoxes, part: str | None, origin: tuple[str, str] | None) -> LabelledPicture:
         """Returns a pseudo-view, always as PNG: an import recognises it by its bytes."""
@@ -175,9 +201,9 @@ class _Tally:
         )
         views = self.job.project.views
         content, (width_px, height_px) = views.content(view.view_id), views.size(view.view_id)
-        boxes = of_classes(view.boxes, self.job.choose.classes)
-        kept = _fit(boxes, width_px, height_px, view.box_kind, self.job.losses)
-        return LabelledPicture(name, content, width_px, height_px, kept, part)
+        boxes = [(box, NO_VALUES) for box in of_classes(view.boxes, self.job.choose.classes)]
+        kept = tuple(box for box, _ in _fit(boxes, width_px, height_px, self.job.losses))
+        return LabelledPicture(name, content, width_px, height_px, kept, part, view.box_kind)
 
     def write_places(self, folders: Mapping[str, Path]) -> None:
         only_part = next(iter(folders))
@@ -185,20 +211,20 @@ class _Tally:
             write_places(folders[part or only_part], places)
 
 
-def _fit(boxes: Sequence[Box2D], width_px: int, height_px: int, kind: BoxKind, losses: Losses) -> tuple[Box2D, ...]:
-    """Returns the boxes clipped to their image; counts boxes outside it and duplicates."""
-    clipped: list[Box2D] = []
-    for box in boxes:
+def _fit(
+    boxes: Sequence[tuple[Box2D, Values]], width_px: int, height_px: int, losses: Losses
+) -> list[tuple[Box2D, Values]]:
+    """Returns the boxes clipped to their image, with their values; counts boxes outside it and duplicates."""
+    clipped: list[tuple[Box2D, Values]] = []
+    for box, values in boxes:
         cut = clip_to_image(box, width_px, height_px, MIN_SIDE_PX)
         if cut is None:
             losses.add(Lost.OUTSIDE)
-        elif any(_is_same(cut, other) for other in clipped):
+        elif any(_is_same(cut, other) for other, _ in clipped):
             losses.add(Lost.SAME)
         else:
-            clipped.append(cut)
-    if kind is BoxKind.BOX:
-        losses.add(Lost.KIND, len(clipped))
-    return tuple(clipped)
+            clipped.append((cut, values))
+    return clipped
 
 
 def _is_same(box: Box2D, other: Box2D) -> bool:

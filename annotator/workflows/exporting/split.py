@@ -15,6 +15,8 @@ from annotator.types.errors import ConfigError
 
 # Parts become the names of files and folders.
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
+# Shares may be rounded: 0.33 three times.
+SUM_TOLERANCE = 0.015
 
 
 class SplitBy(StrEnum):
@@ -43,7 +45,8 @@ def parse_shares(text: str) -> dict[str, float]:
     """Parses shares such as "train=0.8,val=0.2", or ratios such as "train=4,val=1".
 
     Raises:
-        ConfigError: another form, a part that occurs twice, or a share that is not positive.
+        ConfigError: another form, a part that occurs twice, a share that is not positive, or shares (no ratios in whole
+            numbers) whose sum is not 1.
     """
     shares: dict[str, float] = {}
     for part in text.split(","):
@@ -58,6 +61,12 @@ def parse_shares(text: str) -> dict[str, float]:
             )
         shares[name] = value
     total = sum(shares.values())
+    if abs(total - 1) > SUM_TOLERANCE and not all(share.is_integer() for share in shares.values()):
+        fitting = ",".join(f"{name}={share / total:.2g}" for name, share in shares.items())
+        raise ConfigError(
+            f"the shares of the split {text!r} add up to {total:.3g}, not to 1; write {fitting}, or ratios in whole "
+            "numbers, as in train=4,val=1"
+        )
     return {name: share / total for name, share in shares.items()}
 
 

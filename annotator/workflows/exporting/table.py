@@ -25,6 +25,7 @@ class ExportFormat(StrEnum):
     OPENLABEL = "openlabel"
     LABELCLOUD = "labelcloud"
     NUSCENES = "nuscenes"
+    SUSTECHPOINTS = "sustechpoints"
 
 
 @dataclass(frozen=True)
@@ -71,4 +72,7 @@ WRITERS: dict[ExportFormat, Writer] = {
         "a labelCloud project; fully oriented boxes", REVIEWED, formats_3d.labelcloud_project
     ),
     ExportFormat.NUSCENES: Writer("nuScenes tables; fully oriented boxes", REVIEWED, formats_3d.nuscenes_tables),
+    ExportFormat.SUSTECHPOINTS: Writer(
+        "SUSTechPOINTS' scenes; fully oriented boxes with track ids", REVIEWED, formats_3d.sustechpoints_scenes
+    ),
 }

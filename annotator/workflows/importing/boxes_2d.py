@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
+from annotator.workflows.importing.boxes_3d import PROGRAM, Importer
+from annotator.workflows.importing.class_names import NO_NAMES
 from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.importing.image_boxes import PROGRAM, Importer, Stored, checked_images, store_on_image
+from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
+from annotator.workflows.importing.image_values import ImageValues, TakenValues
 from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
 from annotator.workflows.importing.view_boxes import checked_views, store_on_view
 from annotator.workflows.views.places import ViewPlace, read_places
-
-NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Imported:
         replaced: number of images whose boxes, drawn by other authors, were replaced.
         finalised: number of images left unchanged because their frame is finalised.
         renamed: the dataset's only recording, if it was matched with one of another name.
+        values: what became of the attributes of boxes and images.
     """
 
     pictures: int
@@ -48,12 +49,13 @@ class Imported:
     replaced: int = 0
     finalised: int = 0
     renamed: Renamed | None = None
+    values: TakenValues = field(default_factory=TakenValues)
 
 
 def import_image_boxes(
     project: Project,
     path: Path,
-    kind: BoxKind,
+    kind: BoxKind | None,
     recording: str | None = None,
     format: FlatFormat = FlatFormat.COCO,
     names: Mapping[str, str] = NO_NAMES,
@@ -62,14 +64,15 @@ def import_image_boxes(
 ) -> Imported:
     """Imports boxes of camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg`: 000012).
 
-    An image without boxes is stored as empty. Finalised frames stay unchanged; on all others the boxes replace existing
+    An image without boxes is stored as empty. Attributes of the boxes go to the 3D labels that they show
+    (`image_values.py`). Finalised frames stay unchanged; on all others the boxes replace existing
     ones, and replaced boxes of other authors are counted. If a box is removed, the boxes on the
     pseudo-views that were rendered from it are removed, too. Images listed in a `views.json` beside them are
     pseudo-views, imported as in `import_view_boxes`.
 
     Args:
         path: a file, or the folder of a dataset.
-        kind: what the boxes measure.
+        kind: what the boxes measure; None = as the dataset says, else silhouettes.
         recording: name of the recording of the file names, if several recordings have such frames.
         names: the project's class of each class of the file; classes that are not listed keep their names.
         progress: called with (images stored, images).
@@ -95,7 +98,12 @@ def import_image_boxes(
 
 
 def import_view_boxes(
-    project: Project, path: Path, pictures: Path, kind: BoxKind, format: FlatFormat = FlatFormat.COCO
+    project: Project,
+    path: Path,
+    pictures: Path,
+    kind: BoxKind | None,
+    format: FlatFormat = FlatFormat.COCO,
+    names: Mapping[str, str] = NO_NAMES,
 ) -> Imported:
     """Imports boxes of pseudo-views; their images in the folder `pictures` are copied into the project.
 
@@ -108,14 +116,14 @@ def import_view_boxes(
         ProjectError: a frame that the project does not have.
     """
     dataset = read_pictures(format, path, pictures)
-    return _import(project, dataset, {pictures: read_places(pictures)}, kind, None, all_views=True)
+    return _import(project, dataset, {pictures: read_places(pictures)}, kind, None, all_views=True, names=names)
 
 
 def _import(
     project: Project,
     dataset: PictureSet,
     places: dict[Path, dict[str, ViewPlace]],
-    kind: BoxKind,
+    kind: BoxKind | None,
     recording: str | None,
     all_views: bool,
     names: Mapping[str, str] = NO_NAMES,
@@ -136,15 +144,23 @@ def _import(
     drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
     for view in views:
         drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
+    values = ImageValues(project)
     for done, image in enumerate(images.matched if images is not None else (), start=1):
         known, base = tally.known(image.boxes), drawn_from[image.frame_id]
-        tally.add(image.boxes, store_on_image(project, dataset.path, image, known, kind, base, importer))
+        measured = kind or image.labels.box_kind or BoxKind.SILHOUETTE
+        stored = store_on_image(project, dataset.path, image, known, measured, base, importer)
+        tally.add(image.boxes, stored)
+        if stored is not Stored.LEFT_ALONE:
+            values.take(image, names, importer)
         if progress is not None and images is not None:
             progress(done, len(images.matched))
     stored_images = tally.pictures
     revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
+    for picture, _ in on_views:
+        values.leave_out(picture)
     for view in views:
-        tally.add(view.boxes, store_on_view(project, view, tally.known(view.boxes), kind, revisions))
+        measured = kind or view.box_kind or BoxKind.SILHOUETTE
+        tally.add(view.boxes, store_on_view(project, view, tally.known(view.boxes), measured, revisions))
     return Imported(
         tally.pictures,
         tally.boxes,
@@ -155,6 +171,7 @@ def _import(
         tally.outcomes[Stored.REPLACED],
         tally.outcomes[Stored.LEFT_ALONE],
         images.renamed if images is not None else None,
+        values.taken,
     )
 
 

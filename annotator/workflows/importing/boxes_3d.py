@@ -3,19 +3,38 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from annotator.project import NewLabel, Project, StoredFrame, WriteContext
+from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project.classes.completing import ValueReader
+from annotator.project.event_types import FrameAttributesSet
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
+from annotator.types.label import AttributeValue, Said
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
-from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, LabelSet
 
 AUTHOR = "import"
+
+
+@dataclass(frozen=True)
+class Importer:
+    """Who imports.
+
+    Attributes:
+        action: id of the action (`project.new_action`) that undoes the whole import; None = it cannot be undone.
+    """
+
+    author: str = AUTHOR
+    action: str | None = None
+
+
+PROGRAM = Importer()
 
 
 @dataclass
@@ -31,6 +50,7 @@ class ImportedLabels:
         unreadable: frames that cannot be read, as `key: reason`.
         not_reviewed: number of boxes on `frames` left out because they are not accepted in the dataset.
         scores: number of scores on `frames` left out because they are not confidences in 0..1.
+        values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
@@ -42,6 +62,7 @@ class ImportedLabels:
     unreadable: list[str] = field(default_factory=list)
     not_reviewed: int = 0
     scores: int = 0
+    values: Counter[str] = field(default_factory=Counter)
     renamed: Renamed | None = None
 
 
@@ -65,21 +86,26 @@ def import_labels(
     dataset: LabelSet,
     recording: str | None = None,
     progress: Callable[[int, int], None] | None = None,
+    names: Mapping[str, str] = NO_NAMES,
+    importer: Importer = PROGRAM,
 ) -> ImportedLabels:
     """Imports the boxes of every frame without labels; each becomes an accepted label with the source imported.
 
     Args:
         recording: name of the recording of plain frame names, if several recordings have such frames.
         progress: called with (frames done, frames).
+        names: the project's class of each class of the dataset; classes that are not listed keep their names.
 
     Raises:
         FormatError: none of the labelled frames is in the project, or a name fits several.
         NotFoundError: no such recording.
         RecordingError: a recording has been moved.
     """
+    dataset = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
     frames = match_frames(project, dataset.path, dataset.frames, recording)
     source, done = FrameSource(project), ImportedLabels(unmatched=frames.unmatched, renamed=frames.renamed)
-    classes = set(project.config.classes)
+    config = project.config
+    classes, reader = set(config.classes), ValueReader(config.attributes)
     for number, (name, stored) in enumerate(frames.matched, 1):
         if stored.finalised or project.labels.of_frame(stored.id):
             done.already += 1
@@ -89,13 +115,24 @@ def import_labels(
             except FrameError as error:
                 done.unreadable.append(f"{stored.key}: {error}")
             else:
-                done.other_classes.update(t.label for t in truths if t.label not in classes)
+                named = [(t, renamed_class(t.label, names)) for t in truths]
+                done.other_classes.update(t.label for t, label in named if label not in classes)
                 new = [
-                    NewLabel(t.label, t.box, t.score, t.track_id, box_kind=t.box_kind)
-                    for t in truths
-                    if t.label in classes
+                    NewLabel(
+                        label,
+                        t.box,
+                        t.score,
+                        t.track_id,
+                        box_kind=t.box_kind,
+                        attributes=reader.of_label(label, t.attributes),
+                        said=_known(t.said, names, classes),
+                    )
+                    for t, label in named
+                    if label in classes
                 ]
-                if create_if_unlabelled(project, stored.id, new, AUTHOR):
+                if create_if_unlabelled(project, stored.id, new, importer.author, importer.action):
+                    if isinstance(dataset, HasFrameValues) and (values := reader.of_frame(dataset.values_of(name))):
+                        _set_values(project, stored.id, values, importer)
                     done.frames += 1
                     done.labels.update(label.label for label in new)
                     left_out = dataset.left_out_of(name)
@@ -105,17 +142,43 @@ def import_labels(
                     done.already += 1
         if progress is not None:
             progress(number, len(frames.matched))
+    done.values = reader.left_out
     return done
 
 
+def _known(said: Sequence[Said], names: Mapping[str, str], classes: Collection[str]) -> tuple[Said, ...]:
+    """Returns what sources said, in the project's classes; nothing of other classes."""
+    named = (replace(each, label=renamed_class(each.label, names)) for each in said)
+    return tuple(each for each in named if each.label in classes)
+
+
+def _set_values(project: Project, frame_id: int, values: Mapping[str, AttributeValue], importer: Importer) -> None:
+    """Gives a frame the values that it lacks."""
+    while True:
+        missing = dict(values) | project.frames.attributes_of(frame_id)
+        revision = project.frames.get(frame_id).revision
+        with suppress(StaleRevisionError):
+            context = WriteContext(revision, importer.author, Source.IMPORTED)
+            part = FramePart(frame_id, [FrameAttributesSet(attributes=missing)], context)
+            project.log.append_to_frames([part], importer.action)
+            return
+
+
 def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
-    """Returns the objects of a frame of a dataset, boxes in the camera frame.
+    """Returns the objects of a frame of a dataset, boxes in the camera frame. Raises FormatError: as `within_range`."""
+    with within_range(dataset, name):
+        return dataset.truths(name, frame)
+
+
+@contextmanager
+def within_range(dataset: LabelSet, name: str) -> Iterator[None]:
+    """While the boxes of a frame are read.
 
     Raises:
         FormatError: the transform to the camera frame moves a box out of range; or as `LabelSet.truths`.
     """
     try:
-        return dataset.truths(name, frame)
+        yield
     except ValueError as error:
         raise FormatError(dataset.path, f"{name}: {error}; correct its boxes or its calibration") from error
 
@@ -132,15 +195,10 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
         FormatError: a name fits frames of several recordings, two names fit one frame, or none fits any.
         NotFoundError: no such recording.
     """
-    order = {frame.id: place for place, frame in enumerate(project.frames.of())}
-    keys = {frame.key for frame in project.frames.of()}
-    # a recording's name cannot contain "/", a key can
-    places = {name: (None, name) if name in keys or "/" not in name else _place(name) for name in names}
-    finder = FrameFinder(project, recording, {place[0] for place in places.values() if place[0] is not None})
+    found, finder = found_frames(project, names, recording)
     matched: dict[int, tuple[str, StoredFrame]] = {}
     unmatched = []
-    for name, place in places.items():
-        frames = finder.find(*place)
+    for name, frames in found.items():
         if len(frames) > 1:
             several = ", ".join(map(finder.recording_of, frames))
             raise FormatError(path, f"{name} is a frame of several recordings ({several}); choose one with --recording")
@@ -151,11 +209,33 @@ def match_frames(project: Project, path: Path, names: Sequence[str], recording: 
         else:
             matched[frames[0].id] = (name, frames[0])
     if not matched:
-        shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
-        raise FormatError(path, f"the project has none of the dataset's frames ({shown or 'the dataset has none'})")
-    renamed = finder.renamed(stored for name, stored in matched.values() if places[name][0] is not None)
+        raise none_of(path, names)
+    keys = {stored.key for _, stored in matched.values()}
+    renamed = finder.renamed(stored for name, stored in matched.values() if name not in keys)
+    order = {frame.id: place for place, frame in enumerate(project.frames.of())}
     in_order = sorted(matched.values(), key=lambda pair: order[pair[1].id])
     return MatchedFrames(tuple(in_order), tuple(unmatched), renamed)
+
+
+def found_frames(
+    project: Project, names: Sequence[str], recording: str | None
+) -> tuple[dict[str, list[StoredFrame]], FrameFinder]:
+    """Returns the project's frames that each name fits, and what found them. Arguments as `match_frames`."""
+    keys = {frame.key for frame in project.frames.of()}
+    # a recording's name cannot contain "/", a key can
+    places = {name: (None, name) if name in keys or "/" not in name else _place(name) for name in names}
+    finder = FrameFinder(project, recording, {place[0] for place in places.values() if place[0] is not None})
+    return {name: finder.find(*place) for name, place in places.items()}, finder
+
+
+def none_of(path: Path, names: Sequence[str]) -> FormatError:
+    """The error for a dataset without a frame of the project."""
+    if not names:
+        return FormatError(path, "has no frames, so there is nothing to import")
+    shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+    return FormatError(
+        path, f"the project has none of the dataset's frames ({shown}); first add their recording (`annotator add`)"
+    )
 
 
 def _place(name: str) -> tuple[str, str]:
@@ -163,7 +243,9 @@ def _place(name: str) -> tuple[str, str]:
     return recording, key
 
 
-def create_if_unlabelled(project: Project, frame_id: int, new: Sequence[NewLabel], author: str) -> bool:
+def create_if_unlabelled(
+    project: Project, frame_id: int, new: Sequence[NewLabel], author: str, action: str | None = None
+) -> bool:
     """Stores imported labels; returns False if the frame has labels or is finalised, even by a concurrent edit.
 
     A finalised frame without labels is confirmed as empty.
@@ -176,5 +258,5 @@ def create_if_unlabelled(project: Project, frame_id: int, new: Sequence[NewLabel
             return True
         # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            project.labels.create(frame_id, new, WriteContext(stored.revision, author, Source.IMPORTED))
+            project.labels.create(frame_id, new, WriteContext(stored.revision, author, Source.IMPORTED), action)
             return True

@@ -2,28 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.attributes import Values
+from annotator.formats.boxes_json import each_frame
 from annotator.formats.kitti.box_rows import label_frame
-from annotator.formats.kitti.label_folders import Frames, read_kitti_labels, read_kitti_shifts
+from annotator.formats.kitti.label_folders import each_kitti_frame, read_kitti_shifts
 from annotator.formats.kitti.tracking_folder import read_kitti_tracks
 from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
-from annotator.formats.nuscenes import NuScenesBox, read_nuscenes
+from annotator.formats.nuscenes import NuScenesBox, is_seen, read_nuscenes, read_results
 from annotator.formats.openlabel import OpenLabelBox, OpenLabelFrame, read_openlabel
+from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.rcv import read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_folder
 from annotator.formats.sunrgbd.meta_table import read_meta
 from annotator.formats.sunrgbd.upright_depth import upright_frame
-from annotator.project import REVIEWED
+from annotator.formats.sustechpoints import SustechFrame, read_sustechpoints
+from annotator.project import REVIEWED, Project
+from annotator.recordings.look_around import LookAround
+from annotator.recordings.nuscenes.recording import NuScenes
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
-from annotator.types import Frame, Label, Truth
-from annotator.workflows.importing.label_set import LeftOut, are_confidences
+from annotator.types import Frame, Label, ReviewState, Truth
+from annotator.types.errors import FormatError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing.label_set import LeftOut, ScoreRange
+
+
+def _with_confidences(truths: Sequence[Truth], scores: ScoreRange | None) -> list[Truth]:
+    """Labels keep scores only if all of the dataset are in 0..1, as confidences are."""
+    confident = scores is None or scores.are_confidences
+    return list(truths) if confident else [replace(truth, score=None) for truth in truths]
+
+
+def _lost(objects: Sequence[Truth] | Sequence[OpenLabelBox], scores: ScoreRange | None) -> int:
+    """Number of scores that `_with_confidences` leaves out."""
+    confident = scores is None or scores.are_confidences
+    return 0 if confident else sum(each.score is not None for each in objects)
 
 
 @dataclass(frozen=True)
@@ -32,17 +53,45 @@ class RcvLabels:
 
     path: Path
     labels: dict[str, tuple[Label, ...]]
+    values: Mapping[str, Values] = field(default_factory=dict)
 
     @property
     def frames(self) -> Sequence[str]:
         return tuple(self.labels)
 
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.labels[name]]
+
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        reviewed = (label for label in self.labels[name] if label.state in REVIEWED)
-        return [Truth(one.label, one.box, one.track_id, one.score, box_kind=one.box_kind) for one in reviewed]
+        return [_truth(label) for label in self.labels[name] if label.state in REVIEWED]
+
+    def values_of(self, name: str) -> Values:
+        return self.values.get(name, {})
 
     def left_out_of(self, name: str) -> LeftOut:
         return LeftOut(not_reviewed=sum(label.state not in REVIEWED for label in self.labels[name]))
+
+    @property
+    def scores(self) -> ScoreRange | None:
+        return ScoreRange.of(label.score for labels in self.labels.values() for label in labels)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.labels[name] if each.state is not ReviewState.REJECTED]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        return [_truth(label) for label in self.labels[name] if label.state is not ReviewState.REJECTED]
+
+
+def _truth(label: Label) -> Truth:
+    return Truth(
+        label.label,
+        label.box,
+        label.track_id,
+        label.score,
+        box_kind=label.box_kind,
+        attributes=label.attributes,
+        said=label.said,
+    )
 
 
 def rcv_labels(path: Path) -> RcvLabels:
@@ -51,7 +100,9 @@ def rcv_labels(path: Path) -> RcvLabels:
     Raises FormatError: not an `rcv` dataset, or a label file that does not follow the format.
     """
     dataset = read_rcv(path)
-    return RcvLabels(path, dict(dataset.named_labels(i) for i in range(len(dataset))))
+    frames = [dataset.named_labels(i) for i in range(len(dataset))]
+    values = {name: values for name, _, values in frames}
+    return RcvLabels(path, {name: labels for name, labels, _ in frames}, values)
 
 
 @dataclass(frozen=True)
@@ -62,47 +113,51 @@ class KittiLabels:
     either, the labels are taken as being in the camera frame.
 
     Attributes:
-        objects: objects by frame name.
-        lost_scores: number of scores per frame that were removed because they are not confidences.
+        objects: objects by frame name, with their scores as in the file.
         shifts: shift from rectified camera 0 to the colour camera, metres, of frames with a calibration.
     """
 
     path: Path
-    objects: Frames
-    lost_scores: Mapping[str, int]
+    objects: PackedTruths
     shifts: Mapping[str, Float64[np.ndarray, "3"]]
 
     @property
     def frames(self) -> Sequence[str]:
         return tuple(self.objects)
 
+    @cached_property
+    def scores(self) -> ScoreRange | None:
+        return ScoreRange.of(self.objects.scores)
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.objects[name]]
+
     def truths(self, name: str, frame: Frame) -> list[Truth]:
+        truths = self.suggested(name, lambda: frame)
+        return _with_confidences(truths, self.scores)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.objects[name]]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
         shift = self.shifts.get(name)
-        T = label_frame(frame) if shift is None else RigidTransform.from_translation(shift)
+        T = label_frame(read()) if shift is None else RigidTransform.from_translation(shift)
         truths = self.objects[name]
         return list(truths) if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
 
     def left_out_of(self, name: str) -> LeftOut:
-        return LeftOut(scores=self.lost_scores.get(name, 0))
+        return LeftOut(scores=_lost(self.objects[name], self.scores))
 
 
 def kitti_labels(path: Path) -> KittiLabels:
-    """Reads a folder of KITTI object labels. Raises FormatError as `read_kitti_labels` and `read_kitti_shifts`."""
-    return _without_raw_scores(path, read_kitti_labels(path), read_kitti_shifts(path))
-
-
-def _without_raw_scores(path: Path, objects: Frames, shifts: Mapping[str, Float64[np.ndarray, "3"]]) -> KittiLabels:
-    """Returns the labels read from `path`; removes scores that are not confidences."""
-    if are_confidences(truth.score for truths in objects.values() for truth in truths):
-        return KittiLabels(path, objects, {}, shifts)
-    lost = {name: sum(truth.score is not None for truth in truths) for name, truths in objects.items()}
-    bare = {name: tuple(replace(truth, score=None) for truth in truths) for name, truths in objects.items()}
-    return KittiLabels(path, bare, lost, shifts)
+    """Reads a folder of KITTI object labels. Raises FormatError as `each_kitti_frame` and `read_kitti_shifts`."""
+    return KittiLabels(path, PackedTruths(each_kitti_frame(path)), read_kitti_shifts(path))
 
 
 def kitti_tracking_labels(path: Path) -> KittiLabels:
     """Reads KITTI tracking labels of whole sequences. Raises FormatError as `read_kitti_tracks`."""
-    return _without_raw_scores(path, *read_kitti_tracks(path))
+    objects, shifts = read_kitti_tracks(path)
+    return KittiLabels(path, PackedTruths(objects.items()), shifts)
 
 
 @dataclass(frozen=True)
@@ -122,8 +177,16 @@ class SunLabels:
     def frames(self) -> Sequence[str]:
         return tuple(self.objects)
 
+    scores = None
+
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        T = self.poses[name] if name in self.poses else upright_frame(frame)
+        return self.suggested(name, lambda: frame)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.objects[name]]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        T = self.poses[name] if name in self.poses else upright_frame(read())
         return [replace(truth, box=truth.box.transformed(T)) for truth in self.objects[name]]
 
     def left_out_of(self, name: str) -> LeftOut:
@@ -149,39 +212,56 @@ def sunrgbd_labels(path: Path) -> SunLabels:
 
 @dataclass(frozen=True)
 class OpenLabelLabels:
-    """Accepted and edited boxes, and boxes without a review state; others are left out.
-
-    Attributes:
-        scored: True if the scores are confidences in 0..1; otherwise they are left out.
-    """
+    """Accepted and edited boxes, and boxes without a review state; others are left out."""
 
     path: Path
     by_frame: Mapping[str, OpenLabelFrame]
-    scored: bool
 
     @property
     def frames(self) -> Sequence[str]:
         return tuple(self.by_frame)
 
+    @cached_property
+    def scores(self) -> ScoreRange | None:
+        return ScoreRange.of(box.score for each in self.by_frame.values() for box in each.boxes)
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.by_frame[name].boxes]
+
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        T = None if self.by_frame[name].of_camera else frame.T_camera_label
+        boxes = [each for each in self.by_frame[name].boxes if _is_imported(each)]
+        truths = self._truths(name, boxes, lambda: frame)
+        return _with_confidences(truths, self.scores)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.by_frame[name].boxes]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        boxes = [each for each in self.by_frame[name].boxes if each.state is not ReviewState.REJECTED]
+        return self._truths(name, boxes, read)
+
+    def _truths(self, name: str, boxes: Sequence[OpenLabelBox], read: Callable[[], Frame]) -> list[Truth]:
+        T = None if self.by_frame[name].of_camera else read().T_camera_label
         return [
             Truth(
                 each.label,
                 each.box if T is None else each.box.transformed(T),
                 each.track_id,
-                each.score if self.scored else None,
+                each.score,
                 box_kind=each.box_kind,
+                attributes=each.attributes,
+                said=each.said if T is None else tuple(one.transformed(T) for one in each.said),
             )
-            for each in self.by_frame[name].boxes
-            if _is_imported(each)
+            for each in boxes
         ]
+
+    def values_of(self, name: str) -> Values:
+        return self.by_frame[name].attributes
 
     def left_out_of(self, name: str) -> LeftOut:
         boxes = self.by_frame[name].boxes
         imported = [each for each in boxes if _is_imported(each)]
-        lost = 0 if self.scored else sum(each.score is not None for each in imported)
-        return LeftOut(len(boxes) - len(imported), lost)
+        return LeftOut(len(boxes) - len(imported), _lost(imported, self.scores))
 
 
 def _is_imported(box: OpenLabelBox) -> bool:
@@ -193,8 +273,7 @@ def openlabel_labels(path: Path) -> OpenLabelLabels:
 
     Raises FormatError: not an OpenLABEL document, or one that does not follow the standard.
     """
-    frames = read_openlabel(path)
-    return OpenLabelLabels(path, frames, are_confidences(box.score for each in frames.values() for box in each.boxes))
+    return OpenLabelLabels(path, read_openlabel(path))
 
 
 @dataclass(frozen=True)
@@ -208,9 +287,17 @@ class LabelCloudLabels:
     def frames(self) -> Sequence[str]:
         return tuple(self.by_frame)
 
+    scores = None
+
     def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return self.suggested(name, lambda: frame)
+
+    def classes(self, name: str) -> list[str]:
+        return [label for label, _ in self.by_frame[name].boxes]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
         each = self.by_frame[name]
-        T = frame.T_camera_label if each.T_camera_cloud is None else each.T_camera_cloud
+        T = read().T_camera_label if each.T_camera_cloud is None else each.T_camera_cloud
         return [Truth(label, box if T is None else box.transformed(T)) for label, box in each.boxes]
 
     def left_out_of(self, name: str) -> LeftOut:
@@ -236,13 +323,172 @@ class NuScenesLabels:
     def frames(self) -> Sequence[str]:
         return tuple(self.by_frame)
 
+    scores = None
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.by_frame[name]]
+
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return [Truth(each.label, each.box, each.track_id) for each in self.by_frame[name]]
+        return self.suggested(name, lambda: frame)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.by_frame[name]]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        return [Truth(each.label, each.box, each.track_id, attributes=each.attributes) for each in self.by_frame[name]]
 
     def left_out_of(self, name: str) -> LeftOut:
         return LeftOut()
 
 
-def nuscenes_labels(path: Path) -> NuScenesLabels:
-    """Reads nuScenes tables. Raises FormatError: no nuScenes tables, or rows that do not follow the schema."""
+def nuscenes_labels(path: Path) -> NuScenesLabels | NuScenesResults:
+    """Reads a folder of nuScenes tables, or a file of results.
+
+    Raises FormatError: neither, or rows that do not follow the schema.
+    """
+    if path.is_file():
+        return NuScenesResults(path, PackedTruths(read_results(path)))
     return NuScenesLabels(path, read_nuscenes(path))
+
+
+@dataclass(frozen=True)
+class NuScenesResults:
+    """The boxes of a detector or tracker, in the global frame.
+
+    Attributes:
+        samples: objects by the token of their sample.
+        places: the token of each of a project's frames, by "RECORDING/KEY"; see `in_project`.
+    """
+
+    path: Path
+    samples: PackedTruths
+    places: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> Sequence[str]:
+        found = set(self.places.values())
+        return (*self.places, *(sample for sample in self.samples if sample not in found))
+
+    @cached_property
+    def scores(self) -> ScoreRange | None:
+        return ScoreRange.of(self.samples.scores)
+
+    def in_project(self, project: Project) -> NuScenesResults:
+        """Returns the boxes by the project's frames: those of each camera of the samples' recordings."""
+        source, places = FrameSource(project), dict[str, str]()
+        for stored in project.recordings.all():
+            if stored.format not in (NuScenes.format, LookAround.format):
+                continue
+            recording = source.recording(stored.id)
+            base = recording.base if isinstance(recording, LookAround) else recording
+            if isinstance(base, NuScenes):
+                samples = {key: base.sample(key) for key in base.keys}
+                found = {f"{stored.name}/{key}": each for key, each in samples.items() if each is not None}
+                places |= {name: each for name, each in found.items() if each in self.samples}
+        if not places:
+            problem = f"the project has none of its {len(self.samples)} samples; add their scenes to the project first"
+            raise FormatError(self.path, problem)
+        return replace(self, places=places)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return _with_confidences(self.suggested(name, lambda: frame), self.scores)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.samples[self.places[name]]]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        frame = read()
+        K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
+        truths = self.samples[self.places[name]]
+        if (T := frame.T_camera_label) is not None:
+            truths = tuple(replace(truth, box=truth.box.transformed(T)) for truth in truths)
+        return [truth for truth in truths if is_seen(truth.box, K, *size)]
+
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut(scores=_lost(self.samples[self.places[name]], self.scores))
+
+
+@dataclass(frozen=True)
+class BoxesLabels:
+    """The content of a `boxes.json` file, in the camera frame."""
+
+    path: Path
+    boxes: PackedTruths
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.boxes)
+
+    @cached_property
+    def scores(self) -> ScoreRange | None:
+        return ScoreRange.of(self.boxes.scores)
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.boxes[name]]
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return _with_confidences(self.boxes[name], self.scores)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.boxes[name]]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        return list(self.boxes[name])
+
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut(scores=_lost(self.boxes[name], self.scores))
+
+
+def boxes_labels(path: Path) -> BoxesLabels:
+    """Reads a `boxes.json` file. Raises FormatError: an entry is not a valid box."""
+    return BoxesLabels(path, PackedTruths(each_frame(path)))
+
+
+# Two cameras with matrices that differ less, as a share of the focal length, are the same.
+SAME_CAMERA = 0.01
+
+
+@dataclass(frozen=True)
+class SustechLabels:
+    """Boxes in the frames of their clouds.
+
+    They are transformed to the camera by the scene's calibration of the camera that the frame has. Without one, they
+    are in the frame of the recording's own labels: for a folder of clouds, that of the clouds.
+    """
+
+    path: Path
+    by_frame: Mapping[str, SustechFrame]
+    scores = None
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.by_frame)
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.by_frame[name].objects]
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return self.suggested(name, lambda: frame)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.by_frame[name].objects]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        each = self.by_frame[name]
+        T = each.cameras[0].T_camera_cloud if each.is_export else _sustech_pose(each, read())
+        return [one if T is None else replace(one, box=one.box.transformed(T)) for one in each.objects]
+
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut()
+
+
+def _sustech_pose(labels: SustechFrame, frame: Frame) -> RigidTransform | None:
+    K = frame.camera.matrix
+    off = [float(np.abs(camera.K - K).max() / K[0, 0]) for camera in labels.cameras]
+    best = int(np.argmin(off)) if off else None
+    return frame.T_camera_label if best is None or off[best] > SAME_CAMERA else labels.cameras[best].T_camera_cloud
+
+
+def sustechpoints_labels(path: Path) -> SustechLabels:
+    """Reads SUSTechPOINTS' labels. Raises FormatError: as `read_sustechpoints`."""
+    return SustechLabels(path, read_sustechpoints(path))

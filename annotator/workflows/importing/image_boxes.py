@@ -15,10 +15,10 @@ from annotator.project import FramePart, Project, StoredFrame, WriteContext
 from annotator.project.event_types import ImageBoxesSet
 from annotator.project.overview import read_page
 from annotator.project.records import storable
-from annotator.types import Box2D, BoxKind, Source
+from annotator.types import Box2D, BoxKind, Camera, Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import AUTHOR
+from annotator.workflows.importing.boxes_3d import Importer
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
 from annotator.workflows.views.follow_image_boxes import view_followers
@@ -28,27 +28,18 @@ ROUNDED_PX = 0.01
 
 
 @dataclass(frozen=True)
-class Importer:
-    """Who imports.
+class OnImage:
+    """Boxes for the camera image of a frame.
 
     Attributes:
-        action: id of the action (`project.new_action`) that undoes the whole import; None = it cannot be undone.
+        labels: the image in the dataset.
+        camera: of the frame; None if it cannot be read.
     """
 
-    author: str = AUTHOR
-    action: str | None = None
-
-
-PROGRAM = Importer()
-
-
-@dataclass(frozen=True)
-class OnImage:
-    """Boxes for the camera image of a frame; `file_name` for messages."""
-
     frame_id: int
-    file_name: str
+    labels: PictureLabels
     boxes: tuple[Box2D, ...]
+    camera: Camera | None
 
 
 class Stored(Enum):
@@ -101,13 +92,13 @@ def checked_images(
         except FrameError as error:
             # without the frame, a size given by the dataset cannot be checked and is used as it is
             if picture.size_px is not None:
-                ready.append(OnImage(stored.id, picture.file_name, picture.boxes_on(*picture.size_px)))
+                ready.append(OnImage(stored.id, picture, picture.boxes_on(*picture.size_px), None))
             else:
                 unreadable.append(f"{stored.key}: {error}")
             continue
         size_px = (camera.width_px, camera.height_px)
         _require_size(dataset.path, picture, size_px)
-        ready.append(OnImage(stored.id, picture.file_name, picture.boxes_on(*size_px)))
+        ready.append(OnImage(stored.id, picture, picture.boxes_on(*size_px), camera))
     return CheckedImages(tuple(ready), tuple(unmatched), tuple(unreadable), renamed)
 
 
@@ -203,7 +194,7 @@ def store_on_image(
         if page.frame.finalised:
             return Stored.LEFT_ALONE
         before = () if page.image_boxes is None else page.image_boxes.boxes
-        with storable(f"{path}: {image.file_name}"):
+        with storable(f"{path}: {image.labels.file_name}"):
             on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
         context = WriteContext(page.frame.revision, importer.author, Source.IMPORTED)
         part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)

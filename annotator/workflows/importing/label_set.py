@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from annotator.project import Project
 from annotator.types import Frame, Truth
+from annotator.types.label import AttributeValue
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,31 @@ class LeftOut:
 
     not_reviewed: int = 0
     scores: int = 0
+
+
+@dataclass(frozen=True)
+class ScoreRange:
+    """The lowest and the highest score of a dataset."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, scores: Iterable[float | None]) -> ScoreRange | None:
+        """Returns the range of the scores that are known; None if none is."""
+        known = [score for score in scores if score is not None]
+        return cls(min(known), max(known)) if known else None
+
+    @property
+    def are_confidences(self) -> bool:
+        """True if all scores are in 0..1; otherwise they are raw values of a detector."""
+        return self.low >= 0 and self.high <= 1
+
+    def confidence(self, score: float | None) -> float | None:
+        """Returns a score as a number in 0..1; raw values are scaled so that the range becomes 0..1."""
+        if score is None or self.are_confidences:
+            return score
+        return 1.0 if self.high == self.low else (score - self.low) / (self.high - self.low)
 
 
 @runtime_checkable
@@ -50,6 +77,52 @@ class LabelSet(Protocol):
         """Returns what is left out of one of these frames, for the report."""
 
 
-def are_confidences(scores: Iterable[float | None]) -> bool:
-    """True if all scores of a dataset are in 0..1; otherwise they are raw values of a detector."""
-    return all(score is None or 0 <= score <= 1 for score in scores)
+@runtime_checkable
+class ProposalSet(LabelSet, Protocol):
+    """The boxes of a dataset, also as proposals."""
+
+    @property
+    def scores(self) -> ScoreRange | None:
+        """The range of the scores of all boxes, as in the files; None without any."""
+
+    def classes(self, name: str) -> list[str]:
+        """Returns the classes of the boxes that `suggested` may return; no frame is read."""
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        """Returns the objects of one of these frames that nobody has rejected, with their scores as in the file.
+
+        Args:
+            read: reads the project's frame, which takes long; called only if the format needs it.
+
+        Raises:
+            FormatError: as `truths`.
+        """
+
+
+@runtime_checkable
+class FoundInProject(Protocol):
+    """A dataset whose frames only the recordings of a project can tell."""
+
+    def in_project(self, project: Project) -> ProposalSet:
+        """Returns the boxes by the project's frames.
+
+        Raises:
+            FormatError: none of them is in the project.
+            RecordingError: a recording has been moved.
+        """
+
+
+@runtime_checkable
+class HasFrameValues(Protocol):
+    """A `LabelSet` whose frames have attributes."""
+
+    def values_of(self, name: str) -> Mapping[str, AttributeValue]:
+        """Returns the values of a frame."""
+
+
+@runtime_checkable
+class HasBoxValues(Protocol):
+    """A `LabelSet` whose boxes have attributes."""
+
+    def values_of_boxes(self, name: str) -> Sequence[Mapping[str, AttributeValue]]:
+        """Returns the values of each box of a frame."""

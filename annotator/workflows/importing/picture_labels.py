@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
 
 from annotator.files import is_within
+from annotator.formats.attributes import Values
 from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.yolo_read import YoloPicture, read_yolo
-from annotator.types import Box2D
+from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 
 # Characters of an invalid name that a message quotes.
@@ -34,7 +35,10 @@ class PictureLabels:
         folder: the folder of `file_name`.
         labels: class of each box.
         size_px: width and height from the dataset; None if boxes are fractions of the image size.
+        box_kind: what the boxes enclose, if the dataset says so.
         boxes_on: returns the boxes on an image of the given width and height, pixels.
+        values: attributes of each box; () if none has any.
+        attributes: of the image.
     """
 
     file_name: str
@@ -42,6 +46,9 @@ class PictureLabels:
     labels: tuple[str, ...]
     size_px: tuple[int, int] | None
     boxes_on: Callable[[int, int], tuple[Box2D, ...]]
+    box_kind: BoxKind | None = None
+    values: tuple[Values, ...] = ()
+    attributes: Values = field(default_factory=dict)
 
     @property
     def stem(self) -> str:
@@ -101,6 +108,9 @@ def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) ->
                 tuple(box.label for box in image.boxes),
                 (image.width_px, image.height_px),
                 lambda _w, _h, boxes=image.boxes: boxes,  # type: ignore[misc]
+                image.box_kind,
+                image.values,
+                image.attributes,
             )
             for image_folder, images in read_coco_dataset(path)
             for image in images
@@ -122,4 +132,5 @@ def _of_yolo(picture: YoloPicture, folder: Path | None) -> PictureLabels:
         tuple(box.label for box in picture.boxes),
         None,
         lambda width_px, height_px: tuple(box.on(width_px, height_px) for box in picture.boxes),
+        picture.box_kind,
     )

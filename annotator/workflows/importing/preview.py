@@ -1,4 +1,4 @@
-"""What a file of 2D boxes would give, before it is imported."""
+"""What a file of boxes would give, before it is imported."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.project import Project, StoredFrame
+from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import Source
+from annotator.workflows.importing.boxes_3d import found_frames, none_of
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.image_boxes import frames_of, no_frame, same_frame
+from annotator.workflows.importing.label_set import FoundInProject, ScoreRange
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
+from annotator.workflows.importing.table import BoxFormat, read_labels
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,50 @@ class Preview:
     boxes: dict[str, int]
     replaced: int
     renamed: Renamed | None
+
+
+@dataclass(frozen=True)
+class Preview3D(Preview):
+    """What a dataset of 3D boxes has; its images are frames, and `replaced` is 0.
+
+    Attributes:
+        labelled: number of the frames that have labels, or are finalised.
+        scores: the lowest and the highest score, if there are any.
+    """
+
+    labelled: int
+    scores: ScoreRange | None
+
+
+def preview_3d(project: Project, path: Path, format: BoxFormat, recording: str | None) -> Preview3D:
+    """Reads 3D boxes and matches them with the project's frames; nothing is stored, and no frame is read.
+
+    Args:
+        recording: name of the only recording to search; None = all.
+
+    Raises:
+        FormatError: not in this format, or no frame is in the project.
+        NotFoundError, RecordingError: as `import_labels`.
+    """
+    dataset = read_labels(format, path)
+    dataset = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
+    found, finder = found_frames(project, dataset.frames, recording)
+    unmatched = tuple(name for name, frames in found.items() if not frames)
+    if len(unmatched) == len(found):
+        raise none_of(path, dataset.frames)
+    boxes = Counter(label for name, frames in found.items() if frames for label in dataset.classes(name))
+    labelled = project.labels.frames(states=REVIEWED)
+    matched = [frames[0] for frames in found.values() if len(frames) == 1]
+    return Preview3D(
+        len(found),
+        unmatched,
+        sum(len(frames) > 1 for frames in found.values()),
+        dict(sorted(boxes.items())),
+        0,
+        finder.renamed(frames[0] for name, frames in found.items() if frames and name != frames[0].key),
+        sum(frame.finalised or frame.id in labelled for frame in matched),
+        dataset.scores,
+    )
 
 
 def preview(project: Project, path: Path, format: FlatFormat, recording: str | None) -> Preview:

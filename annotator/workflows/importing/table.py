@@ -7,12 +7,13 @@ from enum import StrEnum
 from pathlib import Path
 
 from annotator.workflows.importing import formats_3d
-from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.label_set import ProposalSet
 
 
 class BoxFormat(StrEnum):
     """Formats of 3D boxes."""
 
+    BOXES = "boxes"
     RCV = "rcv"
     KITTI = "kitti"
     KITTI_TRACKING = "kitti-tracking"
@@ -20,9 +21,10 @@ class BoxFormat(StrEnum):
     OPENLABEL = "openlabel"
     LABELCLOUD = "labelcloud"
     NUSCENES = "nuscenes"
+    SUSTECHPOINTS = "sustechpoints"
 
 
-READERS: dict[BoxFormat, Callable[[Path], LabelSet]] = {
+READERS: dict[BoxFormat, Callable[[Path], ProposalSet]] = {
     BoxFormat.RCV: formats_3d.rcv_labels,
     BoxFormat.KITTI: formats_3d.kitti_labels,
     BoxFormat.KITTI_TRACKING: formats_3d.kitti_tracking_labels,
@@ -30,10 +32,12 @@ READERS: dict[BoxFormat, Callable[[Path], LabelSet]] = {
     BoxFormat.OPENLABEL: formats_3d.openlabel_labels,
     BoxFormat.LABELCLOUD: formats_3d.labelcloud_labels,
     BoxFormat.NUSCENES: formats_3d.nuscenes_labels,
+    BoxFormat.SUSTECHPOINTS: formats_3d.sustechpoints_labels,
+    BoxFormat.BOXES: formats_3d.boxes_labels,
 }
 
 
-def read_labels(format: BoxFormat, path: Path) -> LabelSet:
+def read_labels(format: BoxFormat, path: Path) -> ProposalSet:
     """Reads and checks all labels at `path`.
 
     Raises:

@@ -30,6 +30,7 @@ class OnView:
     frame_id: int | None
     step: int | None
     geometry: ViewGeometry | None
+    box_kind: BoxKind | None = None
 
     @property
     def image_box(self) -> Box2D | None:
@@ -64,7 +65,7 @@ def checked_views(
                 path, f"{names[digest, frame_id]} and {picture.file_name} are the same image; keep one of them"
             )
         names[digest, frame_id] = picture.file_name
-        views.append(OnView(file, picture.boxes_on(*size_px), frame_id, step, geometry))
+        views.append(OnView(file, picture.boxes_on(*size_px), frame_id, step, geometry, picture.box_kind))
     return tuple(views)
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from annotator.project import Project, StoredFrame
 from annotator.types import Frame, Truth
@@ -11,7 +11,9 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import LabelSet
 from annotator.workflows.importing.boxes_3d import match_frames, truths_of
+from annotator.workflows.importing.class_names import renamed_class
 from annotator.workflows.importing.frame_finder import Renamed
+from annotator.workflows.importing.label_set import FoundInProject
 from annotator.workflows.recorded.reading import (
     has_truth,
     is_labelled,
@@ -40,6 +42,14 @@ class KnownLabels:
     renamed: Renamed | None = None
     one_file_a_frame: bool = False
     not_reviewed: Callable[[StoredFrame], int] = lambda stored: 0
+
+    def renamed_to(self, names: Mapping[str, str]) -> KnownLabels:
+        """Returns the same labels with other classes; classes that `names` does not list keep their names."""
+
+        def truths(stored: StoredFrame, frame: Frame) -> Sequence[Truth]:
+            return [replace(each, label=renamed_class(each.label, names)) for each in self.truths(stored, frame)]
+
+        return replace(self, truths=truths) if names else self
 
 
 def labels_beside(project: Project, recordings: Collection[int] | None = None) -> KnownLabels:
@@ -89,6 +99,7 @@ def labels_from(project: Project, dataset: LabelSet, recording: str | None = Non
         FormatError: the project has none of the labelled frames, or a name fits several.
         NotFoundError: no such recording.
     """
+    dataset = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
     known = match_frames(project, dataset.path, dataset.frames, recording)
     present = {stored.id: (name, stored) for name, stored in known.matched if stored.index is not None}
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
 from annotator.project import NewLabel, Project, StoredFrame
-from annotator.project.proposals import covered_by
+from annotator.project.classes.completing import ValueReader
+from annotator.project.sources.covering import covered_by
 from annotator.recordings.look_around import LookAround
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
@@ -27,6 +28,7 @@ class OwnLabels:
         labels: imported labels, by class.
         other_classes: labels left out because the project does not have their class, by class.
         of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
+        values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
         are_partial: the recording has virtual cameras, and labels only of what its own camera sees: none is imported,
             since frames would be taken as labelled where nobody looked.
@@ -37,6 +39,7 @@ class OwnLabels:
     of_other_cameras: int = 0
     unreadable: list[str] = field(default_factory=list)
     are_partial: bool = False
+    values: Counter[str] = field(default_factory=Counter)
 
 
 def has_own_labels(project: Project, recording_id: int) -> bool:
@@ -77,7 +80,8 @@ def import_own_labels(
         counts.are_partial = isinstance(recording, LookAround) and has_truth(recording.base)
         return counts
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
-    classes = set(project.config.classes)
+    config = project.config
+    classes, reader = set(config.classes), ValueReader(config.attributes)
     indices = {key: index for index, key in enumerate(recording.keys)}
     frames = [
         frame
@@ -92,7 +96,11 @@ def import_own_labels(
                 counts.unreadable.append(f"{stored.key}: {error}")
                 truths = []
             counts.other_classes.update(t.label for t in truths if t.label not in classes)
-            new = [NewLabel(t.label, t.box, track_id=t.track_id) for t in truths if t.label in classes]
+            new = [
+                NewLabel(t.label, t.box, track_id=t.track_id, attributes=reader.of_label(t.label, t.attributes))
+                for t in truths
+                if t.label in classes
+            ]
             if new:
                 here = _of_this_camera(project, rigs, stored, new, together)
                 counts.of_other_cameras += len(new) - len(here)
@@ -101,6 +109,7 @@ def import_own_labels(
                 counts.labels.update(label.label for label in new)
         if progress is not None:
             progress(number, len(frames))
+    counts.values = reader.left_out
     return counts
 
 

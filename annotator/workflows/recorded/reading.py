@@ -199,7 +199,7 @@ def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> li
     if sample is None or T is None:
         return []
     boxes = _samples(recording.tables, recording.samples, *file_version(path))[sample]
-    return [Truth(each.label, each.box.transformed(T), each.track_id) for each in boxes]
+    return [Truth(each.label, each.box.transformed(T), each.track_id, attributes=each.attributes) for each in boxes]
 
 
 def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:

@@ -78,7 +78,7 @@ def copy_next(
         box = fit(next_frame, box, label)
     is_new = label.track_id is None
     track_id = next_track_id(project, frame.recording_id) if label.track_id is None else label.track_id
-    proposal = NewProposal(label.label, box, track_id, box_kind=label.box_kind)
+    proposal = NewProposal(label.label, box, track_id, box_kind=label.box_kind, attributes=label.attributes)
     payloads = proposal_events(project, next_frame, [proposal])
     if not payloads:
         raise ConfigError(f"nothing was proposed in frame {next_frame.key}: it already has this box")

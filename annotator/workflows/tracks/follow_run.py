@@ -365,7 +365,9 @@ class FollowRun:
                 untracked.add(track_id)
             owners[track_id] = item
             for index, proposal in boxes.items():
-                new[index].append(NewProposal(item.label.label, proposal.box, track_id, proposal, label.box_kind))
+                new[index].append(
+                    NewProposal(item.label.label, proposal.box, track_id, proposal, label.box_kind, label.attributes)
+                )
         payloads: dict[int, list[Payload]] = defaultdict(list)
         for index, proposals in new.items():
             if not read[index].finalised:

@@ -85,13 +85,17 @@ def interpolate(
         inside = range(before.index + 1, after.index)
         ends = (times[before.index], times[after.index])
         boxes = between(before.label.box, after.label.box, *ends, [times[index] for index in inside])
-        for frame, box in zip(frames[before.index + 1 : after.index], boxes, strict=True):
+        for index, box in zip(inside, boxes, strict=True):
+            frame = frames[index]
             if frame.finalised:
                 finalised += 1
                 continue
             label = before.label
             fitted = box if fit is None else fit(frame, box, label)
-            proposal = NewProposal(label.label, fitted, track_id, box_kind=label.box_kind)
+            # the values of the key frame that is nearer in time
+            is_later = times[index] - ends[0] > ends[1] - times[index] and after.label.label == label.label
+            values = after.label.attributes if is_later else label.attributes
+            proposal = NewProposal(label.label, fitted, track_id, box_kind=label.box_kind, attributes=values)
             payloads = proposal_events(project, frame, [proposal])
             covered += not payloads
             if payloads:

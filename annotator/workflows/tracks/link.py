@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project.classes.attributes import AttributeOf
 from annotator.project.event_types import LinkedLabel, TracksLinked
 from annotator.project.records import BoxRecord
 from annotator.recordings.kitti.folder import KittiFolder
@@ -23,6 +24,7 @@ from annotator.tracking.smooth import TrackBox, smoothed
 from annotator.tracking.track_ids import numbered
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
+from annotator.types.label import AttributeValue
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.times import times_of
 
@@ -138,6 +140,7 @@ class _Recording:
             for frame, labels in zip(self.frames, self.labels, strict=True)
         ]
         self.tracks = link(seen, self._times, config)
+        self._values = self._values_along_tracks()
         self.numbers = _numbers(self.tracks, self.labels)
         self._boxes = {} if not smooth else self._smooth_boxes(config)
 
@@ -173,9 +176,32 @@ class _Recording:
         # compared as records, since these are what is stored
         record = BoxRecord.of(box)
         is_moved = self._may_move(stored) and record != BoxRecord.of(label.box)
-        if not is_new and not is_moved:
+        values = self._values.get(label.uid, {})
+        if not is_new and not is_moved and not values:
             return None
-        return LinkedLabel(uid=label.uid, track_id=None if is_given else number, box=record if is_moved else None)
+        track_id = None if is_given else number
+        return LinkedLabel(uid=label.uid, track_id=track_id, box=record if is_moved else None, attributes=values)
+
+    def _values_along_tracks(self) -> dict[str, dict[str, AttributeValue]]:
+        """Returns the values of their track that labels lack, by uid.
+
+        The value of a track is that of its first reviewed label with one, else of its first label with one. Reviewed
+        labels that contradict it keep theirs; proposals may have been in another track before.
+        """
+        of_tracks = [each for each in self.project.config.attributes if each.of is AttributeOf.TRACK]
+        lacking: dict[str, dict[str, AttributeValue]] = {}
+        for track in self.tracks if of_tracks else ():
+            members = [self.labels[index][number].label for index, number in track.members]
+            for each in of_tracks:
+                known = [label for label in members if each.name in label.attributes]
+                if not known:
+                    continue
+                value = next((label for label in known if label.state in REVIEWED), known[0]).attributes[each.name]
+                for label in members:
+                    is_free = label.state not in REVIEWED or each.name not in label.attributes
+                    if each.is_of(label.label) and is_free and label.attributes.get(each.name) != value:
+                        lacking.setdefault(label.uid, {})[each.name] = value
+        return lacking
 
     def _box(self, stored: StoredLabel) -> OrientedBox:
         """Returns a label's box as proposed, or as changed by an operator."""

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
-from annotator.project.event_types import LabelDeleted, LabelProposed, Payload
+from annotator.project.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.overview import read_page
-from annotator.project.proposals import SAME_OBJECT_IOU, covered_by
-from annotator.project.records import BoxRecord, ProposalRecord
+from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
+from annotator.project.sources.covering import SAME_OBJECT_IOU, covered_by
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
+from annotator.types.label import AttributeValue
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,8 @@ class NewProposal:
         track_id: of its object, if known.
         proposal: with its trace, if the recursion found the box.
         box_kind: what the box encloses.
+        attributes: values of the object in the frame that the box comes from.
+        said: what other software says of the object, if the box takes the place of its proposal.
     """
 
     label: str
@@ -34,13 +37,15 @@ class NewProposal:
     track_id: int | None = None
     proposal: Proposal | None = None
     box_kind: BoxKind = BoxKind.BOX
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    said: tuple[SaidRecord, ...] = ()
 
 
 def proposal_events(project: Project, frame: StoredFrame, boxes: Sequence[NewProposal]) -> list[Payload]:
     """Returns the events that propose boxes in a frame; empty if all boxes are left out.
 
     A box is left out if a reviewed or rejected label covers it (3D IoU 0.5 or more), or if its track has a reviewed box
-    in the frame. Unreviewed proposals of the same objects are replaced.
+    in the frame. Unreviewed proposals of the same objects are replaced; values that a person has set of them stay.
 
     Args:
         frame: the frame before the change.
@@ -52,20 +57,28 @@ def proposal_events(project: Project, frame: StoredFrame, boxes: Sequence[NewPro
     if not new:
         return []
     replaced = [LabelDeleted(uid=stored.label.uid) for stored in labels if _is_replaced(stored, new)]
-    return [
-        *replaced,
-        *(
-            LabelProposed(
-                uid=uuid.uuid4().hex,
-                label=each.label,
-                box=BoxRecord.of(each.box),
-                track_id=each.track_id,
-                proposal=None if each.proposal is None else ProposalRecord.of(each.proposal),
-                box_kind=each.box_kind,
-            )
-            for each in new
-        ),
+    proposed = [
+        LabelProposed(
+            uid=uuid.uuid4().hex,
+            label=each.label,
+            box=BoxRecord.of(each.box),
+            track_id=each.track_id,
+            proposal=None if each.proposal is None else ProposalRecord.of(each.proposal),
+            box_kind=each.box_kind,
+            attributes=dict(each.attributes),
+            said=each.said,
+        )
+        for each in new
     ]
+    kept = project.labels.kept(frame.id)
+    values = [
+        # as set by a person, so that the new proposal is kept, too
+        LabelAttributesSet(uid=event.uid, attributes=dict(stored.label.attributes))
+        for stored in labels
+        for event, each in zip(proposed, new, strict=True)
+        if stored.label.uid in kept and stored.label.label == each.label and _is_replaced(stored, [each])
+    ]
+    return [*replaced, *proposed, *values]
 
 
 def part_of(frame: StoredFrame, payloads: Sequence[Payload], author: str, effort: Effort | None = None) -> FramePart:

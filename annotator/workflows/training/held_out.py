@@ -164,7 +164,7 @@ class HeldOut:
         Raises:
             DetectionError, FormatError: the detector cannot be loaded.
         """
-        detector = load_detector(model.path)
+        detector = load_detector(model.path, names=model.names)
         view_px = read_trained(model.path.parent).image_size_px
         config = rcv_config(self._project, view_px=view_px, without_frames=self._held_out)
         config = config.for_detector(self._kind if model.class_agnostic else model.box_kind, model.class_agnostic)

@@ -51,6 +51,11 @@ class Run:
     classes: tuple[str, ...]
     kind: BoxKind
     holds_out: bool = True
+    _since_ns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        # classes that are renamed from now on are translated
+        object.__setattr__(self, "_since_ns", self.project.store.clock())
 
     @property
     def _folder(self) -> Path:
@@ -99,6 +104,7 @@ class Run:
             fingerprint=fingerprint,
             manifest=manifest,
             activate=False,
+            created_ns=self._since_ns,
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -35,10 +35,16 @@ def undrawn(
         min_side_px: as for `outlines`.
     """
     boxes = outlines(camera, labels, min_side_px)
+    matched = drawn_of(boxes, drawn)
+    return {uid: box for uid, box in boxes.items() if uid not in matched}
+
+
+def drawn_of(boxes: Mapping[str, Box2D], drawn: Sequence[Box2D]) -> dict[str, int]:
+    """Returns which drawn box belongs to an outline, by the outline's uid: those that overlap most, one to one."""
     if not boxes or not drawn:
-        return boxes
+        return {}
     uids = list(boxes)
     overlap = np.array([[box_iou(box, boxes[uid]) * (box.label == boxes[uid].label) for box in drawn] for uid in uids])
     rows, columns = linear_sum_assignment(overlap, maximize=True)
-    matched = {uids[row] for row, column in zip(rows, columns, strict=True) if overlap[row, column] >= SAME_IOU}
-    return {uid: box for uid, box in boxes.items() if uid not in matched}
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    return {uids[row]: column for row, column in pairs if overlap[row, column] >= SAME_IOU}

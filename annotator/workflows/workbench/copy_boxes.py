@@ -41,7 +41,14 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
         why = "has no reviewed boxes" if not boxes else "has only boxes that this frame has already"
         raise ConfigError(f"frame {source.key} {why}; nothing was copied")
     copies = [
-        NewLabel(label.label, label.box, track_id=label.track_id, origin=Origin.COPIED, box_kind=label.box_kind)
+        NewLabel(
+            label.label,
+            label.box,
+            track_id=label.track_id,
+            origin=Origin.COPIED,
+            box_kind=label.box_kind,
+            attributes=label.attributes,
+        )
         for label in new
     ]
     return project.labels.create(frame_id, copies, context).receipt

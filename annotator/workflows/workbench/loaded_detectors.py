@@ -16,7 +16,7 @@ import numpy as np
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Image, Suggestion
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.detectors import UsedModel, detector_title, load_detector, used_model, view_model
+from annotator.workflows.detectors import Names, UsedModel, detector_title, load_detector, used_model, view_model
 from annotator.workflows.warm_up import warm_up_with
 
 LOG = logging.getLogger("annotator.detectors")
@@ -123,7 +123,8 @@ def require_view(project: Project) -> ReadyDetector:
 
 def _ready(model: UsedModel, lock: threading.Lock) -> ReadyDetector:
     training = "" if model.name else model.path.parent.name
-    return ReadyDetector(load_detector(model.path), model.box_kind, lock, model.class_agnostic, model.name, training)
+    detector = load_detector(model.path, names=model.names)
+    return ReadyDetector(detector, model.box_kind, lock, model.class_agnostic, model.name, training)
 
 
 class ReadyDetectors:
@@ -134,7 +135,7 @@ class ReadyDetectors:
         self._use = threading.Lock()
         self._loader = ThreadPoolExecutor(1, "detectors")
         self._warmed: set[Path] = set()
-        self._loading: dict[tuple[Path, DetectorKind], tuple[str, Future[ReadyDetector]]] = {}
+        self._loading: dict[tuple[Path, DetectorKind], tuple[tuple[str, Names], Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> ReadyDetector | None:
         """Returns the active detector of a role, or None if there is none, or it is not loaded.
@@ -179,8 +180,8 @@ class ReadyDetectors:
         with self._lock:
             known = self._loading.get(key)
             # another model, or the same one trained again
-            if known is None or known[0] != model.fingerprint:
-                known = (model.fingerprint, self._loader.submit(self._load, role, model))
+            if known is None or known[0] != (model.fingerprint, model.names):
+                known = ((model.fingerprint, model.names), self._loader.submit(self._load, role, model))
                 self._loading[key] = known
             return known[1]
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 
+from annotator.project.review.waiting import Formula, Signal
 from annotator.types import Quality
 
 MAX_DOUBT = 0.7
@@ -34,21 +35,26 @@ BAD_IMAGE = 0.6
 BAD_SCORE = 1.0
 BAD_IOU_LOSS = 0.5
 
+FORMULA = Formula(
+    (
+        Signal("view_disagreement", 0.0, BAD_DISAGREEMENT),
+        Signal("kept_share", 1.0, 1.0 - BAD_LOST_SHARE),
+        Signal("last_change", 0.0, BAD_CHANGE),
+        Signal("image_agreement", 1.0, 1.0 - BAD_IMAGE),
+        Signal("score", 1.0, 1.0 - BAD_SCORE),
+        Signal("expected_iou_loss", 0.0, BAD_IOU_LOSS),
+    ),
+    MAX_DOUBT,
+)
+
 
 def doubt(quality: Quality | None, score: float | None) -> float | None:
-    """Returns the doubt in 0..1, or None for a box that does not come from an automatic pass."""
-    if quality is None:
+    """Returns the doubt in 0..1, or None for a box without signals: copied, or of other software without scores."""
+    if quality is None and score is None:
         return None
-    signals = (
-        (quality.view_disagreement, BAD_DISAGREEMENT),
-        (1.0 - quality.kept_share, BAD_LOST_SHARE),
-        (quality.last_change, BAD_CHANGE),
-        (1.0 - (1.0 if quality.image_agreement is None else quality.image_agreement), BAD_IMAGE),
-        (1.0 - (1.0 if score is None else score), BAD_SCORE),
-        (0.0 if quality.expected_iou_loss is None else quality.expected_iou_loss, BAD_IOU_LOSS),
-    )
     trust = 1.0
-    for value, bad in signals:
-        if not math.isnan(value):
-            trust *= 1.0 - MAX_DOUBT * min(max(value / bad, 0.0), 1.0)
+    for signal in FORMULA.signals:
+        value = score if signal.name == "score" else getattr(quality, signal.name, None)
+        if value is not None and not math.isnan(value):
+            trust *= 1.0 - MAX_DOUBT * min(max((value - signal.good) / (signal.bad - signal.good), 0.0), 1.0)
     return 1.0 - trust

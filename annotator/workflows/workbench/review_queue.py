@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import zip_longest
 
-from annotator.project import REVIEWED, LabelSignals, Project, StoredFrame
-from annotator.types import ReviewState
-from annotator.workflows.workbench.review_priority import doubt
+from annotator.project import REVIEWED, Project, StoredFrame
+from annotator.project.review.waiting import By
+from annotator.workflows.workbench.review_priority import FORMULA
 
 
 class Order(StrEnum):
@@ -42,6 +42,7 @@ class QueueItem:
         label: the proposal's class, or None.
         doubt: in 0..1, or None if unknown.
         track_id: of the proposal, if it has one.
+        sources: of the proposal, all that see its object.
     """
 
     frame: StoredFrame
@@ -49,16 +50,39 @@ class QueueItem:
     label: str | None
     doubt: float | None
     track_id: int | None = None
+    sources: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Queue:
+    """The first items of a queue, and the number of all."""
+
+    items: tuple[QueueItem, ...]
+    total: int
+
+
+_BY = {Order.WORST: By.DOUBT, Order.TIME: By.FRAME, Order.CLASS: By.CLASS, Order.TRACK: By.TRACK}
 
 
 def queue(
-    project: Project, order: Order, recording: int | None = None, label: str | None = None
-) -> tuple[QueueItem, ...]:
+    project: Project,
+    order: Order,
+    recording: int | None = None,
+    label: str | None = None,
+    attribute: str | None = None,
+    value: str | None = None,
+    source: str | None = None,
+    most: int | None = None,
+) -> Queue:
     """Returns the queue. Finalised frames and frames that are no longer in their recording are left out.
 
     Args:
         recording: only this recording.
         label: only proposals of this class; ignored by TEACH.
+        most: number of items to return; None = all.
+        attribute, value: only proposals with this value of an attribute, as text; None: without a value of it. Ignored
+            by TEACH.
+        source: only proposals of objects that this source sees; ignored by TEACH.
 
     Raises:
         NotFoundError: no such recording.
@@ -66,39 +90,30 @@ def queue(
     if recording is not None:
         project.recordings.get(recording)
     chosen = None if recording is None else [recording]
-    present = [frame for frame in project.frames.of(chosen) if frame.index is not None]
-    frames = {frame.id: frame for frame in present if not frame.finalised}
     if order is Order.TEACH:
-        return tuple(_to_teach(project, frames, present, chosen))
+        present = [frame for frame in project.frames.of(chosen) if frame.index is not None]
+        frames = {frame.id: frame for frame in present if not frame.finalised}
+        items = _to_teach(project, frames, present, chosen)
+        return Queue(tuple(items[:most]), len(items))
     classes = None if label is None else [label]
-    proposals = project.labels.signals(states=[ReviewState.PROPOSED], recordings=chosen, classes=classes)
-    items = [_item(frames[signals.frame_id], signals) for signals in proposals if signals.frame_id in frames]
-    if order is Order.WORST:
-        items.sort(key=_most_doubtful_first)
-    elif order is Order.CLASS:
-        items.sort(key=lambda item: (item.label or "", _most_doubtful_first(item)))
-    elif order is Order.TRACK:
-        # a stable sort: the frames stay in order within a track
-        items.sort(key=lambda item: (item.frame.recording_id, item.track_id is None, item.track_id or 0))
-    return tuple(items)
-
-
-def _item(frame: StoredFrame, signals: LabelSignals) -> QueueItem:
-    return QueueItem(frame, signals.uid, signals.label, doubt(signals.quality, signals.score), signals.track_id)
-
-
-def _most_doubtful_first(item: QueueItem) -> float:
-    return -(item.doubt or 0.0)
+    found, total = project.labels.waiting(
+        FORMULA,
+        _BY[order],
+        recordings=chosen,
+        classes=classes,
+        attribute=None if attribute is None else (attribute, value),
+        source=source,
+        most=most,
+    )
+    proposals = (QueueItem(each.frame, each.uid, each.label, each.doubt, each.track_id, each.sources) for each in found)
+    return Queue(tuple(proposals), total)
 
 
 def _to_teach(
     project: Project, frames: Mapping[int, StoredFrame], present: Sequence[StoredFrame], chosen: list[int] | None
 ) -> list[QueueItem]:
     known = project.boxes.frames_with_images() | project.labels.frames(states=REVIEWED, recordings=chosen)
-    worst: dict[int, float] = {}
-    for signals in project.labels.signals(states=[ReviewState.PROPOSED], recordings=chosen):
-        value = doubt(signals.quality, signals.score) or 0.0
-        worst[signals.frame_id] = max(worst.get(signals.frame_id, 0.0), value)
+    worst = project.labels.worst_of_frames(FORMULA, chosen)
     untouched = [frame for frame in frames.values() if frame.id not in known and frame.id not in worst]
     seen = [frame for frame in present if frame.id in known]
     ordered = [QueueItem(frame, None, None, None) for frame in _spread(untouched, seen)]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import av
 import cv2
 import kinect_recording as made
 import numpy as np
@@ -236,6 +237,15 @@ def test_unusable_recordings_are_errors_with_a_cause(tmp_path: Path, write: Call
         open_recording(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert ";" in str(caught.value) or "expected" in str(caught.value)
+
+
+def test_what_ffmpeg_does_not_know_is_an_error_with_the_file(recording_file: Path, monkeypatch: pytest.MonkeyPatch):
+    def unknown(*_: object, **__: object) -> None:
+        raise av.error.PatchWelcomeError(1163346256, "Not yet implemented in FFmpeg")
+
+    monkeypatch.setattr(av, "open", unknown)
+    with pytest.raises(RecordingError, match=re.escape(f"{recording_file}: cannot be read as Matroska")):
+        open_recording(recording_file)
 
 
 def test_recordings_of_orbbecs_wrapper_are_read(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""2D boxes of a file, imported on the page, with 3D boxes proposed from them."""
+"""Boxes of a file, imported on the page: 2D boxes with 3D boxes proposed from them, and 3D boxes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_coco_file_becomes_proposals(
         dialog = start.get_by_test_id("boxes-dialog")
         expect(dialog).to_contain_text(f"measured by: {TITLE}")
         start.get_by_test_id("dialog-import").click()
-        expect(dialog).to_contain_text("Choose a file with 2D boxes first")
+        expect(dialog).to_contain_text("Choose a file with boxes first")
         start.get_by_test_id("boxes-file").set_input_files(tmp_path / "boxes.json")
         expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{people + 1} boxes on 2 images")
         expect(start.get_by_test_id("boxes-replaced")).to_have_count(0)
@@ -77,7 +77,7 @@ def test_bad_files_say_why_and_a_class_can_be_added(start: Page, live: Live, gen
     about, file = start.get_by_test_id("boxes-about"), start.get_by_test_id("boxes-file")
     expect(start.get_by_test_id("boxes-lift")).to_be_disabled()
     for name, text, says in (
-        ("notes.txt", "0 0.5", "notes.txt: is neither a COCO file"),
+        ("notes.txt", "0 0.5", "notes.txt: is neither a file of boxes"),
         ("torn.json", json.dumps(content)[:-40], "torn.json:1: is not valid JSON"),
         ("other.json", json.dumps({**content, "images": content["images"][:1], "annotations": []}), "000012.jpg"),
     ):
@@ -85,7 +85,7 @@ def test_bad_files_say_why_and_a_class_can_be_added(start: Page, live: Live, gen
         file.set_input_files(tmp_path / name)
         expect(about.get_by_role("alert")).to_contain_text(says)
         start.get_by_test_id("dialog-import").click()
-        expect(start.get_by_test_id("boxes-dialog")).to_contain_text("Choose a file with 2D boxes first")
+        expect(start.get_by_test_id("boxes-dialog")).to_contain_text("Choose a file with boxes first")
     assert project.boxes.on_images() == ()
     (tmp_path / "boxes.json").write_text(json.dumps(content))
     file.set_input_files(tmp_path / "boxes.json")
@@ -136,5 +136,51 @@ def test_a_file_that_is_still_read(start: Page, live: Live, generated: Path, tmp
     expect(found).to_have_count(0)
     expect(start.get_by_test_id("boxes-about").get_by_role("alert")).not_to_be_empty()
     start.get_by_test_id("dialog-import").click()
-    expect(dialog).to_contain_text("Choose a file with 2D boxes first")
+    expect(dialog).to_contain_text("Choose a file with boxes first")
     assert len(project.boxes.on_images()) == 1
+
+
+def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
+    start: Page, live: Live, tmp_path: Path
+) -> None:
+    project = live.context.project("room")
+    first, second = (frame.key for frame in project.frames.of()[:2])
+    entry = {"label": "Person", "size": [0.5, 0.4, 1.8], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+
+    def propose(name: str, *boxes: tuple[float, float], lowest: str = "") -> None:
+        given = [entry | {"center": [x, 0.0, 3.0], "score": score} for x, score in boxes]
+        (tmp_path / f"{name}.json").write_text(json.dumps({first: given, second: [], "elsewhere": []}))
+        start.get_by_test_id("import-boxes-room").click()
+        dialog = start.get_by_test_id("boxes-dialog")
+        expect(start.get_by_test_id("boxes-become")).to_be_hidden()
+        start.get_by_test_id("boxes-file").set_input_files(tmp_path / f"{name}.json")
+        expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{len(boxes)} 3D boxes in 2 frames")
+        expect(start.get_by_test_id("boxes-class-Person")).to_have_value("person")
+        expect(start.get_by_test_id("boxes-kind")).to_be_hidden()
+        expect(start.get_by_test_id("boxes-source")).to_have_value(name)
+        expect(dialog).to_contain_text("The scores are 0.2 to 0.8")
+        start.get_by_test_id("boxes-become").select_option("labels")
+        expect(start.get_by_test_id("boxes-source")).to_be_hidden()
+        start.get_by_test_id("boxes-become").select_option("proposals")
+        start.get_by_test_id("boxes-min-score").fill(lowest)
+        start.get_by_test_id("dialog-import").click()
+        expect(start.get_by_test_id("project-room")).to_contain_text(f"boxes of {name} proposed in 2 frames")
+
+    propose("mine", (0.0, 0.8), (0.6, 0.2))
+    propose("theirs", (0.02, 0.6), (-0.6, 0.8), (1.5, 0.2), lowest="0.3")
+    start.goto("/#/room/review")
+    items = start.get_by_test_id("queue-item")
+    expect(items).to_have_count(3)
+    expect(start.get_by_test_id("queue-said")).to_have_text(["mine", "mine +1", "theirs"])
+    source = start.get_by_test_id("queue-source")
+    expect(source.locator("option")).to_have_text(["All sources", "mine (2)", "theirs (2)"])
+    source.select_option("theirs")
+    expect(start.get_by_test_id("queue-said")).to_have_text(["mine +1", "theirs"])
+    expect(start.get_by_test_id("queue-remaining")).to_have_text("2 proposals")
+    items.first.click()
+    expect(start.get_by_text("mine: person 0.80, theirs: person 0.60")).to_be_visible()
+    # undone as one step
+    start.keyboard.press("Control+z")
+    expect(items).to_have_count(0)
+    source.select_option("")
+    expect(start.get_by_test_id("queue-said")).to_have_text(["mine", "mine"])

@@ -12,7 +12,7 @@ import pytest
 from browser_page import label_truth, sign_in
 
 from annotator.formats.rcv import read_rcv
-from annotator.project import NewLabel, Project, WriteContext
+from annotator.project import Effort, NewLabel, Project, WriteContext
 from annotator.types import OrientedBox
 
 if TYPE_CHECKING:
@@ -91,7 +91,23 @@ def test_statistics_show_the_servers_numbers(signed_in: Page, shop: Shop, room: 
     assert statistics["labels"]["total"] == count
     row = signed_in.get_by_test_id("stats-states").locator("tr", has_text="person")
     expect(row.locator("td").last).to_have_text(str(count))
-    expect(signed_in.locator(".chart .plot-container").first).to_be_visible()
+    for chart in ("work-days", "work-seconds", "work-ranges"):
+        expect(signed_in.get_by_test_id(chart).locator(".plot-container")).to_be_visible()
+
+
+def test_statistics_list_people_and_days_and_follow_the_work(signed_in: Page, shop: Shop, room: Project) -> None:
+    frame = room.frames.of()[0]
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.array([0.5, 0.5, 1.7]))
+    # a chart must not take a name for HTML
+    bo = WriteContext(frame.revision, "<b>Bo</b>", effort=Effort(3, 7.0))
+    room.labels.create(frame.id, [NewLabel("person", box)], bo)
+    signed_in.goto(f"/#/{room.path.name}/statistics")
+    cells = signed_in.get_by_test_id("stats-people").locator("tr", has_text="<b>Bo</b>").locator("td")
+    expect(cells.nth(1)).to_have_text("1")
+    expect(signed_in.get_by_test_id("work-days").locator(".legendtext")).to_have_text("<b>Bo</b>")
+    expect(signed_in.get_by_test_id("stats-days").locator("td").first).to_contain_text("1 in 0.0 h")
+    room.labels.create(frame.id, [NewLabel("person", box)], WriteContext(frame.revision + 1, "<b>Bo</b>"))
+    expect(cells.nth(1)).to_have_text("2")
 
 
 def test_a_warning_opens_its_box_in_review(shared_page: Page, shop: Shop, room: Project) -> None:

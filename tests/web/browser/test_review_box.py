@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from browser_page import seen_by_viewer
@@ -10,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.types import ReviewState
 
-expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
 
 
 @pytest.mark.parametrize("view", ["top", "front", "side"])
@@ -42,6 +45,9 @@ def test_dragging_an_edge_sends_no_requests_and_updates_all_views(desk: Desk) ->
     start = (rect["x"] + rect["width"] - 1, rect["y"] + rect["height"] / 2)
     image = page.get_by_test_id("editor-overlay")
     lines = image.evaluate_all("found => found.map((one) => one.innerHTML)")
+    with suppress(sync_api.TimeoutError):  # until the next box is loaded ahead
+        while page.wait_for_event("request", timeout=1000):
+            pass
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url) if "/api/projects/" in request.url else None)
     page.mouse.move(*start)

@@ -7,6 +7,7 @@ import pytest
 from review_desk import Desk
 
 from annotator.project import NewLabel, WriteContext
+from annotator.project.event_types import LabelTracked
 from annotator.types import Label, ReviewState
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
@@ -117,3 +118,82 @@ def test_continuing_without_a_reviewed_box_or_track_gives_a_message(desk: Desk) 
     expect(desk.page.get_by_test_id("act-fill")).to_be_hidden()
     desk.press("Shift+N")
     expect(desk.page.get_by_text("This box has no track")).to_be_visible()
+
+
+def test_wrong_boxes_are_clicked_out_on_the_sheet_and_the_others_accepted(desk: Desk, wait_for) -> None:
+    page, project = desk.page, desk.project
+    frames = project.frames.of()[:3]
+    for frame in frames:
+        uid = next(label.uid for label in project.labels.of_frame(frame.id))
+        project.log.append(frame.id, [LabelTracked(uid=uid, track_id=7)], WriteContext(frame.revision, "Ada"))
+    first, wrong, last = (of_track(desk, frame.id)[0].uid for frame in frames)
+    page.goto(f"/#/{desk.name}/review/{frames[0].id}?uid={first}")
+    page.reload()
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{first}"]').wait_for()
+    desk.settled()
+    desk.press("s")
+    tiles = page.get_by_test_id("sheet-box")
+    expect(tiles).to_have_count(3)
+    page.wait_for_function("() => [...document.querySelectorAll('.sheet img')].every((image) => image.naturalWidth)")
+    # from the second one to the end, and the last one again
+    tiles.nth(1).click(modifiers=["Shift"])
+    expect(tiles.nth(2)).to_have_attribute("aria-pressed", "true")
+    tiles.nth(2).click()
+    expect(tiles.nth(2)).to_have_attribute("aria-pressed", "false")
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("sheet")).to_have_count(0)
+    # the wrong one is opened
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{wrong}"]').wait_for()
+    states = [project.labels.get(uid).label.state for uid in (first, wrong, last)]
+    assert states == [ReviewState.ACCEPTED, ReviewState.PROPOSED, ReviewState.ACCEPTED]
+    desk.settled()
+    desk.press("Control+z")
+    wait_for(lambda: project.labels.get(last).label.state is ReviewState.PROPOSED)
+    assert project.labels.get(first).label.state is ReviewState.PROPOSED
+
+
+def test_a_frames_boxes_are_seen_in_small_and_accepted_together(desk: Desk, wait_for) -> None:
+    page, project = desk.page, desk.project
+    first, second = (frame.id for frame in project.frames.of()[:2])
+    uids = [label.uid for label in project.labels.of_frame(first)]
+    assert len(uids) > 1
+    page.goto(f"/#/{desk.name}/review/{first}?uid={uids[0]}")
+    page.reload()
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uids[0]}"]').wait_for()
+    expect(page.locator(".small-views")).to_have_count(len(uids))
+    desk.settled()
+    desk.press("Shift+Space")
+    wait_for(lambda: all(label.state is ReviewState.ACCEPTED for label in project.labels.of_frame(first)))
+    # the next box of the queue is in another frame
+    page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uids[0]}"])').wait_for()
+    assert all(label.state is ReviewState.PROPOSED for label in project.labels.of_frame(second))
+    desk.settled()
+    desk.press("Control+z")
+    wait_for(lambda: all(label.state is ReviewState.PROPOSED for label in project.labels.of_frame(first)))
+    desk.settled()
+
+
+def test_later_boxes_are_corrected_alike_with_one_key(desk: Desk, wait_for) -> None:
+    page, project = desk.page, desk.project
+    frames = project.frames.of()[:3]
+    for frame in frames:
+        uid = project.labels.of_frame(frame.id)[0].uid
+        project.log.append(frame.id, [LabelTracked(uid=uid, track_id=7)], WriteContext(frame.revision, "Ada"))
+    before = [of_track(desk, frame.id)[0].box.size_m[0] for frame in frames]
+    uid = of_track(desk, frames[0].id)[0].uid
+    page.goto(f"/#/{desk.name}/review/{frames[0].id}?uid={uid}")
+    page.reload()
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
+    expect(page.get_by_test_id("act-carry")).to_be_disabled()
+    desk.settled()
+    page.get_by_test_id("field-size-length").fill(str(round(before[0] + 0.5, 6)))
+    page.get_by_test_id("field-size-length").press("Enter")
+    wait_for(lambda: desk.label.state is ReviewState.EDITED)
+    page.locator("body").click(position={"x": 2, "y": 2})
+    expect(page.get_by_test_id("act-carry")).to_be_enabled()
+    desk.press("a")
+    wait_for(lambda: of_track(desk, frames[2].id)[0].box.size_m[0] != before[2])
+    later = [of_track(desk, frame.id)[0] for frame in frames[1:]]
+    np.testing.assert_allclose([label.box.size_m[0] for label in later], np.add(before[1:], 0.5), atol=1e-4)
+    assert all(label.state is ReviewState.PROPOSED for label in later)
+    desk.settled()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from room_api import BOX, change, state
 
 from annotator.project import create_project
 
@@ -85,6 +86,23 @@ def test_a_moved_recording_can_be_located(start: Page, live: Live, tmp_path: Pat
     project.recordings.move(1, there, [frame.key for frame in project.frames.of()], "Ada")
     shutil.rmtree(there)
     start.reload()
+    start.get_by_test_id("add-recording-room").click()
+    start.get_by_test_id(f"folder-{generated.name}").click()
+    start.get_by_test_id("add-people").click()
+    offer = start.get_by_test_id("moved-dialog")
+    expect(offer).to_contain_text("people has the frames of the recording people, whose folder was not found")
+    offer.get_by_test_id("dialog-cancel").click()
+    expect(start.get_by_test_id("added-recording")).to_have_count(0)
+    start.get_by_test_id("add-people").click()
+    offer.get_by_test_id("dialog-moved").click()
+    expect(start.get_by_test_id("added-recording")).to_contain_text("people is now at")
+    start.get_by_test_id("dialog-done").click()
+    assert project.recordings.get(1).path == generated / "people"
+
+    shutil.copytree(generated / "people", there)
+    project.recordings.move(1, there, [frame.key for frame in project.frames.of()], "Ada")
+    shutil.rmtree(there)
+    start.reload()
     start.get_by_test_id("locate-people").click()
     dialog = start.get_by_test_id("locate-dialog")
     dialog.get_by_test_id("dialog-locate").click()
@@ -95,6 +113,78 @@ def test_a_moved_recording_can_be_located(start: Page, live: Live, tmp_path: Pat
     expect(dialog).to_have_count(0)
     expect(start.get_by_test_id("locate-people")).to_have_count(0)
     assert project.recordings.get(1).path == generated / "people"
+
+
+def test_recordings_and_projects_are_managed_from_a_menu(start: Page, live: Live) -> None:
+    get = start.get_by_test_id
+
+    def choose(entry: str, project: str) -> None:
+        get(f"menu-{project}").click()
+        get(f"{entry}-{project}").click()
+
+    label(live)
+    choose("recordings", "room")
+    expect(get("recording-people")).to_contain_text("5 frames, 1 label")
+    get("remove").click()
+    get("dialog-yes").click()
+    expect(get("recording-people")).to_contain_text("removed by Grace")
+    get("restore").click()
+    expect(get("recording-people")).to_contain_text("5 frames, 1 label")
+    get("dialog-done").click()
+
+    choose("rename", "room")
+    get("new-name").fill("not valid")
+    get("dialog-rename").click()
+    expect(get("rename-dialog").get_by_role("alert")).to_contain_text("is not a valid project name")
+    get("new-name").fill("hall")
+    get("dialog-rename").click()
+    expect(get("project-hall")).to_contain_text("1 accepted")
+
+    choose("copy", "hall")
+    get("copy-labels").uncheck()
+    get("dialog-copy").click()
+    expect(get("project-hall")).to_contain_text("copied to hall-copy, without labels")
+    expect(get("project-hall-copy")).to_contain_text("no labels")
+
+    choose("remove", "hall")
+    get("dialog-cancel").click()
+    choose("remove", "hall")
+    get("new-name").fill("hal")
+    get("dialog-remove").click()
+    expect(get("remove-dialog").get_by_role("alert")).to_have_text("Please type the name of the project: hall")
+    get("new-name").fill("hall")
+    get("dialog-remove").click()
+    expect(get("removed-dialog")).to_contain_text("annotator project copy projects/.removed/hall-")
+    get("dialog-close").click()
+    choose("remove", "hall-copy")  # without labels, no name has to be typed
+    expect(get("new-name")).to_have_count(0)
+    get("dialog-remove").click()
+    get("dialog-close").click()
+    expect(get("no-projects")).to_be_visible()
+
+
+def label(live: Live) -> None:
+    """Ada labels an object in the first frame of `room`."""
+    revision = state(live.client)["frame"]["revision"]
+    assert change(live.client, revision, {"kind": "create", "label": "person", "box": BOX}).status_code == 200
+
+
+def test_open_pages_follow_a_renamed_project_and_leave_what_is_removed(start: Page, live: Live) -> None:
+    room, position = "/api/projects/room", start.get_by_test_id("frame-position")
+    label(live)
+    start.goto("/#/room/label/2")
+    expect(position).to_have_text("2 / 5")
+    live.client.post(f"{room}/rename", json={"name": "hall"})
+    expect(start.get_by_test_id("toast-info")).to_contain_text("Ada has renamed this project to hall.")
+    expect(start).to_have_url(f"{live.url}/#/hall/label/2")
+    start.get_by_test_id("next-frame").click()
+    expect(position).not_to_have_text("2 / 5")
+    live.client.delete("/api/projects/hall/recordings/1")
+    expect(start.get_by_test_id("toast-warn")).to_contain_text("Ada has removed this recording from the project.")
+    expect(start.get_by_text("hall has no recording yet")).to_be_visible()
+    live.client.delete("/api/projects/hall")
+    expect(start.get_by_test_id("toast-warn").last).to_contain_text("Ada has removed this project.")
+    expect(start.get_by_test_id("no-projects")).to_be_visible()
 
 
 def test_the_dialog_shows_the_error_of_an_invalid_name(start: Page) -> None:

@@ -191,9 +191,9 @@ def test_the_page_and_all_files_that_it_references_are_served(live: SimpleNamesp
 
 def test_the_page_opens_a_frame(live: SimpleNamespace, project: str, open_page: Callable[..., Page]) -> None:
     page = open_page()
-    page.goto(live.link)
+    assert page.request.get(live.link).ok  # the cookie
     sign_in(page, live.url)
-    page.goto(f"/#/{project}/label")
+    page.goto(live.link)  # leads to the page of the project
     image = page.get_by_test_id("image-editor").locator(f"img.picture[src*='/{project}/frames/']")
     image.wait_for()
     assert image.evaluate("image => image.decode().then(() => image.naturalWidth)") == 160

@@ -405,7 +405,7 @@ def test_openlabel_is_checked_with_and_without_splits(tmp_path: Path, capsys: py
     (tmp_path / "out/train").mkdir(parents=True)
     (tmp_path / "out/train/a.json").write_text(json.dumps({"openlabel": document}))
     (tmp_path / "out/train/other.json").write_text("{}")
-    whole = f"{tmp_path / 'out/train'}: OpenLABEL documents, 2 frames, 0 labels"
+    whole = f"{tmp_path / 'out/train'}: OpenLABEL documents, 2 frames, 0 labels, so only its files were checked"
     for path in ("out", "out/train"):
         assert main(["check", str(tmp_path / path)]) == 0
         assert whole in capsys.readouterr().out.splitlines()

@@ -174,7 +174,7 @@ def test_images_can_be_exported_as_jpeg(people: Project, tmp_path: Path) -> None
     ("choose", "problem"),
     [
         (ExportFilter(), "has no labels in state proposed, accepted, edited to export; run `annotator annotate` first"),
-        (ExportFilter(classes=("robot",)), "has no class robot; it has person"),
+        (ExportFilter(classes=("robot",)), "has no class 'robot'; it has: person"),
         (ExportFilter(states=(ReviewState.EDITED,)), "has no labels in state edited to export"),
     ],
 )

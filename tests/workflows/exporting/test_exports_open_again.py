@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -173,6 +174,7 @@ def test_damaged_exports_are_errors(people: Project, tmp_path: Path) -> None:
     label = rcv / "labels" / f"{first}.json"
     for change, complaint in (
         (lambda record: record.update(image="../secret.png"), "outside the dataset"),
+        (lambda record: record.update(image="/x"), rf"{re.escape(str(rcv))}: .* '/x', which is outside the dataset"),
         (lambda record: record.update(cloud="labels/x.json"), "is none of"),
         (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
         (lambda record: record.update(timestamp_ns=10**19), "timestamp_ns: Input should be less than"),

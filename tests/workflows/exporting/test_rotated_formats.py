@@ -15,6 +15,7 @@ from annotator.formats.labelcloud import write_labelcloud
 from annotator.formats.losses import Losses
 from annotator.formats.nuscenes import write_nuscenes
 from annotator.formats.openlabel import write_openlabel
+from annotator.formats.sustechpoints import write_sustechpoints
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
@@ -29,6 +30,7 @@ CASES = [
     pytest.param(ExportFormat.NUSCENES, ExportOptions(), 1e-9, id="nuscenes"),
     pytest.param(ExportFormat.LABELCLOUD, ExportOptions(), 2e-8, id="labelcloud"),
     pytest.param(ExportFormat.LABELCLOUD, ExportOptions(vertices=True), 2e-7, id="labelcloud vertices"),
+    pytest.param(ExportFormat.SUSTECHPOINTS, ExportOptions(), 1e-12, id="sustechpoints"),
 ]
 
 
@@ -120,7 +122,8 @@ def test_boxes_of_real_frames_are_exported_and_read_unchanged(shared: Path, tmp_
     write_openlabel(tmp_path / "openlabel", items, "annotator", "jpg")
     write_labelcloud(tmp_path / "labelcloud", items, classes, Losses(), "0", image_format="jpg")
     write_nuscenes(tmp_path / "nuscenes", items, classes, Losses(), image_format="jpg")
-    for format in (BoxFormat.OPENLABEL, BoxFormat.LABELCLOUD, BoxFormat.NUSCENES):
+    write_sustechpoints(tmp_path / "sustechpoints", items, Losses(), image_format="jpg")
+    for format in (BoxFormat.OPENLABEL, BoxFormat.LABELCLOUD, BoxFormat.NUSCENES, BoxFormat.SUSTECHPOINTS):
         found = read_labels(format, tmp_path / format)
         assert set(found.frames) == set(frames)
         for name, frame in frames.items():

@@ -165,7 +165,7 @@ def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
     [
         (["x/1", "x/2"], r"the project has none of the dataset\'s frames \(x/1, x/2\)"),
         (["people/000001", "000001"], "people/000001 and 000001 both match frame 000001"),
-        ([], "the dataset has none"),
+        ([], "has no frames, so there is nothing to import"),
     ],
 )
 def test_unmatched_frames_are_errors_and_change_nothing(people: Project, names: list[str], problem: str) -> None:

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
+from annotator.project.classes.attributes import Attribute, AttributeKind
+from annotator.project.classes.edit import put_attribute
 from annotator.project.schema import recordings
 from annotator.rcv.config import RcvConfig
 from annotator.tracking.relabel import relabelled
@@ -227,6 +229,23 @@ def test_a_box_is_copied_to_its_predicted_position(
     (last,) = accept_truth(people, frames[4], truths[4][:1])
     with pytest.raises(ConfigError, match="last of its recording"):
         copy_next(people, frames[4].id, last, 1, ANN)
+
+
+def test_a_copied_box_takes_over_values_that_somebody_has_set(people: Project, truths: list[list[Truth]]) -> None:
+    pose = Attribute(name="pose", kind=AttributeKind.TEXT)
+    people.change_classes(lambda config: put_attribute(config, pose), ANN)
+    first, second = people.frames.of()[:2]
+    (uid,) = accept_truth(people, first, truths[0][:1])
+    found = [proposal(truths[1][0].box)]
+    (old,) = people.proposals.replace(second.id, found, by_machine(people, second)).uids
+    assert old is not None
+    people.labels.set_attributes(second.id, old, {"pose": "lying"}, by_hand(people, second))
+    copy_next(people, first.id, uid, people.frames.get(first.id).revision, ANN)
+    (copied,) = people.labels.of_frame(second.id)
+    assert (copied.uid != old, copied.attributes) == (True, {"pose": "lying"})
+    # the next pass leaves it alone
+    assert people.proposals.replace(second.id, found, by_machine(people, second)).covered == 1
+    assert [label.uid for label in people.labels.of_frame(second.id)] == [copied.uid]
 
 
 def test_a_copied_box_without_a_track_gets_one_with_one_undo(people: Project, truths: list[list[Truth]]) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from view_detectors import Fixed, trained_model
 
-from annotator.detection import base_detector
 from annotator.detection.config import TrainingConfig
 from annotator.detection.manifest import read_manifest
 from annotator.detection.progress import TrainingProgress
@@ -17,7 +17,6 @@ from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Project, WriteContext
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind, DetectorKind
-from annotator.types.detector import Image
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import rounds, run
@@ -30,19 +29,8 @@ SMALL = TrainingConfig(image_size_px=64, epochs=1)
 PLAN = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
 
 
-@dataclass(frozen=True)
-class Blind:
-    """A detector that finds nothing."""
-
-    fingerprint: str
-    labels: tuple[str, ...] = ()
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        return [[] for _ in images]
-
-
 @pytest.fixture
-def trainings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str, Path, Path]]:
+def trainings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path, Path]]:
     """Replaces the YOLO training by one that writes fake weights; returns (role, dataset, folder) of each call."""
     calls: list[tuple[str, Path, Path]] = []
 
@@ -54,24 +42,13 @@ def trainings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str
         manifest = read_manifest(dataset)
         (out / "detector.pt").write_text(manifest.sha256)
         metrics = TrainingMetrics(map50=0.5, map50_95=0.25, precision=1, recall=0, measured_on=manifest.measured_on)
-        return TrainedModel(
-            role=role,
-            weights=out / "detector.pt",
-            classes=manifest.classes,
-            kind=manifest.kind,
-            image_size_px=config.image_size_px,
-            metrics=metrics,
-            epochs=1,
-            seconds=0.1,
-            pretrained=False,
-            note="from random weights",
-            dataset_sha256=manifest.sha256,
-            config=config,
-        )
+        return trained_model(
+            out / "detector.pt", role=role, classes=manifest.classes, kind=manifest.kind, metrics=metrics,
+            image_size_px=config.image_size_px, dataset_sha256=manifest.sha256, config=config,
+        )  # fmt: skip
 
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "none")
     monkeypatch.setattr(run, "train_detector", train_detector)
-    monkeypatch.setattr(run, "load_detector", lambda weights: Blind(f"f-{weights.read_text()}"))
+    monkeypatch.setattr(run, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}"))
     return calls
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from view_detectors import Fixed
 
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.types import Box2D, BoxKind
@@ -14,16 +15,10 @@ from annotator.types.errors import DetectionError
 from annotator.workflows.training.model_report import _curves
 from annotator.workflows.training.validation_pictures import PICTURES, validation_pictures, write_validation_pictures
 
-
-class FixedBoxes:
-    """Finds the same box on every picture, and a second one with a low score."""
-
-    labels = ("person",)
-    fingerprint = "x"
-
-    def detect(self, images: object) -> list[list[Box2D]]:
-        found = [Box2D("person", 10.0, 20.0, 40.0, 60.0, 0.9), Box2D("person", 60.0, 5.0, 75.0, 15.0, 0.1)]
-        return [found for _ in images]  # type: ignore[attr-defined]
+# with a low score, too
+DETECTOR = Fixed(
+    (Box2D("person", 10.0, 20.0, 40.0, 60.0, 0.9), Box2D("person", 60.0, 5.0, 75.0, 15.0, 0.1)), labels=("person",)
+)
 
 
 @pytest.mark.parametrize("groups", [1, 4, 30])
@@ -39,7 +34,7 @@ def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups
     model = tmp_path / "model"
     model.mkdir()
     for _ in range(2):  # the second call replaces the first pictures
-        paths = write_validation_pictures(tmp_path / "set", manifest, FixedBoxes(), model)
+        paths = write_validation_pictures(tmp_path / "set", manifest, DETECTOR, model)
     assert len(paths) == min(manifest.images[manifest.measured_on], PICTURES)
     assert paths == validation_pictures(model)
     assert [path.name for path in model.iterdir()] == ["validation"]
@@ -58,7 +53,7 @@ def test_a_missing_picture_is_an_error(tmp_path: Path) -> None:
     for path in (tmp_path / "set" / "images").rglob("*.*"):
         path.unlink()
     with pytest.raises(DetectionError, match="cannot be read"):
-        write_validation_pictures(tmp_path / "set", manifest, FixedBoxes(), tmp_path)
+        write_validation_pictures(tmp_path / "set", manifest, DETECTOR, tmp_path)
 
 
 def test_curves_are_read_without_nan_values(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ class Blank:
 def loads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     found: list[Path] = []
 
-    def load(weights: Path) -> Blank:
+    def load(weights: Path, names: object = ()) -> Blank:
         found.append(weights)
         if weights.name.startswith("bad"):
             raise DetectionError("no weights")
@@ -74,7 +74,7 @@ def test_a_detector_is_loaded_once_and_again_for_another_model(people: Project, 
 def test_waiting_for_a_detector_ends_after_the_given_time(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     go = threading.Event()
 
-    def load(weights: Path) -> Blank:
+    def load(weights: Path, names: object = ()) -> Blank:
         go.wait(240)
         return Blank()
 
@@ -101,7 +101,7 @@ def test_a_detector_that_cannot_be_loaded_is_treated_as_missing(
 def test_the_state_of_loading_and_its_problem_are_reported(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     go = threading.Event()
 
-    def load(weights: Path) -> Blank:
+    def load(weights: Path, names: object = ()) -> Blank:
         go.wait(240)
         if weights.name.startswith("odd"):
             raise ValueError("secret")

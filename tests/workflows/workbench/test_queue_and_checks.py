@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 
@@ -22,7 +23,7 @@ from annotator.workflows.checking.point_counts import PointCounts
 from annotator.workflows.checking.project_labels import Kind, check, check_project
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.workbench.review_priority import doubt
-from annotator.workflows.workbench.review_queue import Order, _spread, queue
+from annotator.workflows.workbench.review_queue import Order, Queue, _spread, queue
 
 
 def box_at(x: float, yaw_rad: float = 0.0, size: Sequence[float] = (0.8, 0.5, 1.7)) -> OrientedBox:
@@ -42,7 +43,8 @@ def propose(project: Project, frame: StoredFrame, *proposals: Proposal) -> None:
 @pytest.mark.parametrize(
     ("quality", "score", "low", "high"),
     [
-        (None, 0.3, None, None),
+        (None, 0.3, 0.489, 0.491),
+        (None, None, None, None),
         (Quality(0.0, 1.0, 0.0), 1.0, 0.0, 0.0),
         (Quality(0.5, 1.0, 0.0), 1.0, 0.69, 0.71),
         (Quality(0.0, 0.2, 0.9, 0.1), 0.0, 0.97, 1.0),
@@ -52,7 +54,7 @@ def propose(project: Project, frame: StoredFrame, *proposals: Proposal) -> None:
     ],
 )
 def test_doubt_is_computed_from_quality_and_score(
-    quality: Quality | None, score: float, low: float | None, high: float | None
+    quality: Quality | None, score: float | None, low: float | None, high: float | None
 ) -> None:
     found = doubt(quality, score)
     if low is None or high is None:
@@ -79,7 +81,7 @@ def test_proposals_are_in_the_selected_order(people: Project) -> None:
     people.frames.finalise(frames[2].id, WriteContext(1, "ann"))
 
     def shown(order: Order, **options: object) -> list[tuple[int, str | None]]:
-        return [(item.frame.index or 0, item.label) for item in queue(people, order, **options)]  # type: ignore[arg-type]
+        return [(item.frame.index or 0, item.label) for item in queue(people, order, **options).items]  # type: ignore[arg-type]
 
     assert shown(Order.WORST) == [(0, "dog"), (1, "person"), (0, "person")]
     assert shown(Order.TIME) == [(0, "person"), (0, "dog"), (1, "person")]
@@ -95,18 +97,35 @@ def test_proposals_are_in_the_selected_order(people: Project) -> None:
     assert shown(Order.WORST, recording=1) == shown(Order.WORST)
     with pytest.raises(NotFoundError, match="no recording with id 9"):
         queue(people, Order.WORST, recording=9)
-    for uid in [item.uid for item in queue(people, Order.WORST)]:
+    for uid in [item.uid for item in queue(people, Order.WORST).items]:
         assert uid is not None
         frame = people.labels.get(uid).frame_id
         people.labels.accept(frame, uid, WriteContext(people.frames.get(frame).revision, "ann"))
-    assert queue(people, Order.WORST) == ()
+    assert queue(people, Order.WORST) == Queue((), 0)
+
+
+def test_the_queue_is_sorted_by_the_doubt_that_a_frame_shows(people: Project) -> None:
+    frame, rng = people.frames.of()[0], np.random.default_rng(0)
+    for number in range(12):
+        values = [float("nan") if rng.random() < 0.2 else float(x) for x in rng.uniform(-0.2, 1.2, 3)]
+        known = [None if rng.random() < 0.2 else float(x) for x in rng.uniform(0.0, 1.0, 2)]
+        found = replace(proposed(3.0 * number, float(rng.random())), quality=Quality(*values, *known))
+        propose(people, people.frames.of()[number % 5], found)
+    items = queue(people, Order.WORST).items
+    shown = {item.uid: item.doubt for item in items}
+    assert len(shown) == 5 and frame.id in {item.frame.id for item in items}
+    for stored in people.labels.select():
+        assert shown[stored.label.uid] == pytest.approx(doubt(stored.quality, stored.label.score), abs=1e-12)
+    assert [item.doubt for item in items] == sorted(shown.values(), reverse=True)
+    assert queue(people, Order.WORST, most=2) == Queue(items[:2], 5)
+    assert len(queue(people, Order.TEACH, most=1).items) == 1
 
 
 def test_the_most_informative_frames_come_first(people: Project) -> None:
     frames = people.frames.of()
 
     def shown() -> list[int]:
-        return [item.frame.index or 0 for item in queue(people, Order.TEACH)]
+        return [item.frame.index or 0 for item in queue(people, Order.TEACH).items]
 
     assert shown()[0] == 0, "the first frame comes first"
     assert shown()[1] == 4, "then the most different frame"
@@ -117,7 +136,7 @@ def test_the_most_informative_frames_come_first(people: Project) -> None:
     propose(people, frames[2], proposed(0, 0.05))
     assert shown()[0] == 2, "the most doubtful frame"
     assert shown()[-1] == 1, "the least doubtful frame"
-    assert all(item.uid is None for item in queue(people, Order.TEACH))
+    assert all(item.uid is None for item in queue(people, Order.TEACH).items)
 
 
 def naive_spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[StoredFrame]:

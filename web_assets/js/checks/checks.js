@@ -7,6 +7,7 @@ import { makeHash } from "../router.js";
 /** @type {string[][]} */
 const KINDS = [
   ["class", "Unknown class", "the project has no such class"],
+  ["attribute", "Attribute", "a value is missing, does not fit, or differs along its track"],
   ["empty", "Hardly any points inside", "the box may be in the wrong place"],
   ["size", "Unusual size", "far from the median of the class"],
   ["heading", "Heading jumps", "very different from the neighbouring frame"],
@@ -63,7 +64,7 @@ export function mount(root, app) {
         ? `Counting points: ${count(uncounted, "frame")} left …`
         : `${count(labels, "box", "boxes")} checked.`;
     const failed = unreadable.length
-      ? [h("div", { class: "error-box", role: "alert" }, `These frames could not be read:\n${unreadable.join("\n")}`)]
+      ? [h("div", { class: "error-box", role: "alert" }, `What cannot be read:\n${unreadable.join("\n")}`)]
       : [];
     if (warnings.length === 0) {
       const nothing =

@@ -1,5 +1,6 @@
 /** Draws boxes, handles, overlays and the crosshair as SVG, in window coordinates, so that lines keep their width. */
 
+import { isDark } from "../colors.js";
 import { s } from "../dom.js";
 import { heightOf, widthOf } from "./geometry.js";
 
@@ -92,7 +93,7 @@ function drawCaption(text, rect, color) {
   const x = Math.max(rect.x, 0);
   return [
     s("rect", { class: "caption", x, y, width, height: 16, fill: color }),
-    s("text", { class: "caption", x: x + 4, y: y + 12 }, text),
+    s("text", { class: isDark(color) ? "caption on-dark" : "caption", x: x + 4, y: y + 12 }, text),
   ];
 }
 

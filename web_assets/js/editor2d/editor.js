@@ -3,7 +3,7 @@
  * are `EditorOptions`, its boxes `EditorBox`.
  */
 
-import { classColor } from "../colors.js";
+import { colorIn } from "../colors.js";
 import { h, iconButton, s } from "../dom.js";
 import { drawScene } from "./draw.js";
 import { heightOf, moved, pictureLimits, resized, widthOf } from "./geometry.js";
@@ -75,7 +75,7 @@ export function createEditor(host, options = {}) {
   }
 
   /** @param {EditorBox} box */
-  const colorOf = (box) => box.color ?? options.color?.(box) ?? classColor(options.classes ?? [], box.label);
+  const colorOf = (box) => box.color ?? options.color?.(box) ?? colorIn(options.classes ?? [], box.label);
   const clone = () => boxes.map((box) => ({ ...box }));
 
   /** @param {string} text */

@@ -86,6 +86,22 @@ export function kindChange(kind) {
 }
 
 /**
+ * Sets values of attributes of a label, or (null) of the frame.
+ *
+ * @param {string | null} uid
+ * @param {Record<string, string | number | boolean | null>} values
+ * @returns {FrameChange}
+ */
+export function valuesChange(uid, values) {
+  return {
+    path: ["attributes"],
+    isSmall: true,
+    body: () => ({ uid, values }),
+    mine: () => ({ text: [`Sets ${Object.keys(values).join(", ")}`], boxes: [], outlines: [] }),
+  };
+}
+
+/**
  * Finalises the frame, or reopens it.
  *
  * @param {boolean} isFinal

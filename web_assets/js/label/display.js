@@ -25,10 +25,11 @@ export const isFinished = (item) => Boolean(item.uid) && item.boxes.every(Boolea
  * @param {ReturnType<Panel["createFrameBar"]>} parts.bar
  * @param {HTMLElement} parts.hint
  * @param {WholeBoxes} parts.whole
+ * @param {ReturnType<typeof import("../attributes.js").createAttributes>} parts.attributes
  * @returns {() => void} shows the current state.
  */
 export function createDisplay(app, work, parts) {
-  const { image, views, picker, kinds, list, bar, hint, whole } = parts;
+  const { image, views, picker, kinds, list, bar, hint, whole, attributes } = parts;
   let sceneShown = "";
 
   function show() {
@@ -65,6 +66,7 @@ export function createDisplay(app, work, parts) {
       isWholeOffered: Boolean(whole.offered()),
     });
     views.show(draft);
+    attributes.show();
     showScene(state);
   }
 
@@ -77,6 +79,7 @@ export function createDisplay(app, work, parts) {
     picker.show(work.label);
     list.clear();
     bar.clear();
+    attributes.show();
     sceneShown = "";
   }
 

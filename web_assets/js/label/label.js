@@ -10,9 +10,11 @@
  * loads suggestions, whole_boxes.js offers whole boxes, and saver.js saves.
  */
 
+import { createAttributes } from "../attributes.js";
+import { classColor } from "../colors.js";
 import { createEditor } from "../editor2d/editor.js";
 import { h } from "../dom.js";
-import { finality, kindChange } from "./changes.js";
+import { finality, kindChange, valuesChange } from "./changes.js";
 import { createDisplay } from "./display.js";
 import { createAsk, createStepLoader } from "./draft.js";
 import { createFrames } from "./frames.js";
@@ -31,7 +33,7 @@ import {
 import { createSuggester } from "./suggestions.js";
 import { createViewsPane } from "./views_pane.js";
 import { createWholeBoxes } from "./whole_boxes.js";
-import { createWork, keepKind } from "./work.js";
+import { createWork, keepKind, renameClasses } from "./work.js";
 
 const POINT_LIMITS = [0.1, 10];
 const DRAG_WAIT_MS = 300;
@@ -42,7 +44,6 @@ const DRAG_WAIT_MS = 300;
  * @returns {Mounted}
  */
 export function mount(root, app) {
-  const { classes } = app.state.project;
   if (app.state.project.frames === 0) {
     root.append(noFrames(app.state.project.name));
     return { unmount: () => {} };
@@ -86,6 +87,16 @@ export function mount(root, app) {
     onFinalise: finalise,
     onOrder: (by) => frames.setOrder(by),
   });
+  const values = h("fieldset", { class: "panel values", hidden: true, "data-testid": "attributes" });
+  const attributes = createAttributes(values, app, {
+    shown: () => app.state.frame?.labels.find(({ uid }) => uid === work.draft?.item.uid) ?? null,
+    set(uid, changed) {
+      app.effort.action();
+      saver.save(valuesChange(uid, changed));
+    },
+    setClass: (name) => objects.pickClass(name),
+    isReadonly: () => work.isReadonly,
+  });
   const viewportHost = h("div", { class: "viewport-host" }, app.viewport.element);
   const page = h(
     "div",
@@ -103,13 +114,14 @@ export function mount(root, app) {
       { class: "aside" },
       h("section", { class: "panel view3d", "aria-label": "3D view" }, viewportHost),
       list.root,
+      values,
       bar.root,
     ),
   );
   root.append(page);
   const image = createEditor(imageHost, {
     label: "Camera image",
-    classes,
+    color: ({ label }) => classColor(app.state.project, label),
     // objects are close together, and boxes are drawn one after the other
     selectFirst: true,
     newLabel: () => work.label,
@@ -121,7 +133,7 @@ export function mount(root, app) {
   const editors = [image, ...views.editors];
   const focused = () => editors.find((editor) => editor.root.contains(document.activeElement)) ?? image;
 
-  const show = createDisplay(app, work, { image, views, picker, kinds, list, bar, hint, whole });
+  const show = createDisplay(app, work, { image, views, picker, kinds, list, bar, hint, whole, attributes });
   const objects = createObjects(app, work, { saver, loader, suggester, whole, prefetch, image, views, show });
   const frames = createFrames(app, work, {
     order,
@@ -140,6 +152,11 @@ export function mount(root, app) {
 
   const stop = [
     app.state.on("frame", frames.onFrame),
+    app.state.on("project", show),
+    app.events.on("classes", ({ renamed }) => {
+      renameClasses(work, renamed);
+      void frames.refresh();
+    }),
     app.events.on("frame", frames.refresh),
     app.events.on("reconnected", frames.refresh),
     app.viewport.on("select", ({ uid }) => objects.openLabel(uid)),
@@ -149,6 +166,7 @@ export function mount(root, app) {
       "next-box": () => objects.cycle(1),
       "previous-box": () => objects.cycle(-1),
       class: (_, digit) => pickClass(Number(digit)),
+      attribute: (_, key) => attributes.press(key),
       delete: () => focused().deleteSelected(),
       cancel,
       finalise,
@@ -208,7 +226,7 @@ export function mount(root, app) {
 
   /** @param {number} digit */
   function pickClass(digit) {
-    const name = classes[digit - 1];
+    const name = app.state.project.classes[digit - 1];
     if (name) objects.pickClass(name);
   }
 

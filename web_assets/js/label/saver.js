@@ -5,7 +5,7 @@
  * cache.
  */
 
-import { isStale } from "../errors.js";
+import { ApiError, isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
 
@@ -61,7 +61,8 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
       take("state" in answer ? answer.state : answer, frame);
       waiting.shift();
     } catch (error) {
-      if (change && isStale(error)) await settle(error, change);
+      if (change?.isSmall && error instanceof ApiError && error.status !== 0) again(error);
+      else if (change && isStale(error)) await settle(error, change);
       else problem = error instanceof Error ? error : new Error(String(error));
     }
   }
@@ -85,6 +86,21 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     if (app.state.frame?.frame.id !== frame) return;
     app.frames.take(state);
     if (waiting.length === 1) onSaved(currentFrame(app));
+  }
+
+  /**
+   * Handles the refusal of a small change.
+   *
+   * @param {ApiError} error
+   */
+  function again(error) {
+    if (isStale(error)) {
+      app.frames.take(error.body.state);
+      return;
+    }
+    waiting.shift();
+    app.toast(error);
+    if (app.state.frame) onSaved(app.state.frame);
   }
 
   /**

@@ -1,5 +1,6 @@
 /** Beside the image: the class to draw, what boxes enclose, the frame's objects, and the buttons to other frames. */
 
+import { editClasses } from "../classes/classes.js";
 import { classColor } from "../colors.js";
 import { count, glyph, h, iconButton } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
@@ -20,12 +21,13 @@ const KINDS = [
 ];
 
 /**
- * Buttons for the classes; the digit keys do the same.
+ * Buttons for the classes; the digit keys do the same. The last button changes the classes.
  *
  * @param {ModeApp} app
  * @param {(name: string) => void} onPick
  */
 export function createClassPicker(app, onPick) {
+  const project = app.state.route.project;
   const root = h("div", { class: "classes", role: "radiogroup", "aria-label": "Class" });
   return {
     root,
@@ -34,7 +36,7 @@ export function createClassPicker(app, onPick) {
       root.replaceChildren(
         ...app.state.project.classes.map((label, index) => {
           const swatch = h("span", { class: "swatch" });
-          swatch.style.background = classColor(app.state.project.classes, label);
+          swatch.style.background = classColor(app.state.project, label);
           const digit = index < 9 ? h("kbd", {}, String(index + 1)) : null;
           return h(
             "button",
@@ -49,6 +51,9 @@ export function createClassPicker(app, onPick) {
             label,
             digit,
           );
+        }),
+        iconButton("edit", "Change the classes and attributes", () => editClasses(app, project), {
+          "data-testid": "edit-classes",
         }),
       );
     },
@@ -130,7 +135,7 @@ function objectRow(app, item, isCurrent, isReadonly, { onOpen, onDelete }) {
   const done = progressOf(item);
   const text = item.uid ? "finished" : `${done} of ${DRAGS} boxes`;
   const swatch = h("span", { class: "swatch" });
-  swatch.style.background = classColor(app.state.project.classes, label);
+  swatch.style.background = classColor(app.state.project, label);
   const dots = h(
     "span",
     { class: "dots", "aria-hidden": "true" },
@@ -166,7 +171,7 @@ function objectRow(app, item, isCurrent, isReadonly, { onOpen, onDelete }) {
  */
 function labelRow(app, label, onReview) {
   const swatch = h("span", { class: "swatch" });
-  swatch.style.background = classColor(app.state.project.classes, label.label);
+  swatch.style.background = classColor(app.state.project, label.label);
   const score = label.state === "proposed" && label.score !== null ? ` ${label.score.toFixed(2)}` : "";
   return h(
     "li",
@@ -239,7 +244,7 @@ export function createFrameBar(order, { onPrevious, onNext, onFinalise, onOrder 
       note.textContent = left === null ? "" : `${left} left`;
       note.title = left === null ? "" : `${count(left, "frame")} to label`;
       finalise.hidden = false;
-      finalise.replaceChildren(glyph("lock"), state.frame.finalised ? "Reopen frame" : "Finalise");
+      finalise.replaceChildren(glyph("lock"), state.frame.finalised ? "Reopen" : "Finalise");
       finalise.title = state.frame.finalised
         ? "Allow changes to this frame again"
         : "Lock the frame: no drawing here, no changes by automatic passes (Ctrl+Enter)";

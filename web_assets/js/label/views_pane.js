@@ -3,6 +3,7 @@
  * of the object alone.
  */
 
+import { classColor } from "../colors.js";
 import { createEditor } from "../editor2d/editor.js";
 import { h } from "../dom.js";
 import { filledBoxes } from "./draft.js";
@@ -70,7 +71,7 @@ export function createViewsPane(app, { onBox, onClear, onAcceptAll, newLabel }) 
     const editor = createEditor(host, {
       label: `${name} view`,
       single: true,
-      classes: app.state.project.classes,
+      color: ({ label }) => classColor(app.state.project, label),
       newLabel,
       onEnter: onAcceptAll,
       onChange(boxes, why, changed, actions) {

@@ -14,7 +14,7 @@ export function createWork(app) {
   return {
     items: [],
     draft: null,
-    label: app.state.project.classes[0],
+    picked: app.state.project.classes[0],
     selected: null,
     notSaved: [],
     detections: [],
@@ -22,6 +22,14 @@ export function createWork(app) {
     loaded: Promise.resolve(),
     coming: null,
     point_size: 1,
+    /** The class that was picked; the first one if that was removed. */
+    get label() {
+      const { classes } = app.state.project;
+      return classes.includes(this.picked) ? this.picked : classes[0];
+    },
+    set label(name) {
+      this.picked = name;
+    },
     get isReadonly() {
       return Boolean(app.state.frame?.frame.finalised);
     },
@@ -31,6 +39,25 @@ export function createWork(app) {
       return app.state.frame?.image_boxes?.box_kind ?? kept;
     },
   };
+}
+
+/**
+ * Gives everything that is drawn the new names of its classes.
+ *
+ * @param {Work} work
+ * @param {Record<string, string>} renamed old name -> new name.
+ */
+export function renameClasses(work, renamed) {
+  /** @template {ViewBox | undefined} T @param {T} box @returns {T} */
+  const named = (box) => (box && renamed[box.label] ? { ...box, label: renamed[box.label] } : box);
+  work.picked = renamed[work.picked] ?? work.picked;
+  work.detections = work.detections.map(named);
+  for (const item of new Set([...work.items, ...work.notSaved])) {
+    item.image_box = named(item.image_box);
+    item.stored = named(item.stored);
+    item.boxes = item.boxes.map(named);
+  }
+  if (work.draft) work.draft.suggestions = work.draft.suggestions.map(named);
 }
 
 /** @param {Api.BoxKind} kind */

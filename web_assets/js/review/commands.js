@@ -75,6 +75,18 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     return desk.decide(kind, label.uid);
   }
 
+  /** Accepts the frame's proposals, whose small pictures are in its list, and goes to the next frame of the queue. */
+  async function acceptAll() {
+    const label = desk.shown;
+    if (!label) return;
+    const before = opening.openings;
+    if (!(await desk.commit()) || !(await desk.acceptAll()) || before !== opening.openings) return;
+    const left = desk.labels().find(isOpen);
+    const next = queue.after(label.uid);
+    if (left) desk.select(left.uid);
+    else if (next) await opening.go(next);
+  }
+
   async function refit() {
     const label = desk.shown;
     if (!label) return;
@@ -196,6 +208,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   return {
     decide,
+    acceptAll,
     refit,
     flip,
     draw,

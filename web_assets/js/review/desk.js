@@ -37,6 +37,12 @@ export function createDesk(app) {
    * @type {Map<string | null, NewLabel>}
    */
   const added = new Map();
+  /**
+   * Boxes by uid, as they were before they were corrected on this page.
+   *
+   * @type {Map<string, Box3D>}
+   */
+  const former = new Map();
   let number = 0;
   /** @type {number | null} */
   let home = null;
@@ -246,6 +252,7 @@ export function createDesk(app) {
       ? { kind: "track", uid: id, track_id }
       : { kind: "edit", uid: id, label, box, track_id, box_kind: before && sameBox(before.box, box) ? null : "box" };
     const error = await send([change], id);
+    if (!error && before && !former.has(id) && !sameBox(before.box, box)) former.set(id, copyBox(before.box));
     if (draft.sending === wanted) draft.sending = null;
     draft.problem = error;
     if (!error && draft.wanted === wanted && drafts.get(id) === draft) drafts.delete(id);
@@ -298,6 +305,12 @@ export function createDesk(app) {
       return label && seen(label);
     },
 
+    /**
+     * A stored box as it was before it was corrected on this page, or null.
+     *
+     * @param {string} id
+     */
+    formerBox: (id) => former.get(id) ?? null,
     /** @param {string} id */
     isDraft: (id) => drafts.has(id),
     /** The reason why a label could not be saved, or null. */
@@ -324,7 +337,10 @@ export function createDesk(app) {
         source: "drawn",
         author: app.state.operator,
         track_id: null,
+        said: [],
         doubt: null,
+        attributes: {},
+        kept: false,
       };
       added.set(uid, { label, image_box, found: fit.box, actions: 1, problem: null, sending: null });
       notify("selection");
@@ -423,6 +439,19 @@ export function createDesk(app) {
       return !error;
     },
 
+    /** Accepts the stored proposals of the frame, as one action. */
+    async acceptAll() {
+      const open = (app.state.frame?.labels ?? []).filter(isOpen);
+      app.effort.action();
+      return (
+        open.length === 0 ||
+        !(await send(
+          open.map((label) => ({ kind: "accept", uid: label.uid })),
+          null,
+        ))
+      );
+    },
+
     /**
      * Finalises the frame, or reopens it.
      *
@@ -431,6 +460,37 @@ export function createDesk(app) {
     async finalise(on) {
       app.effort.action();
       return !(await send([{ kind: on ? "finalise" : "reopen" }], null));
+    },
+
+    /**
+     * Sets values of attributes of a label, or (null) of the frame.
+     *
+     * @param {string | null} id
+     * @param {Record<string, string | number | boolean | null>} values
+     */
+    setValues(id, values) {
+      const { id: frame } = currentFrame(app).frame;
+      app.effort.action();
+      return enqueue(async () => {
+        /** @returns {Promise<FrameState>} */
+        const set = () =>
+          app.api.change(app.path("frames", frame, "attributes"), {
+            revision: currentFrame(app).frame.revision,
+            uid: id,
+            values,
+          });
+        try {
+          app.frames.take(await set());
+        } catch (error) {
+          if (!isStale(error)) throw error;
+          // tried again without asking: only these values change
+          app.frames.take(error.body.state);
+          app.frames.take(await set());
+        }
+      }).catch((error) => {
+        app.toast(error);
+        notify("frame");
+      });
     },
 
     /** Copies reviewed boxes of the previous frame that this one lacks; resolves to their number. */
@@ -452,6 +512,21 @@ export function createDesk(app) {
         }
         return labels().length - before;
       });
+    },
+
+    /**
+     * Gives unsaved boxes the new names of their classes.
+     *
+     * @param {Record<string, string>} renamed old name -> new name.
+     */
+    rename(renamed) {
+      for (const { wanted } of drafts.values()) wanted.label = renamed[wanted.label] ?? wanted.label;
+      for (const entry of added.values()) {
+        const label = renamed[entry.label.label] ?? entry.label.label;
+        entry.label = { ...entry.label, label };
+        entry.image_box = { ...entry.image_box, label };
+      }
+      notify("draft");
     },
 
     /** Reads what others have saved, after all changes of this page, whose answers may already include it. */

@@ -45,13 +45,14 @@ export function createFields(host, desk, { classes, up }) {
     hidden: true,
     "data-testid": "not-saved",
   });
+  const attributes = h("fieldset", { class: "wide", hidden: true, "data-testid": "attributes" });
   const form = h("form", { class: "box-fields", "data-testid": "fields" });
   const nothing = h(
     "div",
     { class: "empty" },
     h("p", {}, "No box is selected. Press Tab for the next one, or click a box on the image or in the 3D view."),
   );
-  host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, form, nothing);
+  host.replaceChildren(h("header", {}, title, h("span", { class: "grow" }), chip), problem, nothing, form);
 
   /**
    * @param {string} name
@@ -103,19 +104,16 @@ export function createFields(host, desk, { classes, up }) {
    * @param {number} value
    */
   const place = (list, i, value) => list.map((old, k) => (k === i ? value : old));
-  const choice = h(
-    "select",
-    {
-      "aria-label": "Class",
-      "data-testid": "field-class",
-      onchange: () => {
-        // so that Space and the digits are keys of the mode again
-        choice.blur();
-        void desk.edit({ label: choice.value });
-      },
+  const choice = h("select", {
+    "aria-label": "Class",
+    "data-testid": "field-class",
+    onchange: () => {
+      // so that Space and the digits are keys of the mode again
+      choice.blur();
+      void desk.edit({ label: choice.value });
     },
-    classes().map((name) => h("option", { value: name }, name)),
-  );
+  });
+  fill();
   /** @type {HTMLInputElement} */
   const track = h("input", {
     type: "number",
@@ -132,7 +130,8 @@ export function createFields(host, desk, { classes, up }) {
       }),
     onchange: () => void desk.commit(),
   });
-  form.append(
+  /** @type {HTMLElement[]} */
+  const ofBox = [
     h(
       "fieldset",
       { class: "wide" },
@@ -171,9 +170,17 @@ export function createFields(host, desk, { classes, up }) {
         ),
       ),
     ),
-    facts,
-  );
+  ];
+  form.append(...ofBox, attributes, facts);
+  ofBox.push(facts);
   form.addEventListener("submit", (event) => event.preventDefault());
+
+  /** Offers the project's classes. */
+  function fill() {
+    const { value } = choice;
+    choice.replaceChildren(...classes().map((name) => h("option", { value: name }, name)));
+    choice.value = value;
+  }
 
   /**
    * Shows a number, but not in the field that is being typed in.
@@ -222,7 +229,8 @@ export function createFields(host, desk, { classes, up }) {
   function show() {
     const label = desk.shown;
     if (desk.uid !== shownUid) [shownUid, typed] = [desk.uid, null];
-    form.hidden = !label;
+    // attributes of the frame are shown without a box, too
+    for (const part of ofBox) part.hidden = !label;
     chip.hidden = !label;
     nothing.hidden = Boolean(label);
     title.textContent = label ? label.label : "Box";
@@ -246,7 +254,7 @@ export function createFields(host, desk, { classes, up }) {
     facts.replaceChildren(...describe(label));
   }
 
-  return { show };
+  return { show, fill, attributes };
 }
 
 /**
@@ -291,7 +299,18 @@ function describe(label) {
   if (measured) wide.push(["Measured by", measured]);
   if (suggestion)
     wide.push(["Suggested by", `${suggestion.detector}${suggestion.corrected ? " (partly drawn or corrected)" : ""}`]);
+  if (label.kept) wide.push(["Stays", "until it is reviewed: attributes were set by hand"]);
+  if (label.said.length) wide.push(["Said by", label.said.map(words).join(", ")]);
   return [...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who))), ...facts];
+}
+
+/**
+ * What one source says of an object, such as "mine: car 0.82".
+ *
+ * @param {Api.SaidJson} said
+ */
+function words({ source, label, score }) {
+  return `${source}: ${label}${score === null ? "" : ` ${score.toFixed(2)}`}`;
 }
 
 /**

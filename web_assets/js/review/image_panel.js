@@ -1,6 +1,6 @@
 /** The camera image with all boxes of the frame: a click selects a box, and a drag draws a new one. */
 
-import { trackColor } from "../colors.js";
+import { classColor, trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { imageOverlays } from "./drawing.js";
@@ -42,7 +42,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
   let isFitting = false;
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
-    classes: app.state.project.classes,
+    color: ({ label }) => classColor(app.state.project, label),
     canDraw: () => wanted !== null && !isFitting,
     canMove: false,
     canDelete: false,

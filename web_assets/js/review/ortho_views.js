@@ -11,7 +11,7 @@ import { isAborted, messageOf } from "../errors.js";
 import { dot } from "../rotation.js";
 import { STATE_COLORS, viewHeading } from "./drawing.js";
 
-const SIZE_PX = 320;
+export const SIZE_PX = 320;
 const TITLES = { top: "Top", front: "Front", side: "Side" };
 /** @typedef {keyof typeof TITLES} Name */
 
@@ -24,8 +24,9 @@ const ALIGNED = Math.cos((0.2 * Math.PI) / 180);
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
+ * @param {ReturnType<typeof import("./preload.js").createPreload>} preload
  */
-export function createOrthoViews(host, app, desk) {
+export function createOrthoViews(host, app, desk, preload) {
   const panels = NAMES.map((name) => createPanel(name, desk));
   host.append(...panels.map(({ root }) => root));
   /** @type {{ frame: number, box: Box3D } | null} */
@@ -45,12 +46,15 @@ export function createOrthoViews(host, app, desk) {
     host.dataset.shown = "";
     fetched = mine;
     try {
+      preload.stop();
       /** @type {Api.OrthoOut} */
-      const { views } = await app.api.post(
-        app.path("frames", frame, "ortho"),
-        { box, size_px: SIZE_PX },
-        { signal: request.signal },
-      );
+      const { views } =
+        preload.take(frame, box) ??
+        (await app.api.post(
+          app.path("frames", frame, "ortho"),
+          { box, size_px: SIZE_PX },
+          { signal: request.signal },
+        ));
       if (fetched !== mine) return;
       const shown = await Promise.all(
         panels.map((panel) => {
@@ -60,7 +64,10 @@ export function createOrthoViews(host, app, desk) {
       );
       if (fetched !== mine) return;
       if (!shown.every(Boolean)) fetched = null;
-      else host.dataset.shown = desk.uid ?? "";
+      else {
+        host.dataset.shown = desk.uid ?? "";
+        void preload.start();
+      }
     } catch (error) {
       if (fetched === mine) fetched = null;
       if (isAborted(error)) return;

@@ -12,6 +12,12 @@ const CALM_MS = 1500;
 /** The server sends a few hundred items; more are read when fewer than these are left. */
 const FEW = 100;
 
+/** @param {string} value */
+function split(value) {
+  const at = value.indexOf("=");
+  return at < 0 ? ["", ""] : [value.slice(0, at), value.slice(at + 1)];
+}
+
 /**
  * @param {App} app
  * @param {() => void} onChange
@@ -20,6 +26,12 @@ export function createQueue(app, onChange) {
   const kept = localStorage.getItem("queue-order");
   let order = ORDERS.find(([name]) => name === kept)?.[0] ?? "worst";
   let label = "";
+  /** A value of an attribute as "name=value", "name=" for none; "": all. */
+  let value = "";
+  /** The source whose objects are shown; "": all. */
+  let source = "";
+  /** The number of objects that each source sees. @type {Record<string, number>} */
+  let sources = {};
   /** @type {QueueItem[]} */
   let items = [];
   let remaining = 0;
@@ -29,13 +41,25 @@ export function createQueue(app, onChange) {
 
   async function load() {
     const query = new URLSearchParams(label ? { order, label } : { order });
+    const [attribute, wanted] = split(value);
+    if (attribute) query.set("attribute", attribute);
+    if (attribute && wanted) query.set("value", wanted);
+    if (source) query.set("source", source);
     /** @type {Api.QueueOut} */
     const answer = await app.api.get(`${app.path("queue")}?${query}`);
     if (ended) return;
     items = answer.items.flatMap((item) => (item.uid === null ? [] : [{ ...item, uid: item.uid }]));
+    const hasMore = answer.remaining > remaining;
     remaining = answer.remaining;
     place = Math.min(place, items.length);
     onChange();
+    // not waited for: it takes longer than the queue
+    if (hasMore) loadSources().catch(app.toast);
+  }
+
+  async function loadSources() {
+    sources = await app.api.get(app.path("queue", "sources"));
+    if (!ended) onChange();
   }
 
   return {
@@ -52,15 +76,20 @@ export function createQueue(app, onChange) {
     get label() {
       return label;
     },
+    get sources() {
+      return sources;
+    },
 
     /**
-     * Chooses another order or class, and starts at the beginning of the queue.
+     * Chooses another order or filter, and starts at the beginning of the queue.
      *
-     * @param {{ order?: string, label?: string }} changes
+     * @param {{ order?: string, label?: string, value?: string, source?: string }} changes
      */
     async choose(changes) {
       order = changes.order ?? order;
       label = changes.label ?? label;
+      value = changes.value ?? value;
+      source = changes.source ?? source;
       localStorage.setItem("queue-order", order);
       place = 0;
       await load();
@@ -105,7 +134,7 @@ export function createQueue(app, onChange) {
       remaining = Math.max(items.length, remaining - (before - items.length));
       const known = new Set(items.map(({ uid }) => uid));
       // an undo may restore proposals
-      const comesBack = !label && [...open].some((uid) => !known.has(uid));
+      const comesBack = !label && !value && !source && [...open].some((uid) => !known.has(uid));
       if (comesBack || (items.length < FEW && items.length < remaining)) this.reloadSoon();
       if (items.length !== before) onChange();
     },

@@ -6,6 +6,7 @@
  * and pass on the operator's actions.
  */
 
+import { createAttributes } from "../attributes.js";
 import { createFrameProblem } from "../frame_problem.js";
 import { createActions } from "./actions.js";
 import { bindings } from "./bindings.js";
@@ -17,9 +18,11 @@ import { createImagePanel } from "./image_panel.js";
 import { emptyProject, layout } from "./layout.js";
 import { createOpening } from "./opening.js";
 import { createOrthoViews } from "./ortho_views.js";
+import { createPreload } from "./preload.js";
 import { createQueue } from "./queue.js";
 import { createScene } from "./scene.js";
 import { createBoxList, createQueueList } from "./side_lists.js";
+import { createSheet } from "./sheet.js";
 import { createTracks } from "./tracks.js";
 
 /** A picture with a greater ratio of width to height gets a wider panel. */
@@ -56,8 +59,14 @@ export function mount(root, app) {
   });
   const { go } = opening;
   const queueList = createQueueList(parts.queue, app, queue, { open: go });
-  const boxList = createBoxList(parts.boxes, desk);
-  const tracks = createTracks(parts.boxes, app, desk, { open: go });
+  const boxList = createBoxList(parts.boxes, app, desk);
+  const sheet = createSheet(app, { desk, queue, open: go });
+  const tracks = createTracks(parts.boxes, app, desk, {
+    open: go,
+    sheet: () => commands.whenCalm(sheet),
+    // they have new uids
+    onCarried: () => queue.load(),
+  });
   const follow = createFollow(parts.boxes, app, desk, {
     open: go,
     onProgress: () => tracks.refresh(),
@@ -67,7 +76,8 @@ export function mount(root, app) {
     onMode: () => showActions(),
   });
   const scene = createScene(parts.scene, app, desk);
-  const ortho = createOrthoViews(parts.ortho, app, desk);
+  const preload = createPreload(app, desk, queue);
+  const ortho = createOrthoViews(parts.ortho, app, desk, preload);
   const problem = createFrameProblem(image.body, {
     onRetry: () => opening.broken !== null && void opening.open(opening.broken, null),
     onStep: opening.step,
@@ -75,6 +85,11 @@ export function mount(root, app) {
   const fields = createFields(parts.fields, desk, {
     classes: () => app.state.project.classes,
     up: () => app.state.frame?.up ?? null,
+  });
+  const attributes = createAttributes(fields.attributes, app, {
+    shown: () => desk.shown,
+    set: desk.setValues,
+    setClass: (label) => desk.shown !== null && void desk.edit({ label }),
   });
   /**
    * The labels before an undo.
@@ -126,6 +141,7 @@ export function mount(root, app) {
     image.show();
     boxList.show();
     fields.show();
+    attributes.show();
     void tracks.show();
     showActions();
     showQueue();
@@ -143,6 +159,7 @@ export function mount(root, app) {
         boxList.show();
         ortho.follow();
         fields.show();
+        attributes.show();
         scene.preview();
         if (!desk.hasDraft) void ortho.show();
       } else {
@@ -156,6 +173,16 @@ export function mount(root, app) {
       queue.settle(frame);
       selectWhatWasUndone(frame);
     }),
+    app.state.on("project", () => {
+      queueList.fill();
+      fields.fill();
+      showAll();
+    }),
+    app.events.on("classes", ({ renamed }) => {
+      desk.rename(renamed);
+      queue.reloadSoon();
+      desk.refresh().catch(app.toast);
+    }),
     app.events.on("frame", () => {
       queue.reloadSoon();
       desk.refresh().catch(app.toast);
@@ -164,7 +191,7 @@ export function mount(root, app) {
       queue.reloadSoon();
       desk.refresh().catch(app.toast);
     }),
-    app.keys.register(bindings({ commands, opening, tracks, scene, image, ortho, setGizmo })),
+    app.keys.register(bindings({ commands, opening, tracks, sheet, scene, image, ortho, setGizmo, attributes })),
   ];
 
   /**
@@ -210,6 +237,8 @@ export function mount(root, app) {
       follow.destroy();
       scene.destroy();
       ortho.destroy();
+      preload.stop();
+      boxList.destroy();
       image.destroy();
       app.events.openFrame(null);
     },

@@ -1,12 +1,17 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
+import { schemaOf, steps } from "../attributes.js";
 import { count, h } from "../dom.js";
+import { isAborted } from "../errors.js";
+import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { ORDERS } from "./queue.js";
 
 /** Rows of the queue that are shown around the current one. */
 const ROWS = 120;
+/** The source of our own proposals. */
+const OWN = "annotator";
 
 /**
  * @param {HTMLElement} host
@@ -26,29 +31,49 @@ export function createQueueList(host, app, queue, { open }) {
     ORDERS.map(([value, text]) => h("option", { value }, text)),
   );
   /** @type {HTMLSelectElement} */
-  const label = h(
-    "select",
-    {
-      "aria-label": "Class in the queue",
-      "data-testid": "queue-class",
-      onchange: () => choose(label, { label: label.value }),
-    },
-    h("option", { value: "" }, "All classes"),
-    app.state.project.classes.map((name) => h("option", { value: name }, name)),
-  );
+  const label = h("select", {
+    "aria-label": "Class in the queue",
+    "data-testid": "queue-class",
+    onchange: () => choose(label, { label: label.value }),
+  });
+  /** @type {HTMLSelectElement} */
+  const value = h("select", {
+    "aria-label": "Attribute in the queue",
+    "data-testid": "queue-attribute",
+    onchange: () => choose(value, { value: value.value }),
+  });
+  /** @type {HTMLSelectElement} */
+  const source = h("select", {
+    "aria-label": "Source in the queue",
+    "data-testid": "queue-source",
+    onchange: () => choose(source, { source: source.value }),
+  });
   const left = h("span", { class: "number muted", "data-testid": "queue-remaining" });
   const list = h("ol", { class: "rows", "data-testid": "queue" });
-  label.hidden = app.state.project.classes.length < 2;
+  fill();
   order.value = queue.order;
   host.replaceChildren(
     h("header", {}, h("h2", {}, "To review"), h("span", { class: "grow" }), left),
-    h("div", { class: "choices" }, order, label),
+    h("div", { class: "choices" }, order, label, source, value),
     list,
   );
 
+  /** Fills in the classes and values of the project. A filter by one that is gone ends. */
+  function fill() {
+    const { classes } = app.state.project;
+    const values = valuesOf(app);
+    label.hidden = classes.length < 2;
+    value.hidden = values.length === 0;
+    const isEnded = [
+      refill(label, "All classes", classes),
+      refill(value, "All attributes", values, (name) => (name.endsWith("=") ? `${name.slice(0, -1)}: none` : name)),
+    ].some(Boolean);
+    if (isEnded) choose(label, { label: label.value, value: value.value });
+  }
+
   /**
    * @param {HTMLSelectElement} select
-   * @param {{ order?: string, label?: string }} changes
+   * @param {{ order?: string, label?: string, value?: string, source?: string }} changes
    */
   function choose(select, changes) {
     // so that Space and the digits are keys of the mode again
@@ -56,9 +81,24 @@ export function createQueueList(host, app, queue, { open }) {
     queue.choose(changes).then(() => queue.items[0] && open(queue.items[0]), app.toast);
   }
 
+  /** Offers the sources of the proposals, once there are any but annotator itself. */
+  function showSources() {
+    const chosen = source.value;
+    const names = Object.keys(queue.sources);
+    if (chosen && !names.includes(chosen)) names.push(chosen);
+    source.replaceChildren(
+      h("option", { value: "" }, "All sources"),
+      ...names.map((name) => h("option", { value: name }, `${name} (${queue.sources[name] ?? 0})`)),
+    );
+    source.value = chosen;
+    source.hidden = names.every((name) => name === OWN);
+  }
+
   return {
+    fill,
     /** @param {string | null} uid */
     show(uid) {
+      showSources();
       left.textContent = count(queue.remaining, "proposal");
       const at = Math.max(
         0,
@@ -82,6 +122,7 @@ export function createQueueList(host, app, queue, { open }) {
  * @param {(target: Target) => unknown} open
  */
 function queueRow(item, recordings, isCurrent, open) {
+  const isOurs = item.sources.every((name) => name === OWN);
   const place = `${recordings.size > 1 ? `${recordings.get(item.recording) ?? ""} ` : ""}${item.key}`;
   return h(
     "li",
@@ -92,15 +133,30 @@ function queueRow(item, recordings, isCurrent, open) {
         type: "button",
         class: "quiet row-button",
         "aria-current": isCurrent ? "true" : null,
-        title: `${item.label}, frame ${place}`,
+        title: `${item.label}, frame ${place}${isOurs ? "" : `, seen by ${item.sources.join(", ")}`}`,
         onclick: () => open(item),
         "data-testid": "queue-item",
         "data-uid": item.uid,
       },
       h("span", { class: "ellipsis grow" }, item.label),
+      isOurs ? null : saidBy(item.sources),
       h("span", { class: "muted ellipsis number" }, place),
       doubtBar(item.doubt),
     ),
+  );
+}
+
+/**
+ * Such as "mine +1".
+ *
+ * @param {string[]} sources
+ */
+function saidBy([first, ...others]) {
+  return h(
+    "span",
+    { class: "said muted", "data-testid": "queue-said" },
+    h("span", { class: "ellipsis" }, first),
+    others.length ? h("span", {}, ` +${others.length}`) : null,
   );
 }
 
@@ -113,27 +169,66 @@ function doubtBar(doubt) {
 }
 
 /**
+ * The boxes of the frame; if several are open, with a small picture of each, so that they can be accepted together.
+ *
  * @param {HTMLElement} host
+ * @param {ModeApp} app
  * @param {Desk} desk
  */
-export function createBoxList(host, desk) {
+export function createBoxList(host, app, desk) {
   const title = h("h2", {}, "In this frame");
   const note = h("p", { class: "muted pad", "data-testid": "frame-summary" });
   const list = h("ul", { class: "rows", "data-testid": "frame-boxes" });
+  /** @type {Map<string, string>} */
+  let pictures = new Map();
+  let known = "";
+  let request = new AbortController();
   host.replaceChildren(h("header", {}, title), note, list);
+
+  function draw() {
+    const labels = desk.labels();
+    const hasPictures = labels.filter(isOpen).length > 1;
+    list.replaceChildren(
+      ...labels.map((label) => boxRow(label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+    );
+  }
+
+  /** Reads the pictures of the frame as it is now. */
+  async function readPictures() {
+    const frame = app.state.frame?.frame;
+    const key = frame ? `${frame.id}/${frame.revision}` : "";
+    if (!frame || key === known || desk.labels().filter(isOpen).length < 2) return;
+    request.abort();
+    request = new AbortController();
+    if (known.split("/")[0] !== String(frame.id)) pictures = new Map();
+    known = key;
+    const { signal } = request;
+    /** @param {Api.TileJson} tile */
+    const take = ({ uid, png }) => png && pictures.set(uid, `data:image/png;base64,${png}`);
+    try {
+      await app.api.lines(app.path("frames", frame.id, "sheet"), take, { signal });
+      if (!signal.aborted) draw();
+    } catch (error) {
+      if (!isAborted(error)) app.toast(error);
+    }
+  }
+
   return {
     show() {
       note.textContent = summary(desk.labels());
-      list.replaceChildren(...desk.labels().map((label) => boxRow(label, desk)));
+      draw();
+      void readPictures();
     },
+    destroy: () => request.abort(),
   };
 }
 
 /**
  * @param {PageLabel} label
  * @param {Desk} desk
+ * @param {string | null} picture "": not drawn yet; null: the box has none.
  */
-function boxRow(label, desk) {
+function boxRow(label, desk, picture) {
   const problem = desk.problemOf(label.uid);
   const state = problem ? "not saved" : label.isNew ? "new" : label.state;
   return h(
@@ -154,6 +249,38 @@ function boxRow(label, desk) {
       h("span", { class: `dot state-${label.state}`, "aria-hidden": "true" }),
       h("span", { class: "ellipsis grow" }, shortName(label)),
       h("span", { class: problem ? "bad" : `state-${label.state}` }, state),
+      picture && label.state !== "rejected" ? h("img", { src: picture, alt: "", class: "small-views" }) : null,
     ),
   );
+}
+
+/**
+ * Gives a select other options; true if the chosen one is gone.
+ *
+ * @param {HTMLSelectElement} select
+ * @param {string} all the option without a value.
+ * @param {string[]} values
+ * @param {(value: string) => string} [nameOf]
+ */
+function refill(select, all, values, nameOf = String) {
+  const chosen = select.value;
+  select.replaceChildren(
+    h("option", { value: "" }, all),
+    ...values.map((value) => h("option", { value }, nameOf(value))),
+  );
+  select.value = values.includes(chosen) ? chosen : "";
+  return select.value !== chosen;
+}
+
+/**
+ * The values that the queue can be filtered by, as "name=value"; "name=" for boxes without one.
+ *
+ * @param {ModeApp} app
+ */
+function valuesOf(app) {
+  return schemaOf(app)
+    .filter(({ of }) => of !== "frame")
+    .flatMap((attribute) =>
+      ["", ...(steps(attribute) ?? []).map(String)].map((value) => `${attribute.name}=${value}`),
+    );
 }

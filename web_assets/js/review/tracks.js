@@ -13,14 +13,14 @@ import { makeHash } from "../router.js";
 const SHOWN = 40;
 
 /**
- * `open` shows a box in its frame.
+ * `open` shows a box in its frame, `sheet` the contact sheet. `onCarried` is called when later proposals have changed.
  *
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
- * @param {{ open: (target: Target) => unknown }} options
+ * @param {{ open: (target: Target) => unknown, sheet: () => unknown, onCarried: () => unknown }} options
  */
-export function createTracks(host, app, desk, { open }) {
+export function createTracks(host, app, desk, { open, sheet, onCarried }) {
   const title = h("span", { class: "grow ellipsis" });
   const fill = h(
     "button",
@@ -33,8 +33,34 @@ export function createTracks(host, app, desk, { open }) {
     "Fill back",
     h("kbd", {}, "I"),
   );
+  const all = h(
+    "button",
+    {
+      type: "button",
+      title: "All boxes of this track as small pictures, to be accepted together (S)",
+      "data-testid": "act-sheet",
+      onclick: () => sheet(),
+    },
+    "Sheet",
+  );
+  const alike = h(
+    "button",
+    {
+      type: "button",
+      title: "Correct the later proposals of this track like this box (A)",
+      "data-testid": "act-carry",
+      onclick: () => void carry(),
+    },
+    "Alike",
+    h("kbd", {}, "A"),
+  );
   const strip = h("div", { class: "track-strip", "data-testid": "track-strip" });
-  const body = h("div", { class: "track", hidden: true }, h("div", { class: "row pad" }, title, fill), strip);
+  const body = h(
+    "div",
+    { class: "track", hidden: true },
+    h("div", { class: "row pad" }, title, all, alike, fill),
+    strip,
+  );
   host.append(body);
   /** @type {{ key: string, boxes: Api.TrackBox[] }} */
   let known = { key: "", boxes: [] };
@@ -80,6 +106,7 @@ export function createTracks(host, app, desk, { open }) {
     title.textContent = `Track ${id} (${known.boxes.length})`;
     title.title = `${count(known.boxes.length, "box", "boxes")} in this recording`;
     title.style.color = trackColor(id);
+    alike.disabled = desk.formerBox(label.uid) === null;
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
     strip.replaceChildren(
       ...known.boxes.slice(from, from + SHOWN).map((box) =>
@@ -172,6 +199,32 @@ export function createTracks(host, app, desk, { open }) {
     }
   }
 
+  /** Corrects the later proposals of the track like the selected box. */
+  async function carry() {
+    const label = desk.stored();
+    if (!label || label.isNew) return;
+    await desk.flush();
+    const was = desk.formerBox(label.uid);
+    if (was === null) return app.toast("Correct this box first; then A corrects the later ones alike.", "warn");
+    const { id } = currentFrame(app).frame;
+    app.effort.action();
+    try {
+      /** @type {Api.CarryOut} */
+      const { changed } = await desk.enqueue(() =>
+        app.api.change(app.path("frames", id, "carry"), {
+          revision: currentFrame(app).frame.revision,
+          uid: label.uid,
+          was,
+        }),
+      );
+      app.toast(`${count(changed, "later box", "later boxes")} corrected alike.`, "good");
+      refresh();
+      await onCarried();
+    } catch (error) {
+      await refused(error);
+    }
+  }
+
   /**
    * Reports a refused change. If others have changed the frame in the meantime, their version is shown.
    *
@@ -189,5 +242,5 @@ export function createTracks(host, app, desk, { open }) {
     void show();
   }
 
-  return { show, refresh, step, copyToNext, interpolate };
+  return { show, refresh, step, copyToNext, carry, interpolate };
 }

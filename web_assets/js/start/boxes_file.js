@@ -1,4 +1,4 @@
-/** The dialog that imports 2D boxes from a file, and then proposes 3D boxes from them. */
+/** The dialog that imports boxes from a file: 2D boxes, from which 3D boxes are then proposed, or 3D boxes. */
 
 import { projectPath } from "../api.js";
 import { openDialog } from "../dialogs.js";
@@ -15,6 +15,12 @@ const ADD = "\n";
 const KINDS = [
   ["silhouette", "the visible part of each object"],
   ["box", "each whole object, hidden parts included"],
+];
+
+/** What 3D boxes become. */
+const BECOME = [
+  ["proposals", "proposals, to be reviewed"],
+  ["labels", "labels, on frames without labels"],
 ];
 
 /**
@@ -36,6 +42,8 @@ export async function importBoxes(app, name) {
    */
   let upload = Promise.resolve(null);
   let asked = 0;
+  /** Id of the file whose name is offered as the source. */
+  let latest = "";
   let isReading = false;
   /** @type {Map<string, HTMLSelectElement>} */
   const choices = new Map();
@@ -68,6 +76,45 @@ export async function importBoxes(app, name) {
     disabled: measuredBy === null,
     "data-testid": "boxes-lift",
   });
+  const become = h(
+    "select",
+    { "data-testid": "boxes-become", onchange: () => showKind() },
+    BECOME.map(([value, text]) => h("option", { value }, text)),
+  );
+  const source = h("input", { type: "text", maxlength: 200, "data-testid": "boxes-source" });
+  const minScore = h("input", { type: "number", step: "any", "data-testid": "boxes-min-score" });
+  const scoreHelp = h("span", { class: "help" });
+  const of2d = h(
+    "div",
+    { class: "stack" },
+    h("label", { class: "field" }, h("span", {}, "The boxes enclose"), kind),
+    h(
+      "label",
+      { class: "row" },
+      lift,
+      measuredBy === null
+        ? "Propose 3D boxes from them: this needs a view detector, train one first"
+        : `Propose 3D boxes from them, measured by: ${measuredBy}`,
+    ),
+  );
+  const ofProposals = h(
+    "div",
+    { class: "stack" },
+    h(
+      "label",
+      { class: "field" },
+      h("span", {}, "Source"),
+      source,
+      h("span", { class: "help" }, "Whose boxes they are. They replace what this source has proposed before."),
+    ),
+    h("label", { class: "field" }, h("span", {}, "Lowest score"), minScore, scoreHelp),
+  );
+  const of3d = h(
+    "div",
+    { class: "stack" },
+    h("label", { class: "field" }, h("span", {}, "The boxes become"), become),
+    ofProposals,
+  );
   const about = h("div", { class: "stack", role: "status", "data-testid": "boxes-about" });
   const classes = h("fieldset", { class: "choices", hidden: true, "data-testid": "boxes-classes" });
 
@@ -94,6 +141,8 @@ export async function importBoxes(app, name) {
     try {
       const answer = await look();
       if (own !== asked) return;
+      if (answer && answer.id !== latest) source.value = answer.source;
+      latest = answer?.id ?? latest;
       sent = answer;
       about.replaceChildren(...(sent ? described(sent) : []));
     } catch (error) {
@@ -102,6 +151,20 @@ export async function importBoxes(app, name) {
     }
     isReading = false;
     showClasses();
+    showKind();
+  }
+
+  /** Shows what can be chosen for 2D boxes, or for 3D boxes. */
+  function showKind() {
+    const is3d = sent !== null && sent.labelled !== null;
+    of2d.hidden = sent === null || is3d;
+    of3d.hidden = !is3d;
+    ofProposals.hidden = become.value !== "proposals";
+    const scores = sent?.scores ?? null;
+    minScore.disabled = scores === null;
+    scoreHelp.textContent = scores
+      ? `Boxes with a lower score are left out. The scores are ${number(scores[0])} to ${number(scores[1])}.`
+      : "The boxes have no scores.";
   }
 
   function showClasses() {
@@ -148,8 +211,8 @@ export async function importBoxes(app, name) {
 
   async function start() {
     if (isReading) throw new Error("The file was still being read. Check what it has, then import it.");
-    if (!sent) throw new Error("Choose a file with 2D boxes first.");
-    if (sent.ambiguous) throw new Error("Choose the recording of the images: several have frames of these names.");
+    if (!sent) throw new Error("Choose a file with boxes first.");
+    if (sent.ambiguous) throw new Error("Choose the recording of the boxes: several have frames of these names.");
     const labels = Object.keys(sent.boxes);
     const chosen = labels.flatMap((label) => {
       const value = choices.get(label)?.value ?? label;
@@ -163,15 +226,21 @@ export async function importBoxes(app, name) {
       upload: sent.id,
       names: Object.fromEntries(chosen.filter(({ label, to }) => label !== to).map(({ label, to }) => [label, to])),
       recording: recording.value ? Number(recording.value) : null,
-      box_kind: kind.value,
-      lift: lift.checked,
+      ...(sent.labelled === null
+        ? { box_kind: kind.value, lift: lift.checked }
+        : {
+            become: become.value,
+            source: source.value.trim() || null,
+            min_score: become.value === "proposals" && minScore.value ? Number(minScore.value) : null,
+          }),
     });
     takeJob(app, job);
     return job;
   }
 
+  showKind();
   return openDialog({
-    title: `Import 2D boxes into ${name}`,
+    title: `Import boxes into ${name}`,
     testid: "boxes-dialog",
     wide: true,
     content: [
@@ -183,24 +252,18 @@ export async function importBoxes(app, name) {
         h(
           "span",
           { class: "help" },
-          "A COCO file (.json), or a YOLO or COCO folder packed as .zip, with boxes on camera images. The images " +
-            "must have the names of the frames, such as 000012.jpg for the frame 000012.",
+          "2D boxes on camera images: a COCO file (.json), or a YOLO or COCO folder packed as .zip. 3D boxes: " +
+            "boxes.json, OpenLABEL, nuScenes' results, or a folder such as KITTI's label_2 packed as .zip. Images " +
+            "and frames must have the names of the project's, such as 000012.",
         ),
       ),
       about,
       classes,
       ...(project.recordings.length > 1
-        ? [h("label", { class: "field" }, h("span", {}, "The images are of"), recording)]
+        ? [h("label", { class: "field" }, h("span", {}, "The boxes are of"), recording)]
         : []),
-      h("label", { class: "field" }, h("span", {}, "The boxes enclose"), kind),
-      h(
-        "label",
-        { class: "row" },
-        lift,
-        measuredBy === null
-          ? "Propose 3D boxes from them: this needs a view detector, train one first"
-          : `Propose 3D boxes from them, measured by: ${measuredBy}`,
-      ),
+      of2d,
+      of3d,
     ],
     actions: [
       { label: "Cancel", value: "cancel" },
@@ -211,19 +274,36 @@ export async function importBoxes(app, name) {
 }
 
 /**
+ * A score with few digits.
+ *
+ * @param {number} value
+ */
+function number(value) {
+  return Number(value.toPrecision(3)).toString();
+}
+
+/**
  * What a file has.
  *
  * @param {Api.BoxesFile} file
  */
-function described({ name, images, unmatched, unmatched_names, ambiguous, boxes, replaced, renamed, taken_for }) {
+function described(file) {
+  const { name, images, unmatched, unmatched_names, ambiguous, boxes, replaced, labelled, renamed, taken_for } = file;
+  const thing = labelled === null ? "image" : "frame";
   const total = Object.values(boxes).reduce((sum, number) => sum + number, 0);
   const lines = [
     h(
       "p",
       { "data-testid": "boxes-found" },
-      `${name}: ${count(total, "box", "boxes")} on ${count(images - unmatched, "image")} of this project's frames.`,
+      labelled === null
+        ? `${name}: ${count(total, "box", "boxes")} on ${count(images - unmatched, "image")} of this project's frames.`
+        : `${name}: ${count(total, "3D box", "3D boxes")} in ${count(images - unmatched, "frame")} of this project.`,
     ),
   ];
+  if (labelled) {
+    const text = `Of these frames, ${labelled} ${labelled === 1 ? "has" : "have"} labels: they only take proposals.`;
+    lines.push(h("p", { "data-testid": "boxes-labelled" }, text));
+  }
   if (replaced) {
     const text = `The import replaces the boxes drawn on ${count(replaced, "image")}.`;
     lines.push(h("p", { "data-testid": "boxes-replaced" }, text));
@@ -234,7 +314,7 @@ function described({ name, images, unmatched, unmatched_names, ambiguous, boxes,
   }
   if (unmatched) {
     const names = unmatched_names.join(", ");
-    const left = `Left out: ${count(unmatched, "image")} without a frame of the same name, such as ${names}.`;
+    const left = `Left out: ${count(unmatched, thing)} without a frame of the same name, such as ${names}.`;
     lines.push(h("p", { class: "muted" }, left));
   }
   if (ambiguous)
@@ -242,7 +322,7 @@ function described({ name, images, unmatched, unmatched_names, ambiguous, boxes,
       h(
         "p",
         { class: "error-box", role: "alert" },
-        `${count(ambiguous, "image")} could be of several recordings. Choose the recording below.`,
+        `${count(ambiguous, thing)} could be of several recordings. Choose the recording below.`,
       ),
     );
   return lines;

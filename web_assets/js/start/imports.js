@@ -1,20 +1,20 @@
 /**
- * Follows the jobs that read boxes of recordings and files. The start page has no open project, so it receives no
- * events of these jobs.
+ * Follows the jobs that read boxes of recordings and files, and those that copy projects. The start page has no open
+ * project, so it receives no events of these jobs.
  */
 
 import { isActive } from "../jobs.js";
 
 /** @type {Api.Job["kind"][]} */
-const KINDS = ["import", "boxes"];
-/** Reading boxes takes between a moment and minutes, so the interval between requests grows. */
+const KINDS = ["import", "boxes", "copy"];
+/** Such a job takes between a moment and minutes, so the interval between requests grows. */
 const WAIT_MS = { first: 700, longest: 5000, growth: 1.5 };
 
 /** @param {Api.Job} job */
 export const isOfImport = ({ kind }) => KINDS.includes(kind);
 
 /**
- * Requests the jobs once, and then repeatedly while boxes are being read.
+ * Requests the jobs once, and then repeatedly while one of them runs.
  *
  * @param {App} app
  * @param {() => void} onDone called when a job has ended.

@@ -3,7 +3,7 @@
 import { openDialog } from "../dialogs.js";
 import { count, glyph, h } from "../dom.js";
 import { projectPath } from "../api.js";
-import { messageOf } from "../errors.js";
+import { ApiError, messageOf } from "../errors.js";
 import { createJobLine, takeJob } from "../jobs.js";
 import { createFolders } from "./folders.js";
 import { chooseTopics } from "./topics.js";
@@ -67,8 +67,9 @@ export function addRecordings(app, project) {
  * @param {{ project: string, done: HTMLElement, labels: HTMLInputElement, cameras: HTMLSelectElement }} options
  * @param {Api.FolderEntry} entry
  * @param {HTMLButtonElement} button
+ * @param {boolean} [isNew] although it seems to be one of the project that has moved.
  */
-async function add(app, { project, done, labels, cameras }, entry, button) {
+async function add(app, { project, done, labels, cameras }, entry, button, isNew = false) {
   const isBag = entry.recording === "ros_bag";
   const options = isBag ? await chooseTopics(app, entry) : CAMERAS[Number(cameras.value)].options;
   if (options === null) return;
@@ -79,6 +80,7 @@ async function add(app, { project, done, labels, cameras }, entry, button) {
     const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
       path: entry.path,
       labels: labels.checked,
+      as_new: isNew,
       options,
     });
     done.append(...added.map((one) => h("p", { "data-testid": "added-recording" }, glyph("check"), describe(one))));
@@ -91,10 +93,48 @@ async function add(app, { project, done, labels, cameras }, entry, button) {
     button.textContent = again ? "Add" : "Added";
     button.disabled = !again;
   } catch (error) {
-    done.append(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
     button.textContent = "Add";
     button.disabled = false;
+    if (error instanceof ApiError && error.body.moved) {
+      const choice = await askMoved(app, project, entry, error.body.moved);
+      if (choice === "new") await add(app, { project, done, labels, cameras }, entry, button, true);
+      if (choice !== "moved") return;
+      const text = `${error.body.moved.name} is now at ${entry.path}, with its labels`;
+      done.append(h("p", { "data-testid": "added-recording" }, glyph("check"), text));
+      button.textContent = "Added";
+      button.disabled = true;
+    } else {
+      done.append(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
+    }
   }
+}
+
+/**
+ * Offers to set the new path of a recording of the project that is found elsewhere.
+ *
+ * @param {App} app
+ * @param {string} project
+ * @param {Api.FolderEntry} entry
+ * @param {Api.MissingRecording} moved
+ */
+function askMoved(app, project, entry, moved) {
+  return openDialog({
+    title: `${moved.name} has moved`,
+    testid: "moved-dialog",
+    content: [
+      h("p", {}, `${entry.name} has the frames of the recording ${moved.name}, whose folder was not found.`),
+      h("p", { class: "help" }, "With the new path, its labels stay. Another recording begins without them."),
+    ],
+    actions: [
+      { label: "Cancel", value: "cancel" },
+      { label: "Add as another recording", value: "new" },
+      { label: "Use the new path", value: "moved" },
+    ],
+    async submit(value) {
+      if (value === "moved") await app.api.patch(projectPath(project, "recordings", moved.id), { path: entry.path });
+      return value;
+    },
+  });
 }
 
 /**

@@ -1,11 +1,13 @@
-/** The start page: the projects, a new project, and recordings for them. */
+/** The start page: the projects with what can be done to them, a new project, and recordings for them. */
 
-import { count, glyph, h } from "../dom.js";
+import { count, glyph, h, iconButton } from "../dom.js";
 import { makeHash } from "../router.js";
 import { messageOf } from "../errors.js";
-import { createJobLine, isActive } from "../jobs.js";
+import { createJobLine, isActive, takeJob } from "../jobs.js";
+import { editClasses } from "../classes/classes.js";
 import { importBoxes } from "./boxes_file.js";
 import { followImports, isOfImport } from "./imports.js";
+import { createMenu } from "./manage.js";
 import { addRecordings, locateRecording } from "./recordings.js";
 import { createProject } from "./new_project.js";
 
@@ -20,7 +22,7 @@ export function mount(root, app) {
   /** @type {JobLine[]} */
   let lines = [];
   /**
-   * Ids of the jobs that import boxes and were started here: their outcome stays on the page.
+   * Ids of the jobs that import boxes or copy a project and were started here: their outcome stays on the page.
    *
    * @type {Set<string>}
    */
@@ -64,6 +66,16 @@ export function mount(root, app) {
   }
 
   /** @param {string} name */
+  async function change(name) {
+    try {
+      await editClasses(app, name);
+    } catch (error) {
+      app.toast(error);
+    }
+    await refresh();
+  }
+
+  /** @param {string} name */
   async function addBoxes(name) {
     try {
       const job = await importBoxes(app, name);
@@ -75,14 +87,32 @@ export function mount(root, app) {
     }
   }
 
+  /** @param {Api.Job} job */
+  function begun(job) {
+    started.add(job.id);
+    takeJob(app, job);
+  }
+
   async function refresh() {
     try {
       /** @type {Api.ProjectList} */
       const { projects } = await app.api.get("/api/projects");
+      const menu = list.querySelector(":popover-open");
+      // new cards would take an open menu away
+      if (menu) return menu.addEventListener("toggle", refresh, { once: true });
       lines = projects.map(({ name }) => importLine(app, name, started));
       list.replaceChildren(
         ...(projects.length
-          ? projects.map((project, i) => card(project, { add, addBoxes, locate, line: lines[i].root }))
+          ? projects.map((project, i) =>
+              card(project, {
+                add,
+                addBoxes,
+                locate,
+                change,
+                line: lines[i].root,
+                menu: createMenu(app, project, refresh, begun),
+              }),
+            )
           : [nothing()]),
       );
       showLines();
@@ -117,7 +147,7 @@ export function mount(root, app) {
 }
 
 /**
- * The progress of reading boxes of recordings or of a file, or the reason why that failed.
+ * The progress of reading boxes of recordings or of a file, or of a copy, or the reason why that failed.
  *
  * @param {App} app
  * @param {string} project
@@ -141,16 +171,20 @@ function importLine(app, project, started) {
  * @param {(name: string) => void} parts.add
  * @param {(name: string) => void} parts.addBoxes
  * @param {(name: string, recording: Api.MissingRecording) => void} parts.locate
+ * @param {(name: string) => void} parts.change
  * @param {HTMLElement} parts.line
+ * @param {HTMLElement[]} parts.menu
  */
-function card(project, { add, addBoxes, locate, line }) {
+function card(project, { add, addBoxes, locate, change, line, menu }) {
   const { name, problem } = project;
   const labels = project.labels_by_state;
   const proposed = labels.proposed ?? 0;
   const title = problem
     ? h("h2", { class: "ellipsis" }, name)
     : h("h2", { class: "ellipsis" }, h("a", { href: makeHash(name, "label"), "data-testid": `open-${name}` }, name));
-  const box = h("section", { class: "panel project", "data-testid": `project-${name}`, "aria-label": name }, title);
+  const box = h("section", { class: "panel project", "data-testid": `project-${name}`, "aria-label": name }, [
+    h("div", { class: "row" }, h("span", { class: "grow ellipsis" }, title), menu),
+  ]);
   if (problem) {
     box.append(h("p", { class: "error-box" }, problem));
     return box;
@@ -170,9 +204,9 @@ function card(project, { add, addBoxes, locate, line }) {
     "button",
     { type: "button", onclick: () => addBoxes(name), "data-testid": `import-boxes-${name}` },
     glyph("plus"),
-    "2D boxes",
+    "Boxes",
   );
-  boxesButton.title = "Import 2D boxes on camera images from a COCO or YOLO file, and propose 3D boxes from them";
+  boxesButton.title = "Import 2D boxes on camera images, or 3D boxes as proposals or labels, from a file";
   boxesButton.hidden = !project.recordings;
   const links = project.recordings
     ? [
@@ -185,6 +219,9 @@ function card(project, { add, addBoxes, locate, line }) {
       "p",
       { class: "classes" },
       project.classes.map((label) => h("span", { class: "chip" }, label)),
+      iconButton("edit", `Change the classes and attributes of ${name}`, () => change(name), {
+        "data-testid": `edit-classes-${name}`,
+      }),
     ),
     h(
       "p",

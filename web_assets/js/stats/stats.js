@@ -7,7 +7,11 @@ import { createChart } from "../charts.js";
 import { h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
+import { createWork, dayTable, peopleTable, qualityTable, rangeTable } from "./work.js";
+import { number, percent, section, table } from "./tables.js";
 
+/** How long to rest between two readings, relative to the time that one takes. */
+const REST = 20;
 const STATES = ["proposed", "accepted", "edited", "rejected"];
 /** @type {Record<string, string>} */
 const ORIGINS = {
@@ -39,12 +43,14 @@ export function mount(root, app) {
     h("figure", {}, h("figcaption", {}, "Boxes by class and state"), stateHost),
   );
   const chartsPanel = h("section", { class: "panel" }, h("div", { class: "body" }, chartsBox));
+  const work = createWork();
   root.append(
     h(
       "div",
       { class: "page wide", "data-testid": "statistics" },
       h("h1", {}, "Statistics"),
       tiles,
+      work.element,
       chartsPanel,
       tables,
     ),
@@ -52,6 +58,9 @@ export function mount(root, app) {
   /** @type {Api.ReportedStatistics | null} */
   let known = null;
   let ended = false;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  let timer;
+  let restsUntilMs = 0;
   const charts = [
     createChart(secondsHost, (colors) => effortChart(known, "seconds_a_box", colors.accent)),
     createChart(actionsHost, (colors) => effortChart(known, "actions_a_box", colors.proposed)),
@@ -59,6 +68,8 @@ export function mount(root, app) {
   ];
 
   async function load() {
+    timer = undefined;
+    const beganMs = performance.now();
     /** @type {Api.ReportedStatistics} */
     let fresh;
     try {
@@ -66,50 +77,64 @@ export function mount(root, app) {
     } catch (error) {
       if (!ended) tiles.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
       return;
+    } finally {
+      restsUntilMs = performance.now() + REST * (performance.now() - beganMs);
     }
     if (ended) return;
     known = fresh;
     const isEmpty = fresh.labels.total === 0;
     tiles.replaceChildren(...tilesOf(fresh));
     if (isEmpty) tables.replaceChildren(nothingYet(app));
-    else tables.replaceChildren(effortTable(fresh), countTable(fresh), projectTable(fresh));
+    else tables.replaceChildren(...tablesOf(fresh));
     chartsPanel.hidden = isEmpty;
+    work.show(fresh.progress);
     for (const chart of charts) void chart.draw();
   }
 
-  const stop = [app.events.on("frame", () => void load()), app.events.on("reconnected", () => void load())];
+  /** Reads the numbers again, not more often than the server can well compute them. */
+  function loadSoon() {
+    timer ??= setTimeout(load, Math.max(0, restsUntilMs - performance.now()));
+  }
+
+  const stop = [app.events.on("frame", loadSoon), app.events.on("reconnected", loadSoon)];
   void load();
   return {
     unmount() {
       ended = true;
+      clearTimeout(timer);
+      work.destroy();
       for (const end of stop) end();
       for (const chart of charts) chart.destroy();
     },
   };
 }
 
-/**
- * @param {number | null | undefined} value
- * @param {number} [digits]
- */
-const number = (value, digits = 1) =>
-  value === null || value === undefined
-    ? "–"
-    : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
-/** @param {number | null | undefined} value */
-const percent = (value) => (value === null || value === undefined ? "–" : `${number(100 * value, 0)} %`);
 /** @param {string} name */
 const originName = (name) => ORIGINS[name] ?? name;
 
 /** @param {Api.ReportedStatistics} options */
-function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels }) {
+function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, progress }) {
+  const { earliest, latest } = progress.pace;
+  const { hours_left, days_left, frames_left, frames_done } = progress.forecast;
+  const change =
+    earliest && latest
+      ? `of work: first ${number(earliest.seconds_a_box)}, lately ${number(latest.seconds_a_box)}`
+      : "of work";
+  const range = hours_left && `${number(hours_left.low)} to ${number(hours_left.high)}`;
+  const left =
+    frames_left === 0
+      ? "every frame is done"
+      : range && days_left
+        ? `${range}; ${number(days_left.expected)} days at the latest pace`
+        : `no forecast before 10 frames are done; ${number(frames_done, 0)} done, ${number(frames_left, 0)} left`;
   const done = (labels.by_state.accepted ?? 0) + (labels.by_state.edited ?? 0);
   return [
     ["Boxes done", number(done, 0), "accepted or edited"],
-    ["Seconds per box", number(effort.seconds_a_box), "of work"],
+    ["Seconds per box", number(effort.seconds_a_box), change],
     ["Actions per box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
     ["Accepted untouched", percent(accepted_untouched), "of the reviewed proposals"],
     ["IoU of proposal and final box", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
+    ["Hours of work left", number(hours_left?.expected), left],
   ].map(([name, value, help]) =>
     h(
       "div",
@@ -121,44 +146,12 @@ function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels }) 
   );
 }
 
-/**
- * @param {string} title
- * @param {HTMLElement} table
- */
-function section(title, table) {
-  return h("section", { class: "panel" }, h("header", {}, h("h2", {}, title)), h("div", { class: "scroll-x" }, table));
-}
-
-/**
- * @param {string[]} heads
- * @param {string[][]} rows
- * @param {string} testid
- */
-function table(heads, rows, testid) {
-  return h(
-    "table",
-    { class: "dense", "data-testid": testid },
-    h(
-      "thead",
-      {},
-      h(
-        "tr",
-        {},
-        heads.map((text, i) => h("th", { scope: "col", class: i ? "number right" : "" }, text)),
-      ),
-    ),
-    h(
-      "tbody",
-      {},
-      rows.map((cells) =>
-        h(
-          "tr",
-          {},
-          cells.map((cell, i) => (i ? h("td", { class: "number right" }, cell) : h("th", { scope: "row" }, cell))),
-        ),
-      ),
-    ),
-  );
+/** @param {Api.ReportedStatistics} known */
+function tablesOf(known) {
+  const { progress } = known;
+  const common = [effortTable(known), countTable(known), projectTable(known)];
+  if (progress.days.length === 0) return common;
+  return [peopleTable(progress), qualityTable(progress), rangeTable(progress), ...common, dayTable(progress)];
 }
 
 /** @param {Api.ReportedStatistics} options */

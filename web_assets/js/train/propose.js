@@ -17,7 +17,7 @@ export function createPropose(host, app) {
   const importButton = h(
     "button",
     { type: "button", "data-testid": "import-boxes", onclick: () => void addBoxes() },
-    "Import 2D boxes …",
+    "Import boxes …",
   );
   const choices = h("div", { class: "choices-list", role: "group", "aria-label": "Recordings" });
   const limit = h("input", {

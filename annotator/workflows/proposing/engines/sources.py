@@ -11,9 +11,9 @@ from annotator.detection.config import Backend
 from annotator.detection.trained import MODEL_NAME
 from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.project.project import Project
-from annotator.types import BoxKind, DetectorKind
+from annotator.types import BoxKind
 from annotator.types.errors import DetectionError
-from annotator.workflows.detectors import Detectors, active_model, load_detector, view_model
+from annotator.workflows.detectors import Detectors, Names, image_model, load_detector, view_model
 from annotator.workflows.proposing.engines.storage import scratch_folder
 
 
@@ -50,6 +50,7 @@ class TrainedDetectors:
         box_kind: what the boxes of the view detector measure.
         backend: as for `load_detector`.
         class_agnostic, image_kind: as in `Detectors`.
+        names: as in `UsedModel`, of both.
     """
 
     image: Path
@@ -58,6 +59,7 @@ class TrainedDetectors:
     backend: Backend = "auto"
     class_agnostic: bool = False
     image_kind: BoxKind = BoxKind.BOX
+    names: tuple[Names, Names] = ((), ())
 
     def load(self, threads: int | None) -> Detectors:
         """Loads the detectors.
@@ -66,8 +68,8 @@ class TrainedDetectors:
             DetectionError, FormatError: as `load_detector`.
         """
         return Detectors(
-            load_detector(self.image, self.backend, threads=threads),
-            load_detector(self.view, self.backend, threads=threads),
+            load_detector(self.image, self.backend, threads=threads, names=self.names[0]),
+            load_detector(self.view, self.backend, threads=threads, names=self.names[1]),
             self.box_kind,
             self.class_agnostic,
             self.image_kind,
@@ -80,8 +82,9 @@ def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDet
     Raises:
         DetectionError: one of them has not been trained yet.
     """
-    image, view = active_model(project, DetectorKind.IMAGE), view_model(project)
-    return TrainedDetectors(image.path, view.path, view.box_kind, backend, view.class_agnostic, image.box_kind)
+    image, view = image_model(project), view_model(project)
+    names = (image.names, view.names)
+    return TrainedDetectors(image.path, view.path, view.box_kind, backend, view.class_agnostic, image.box_kind, names)
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,7 @@ class PackedDetectors:
     backend: Backend
     class_agnostic: bool = False
     image_kind: BoxKind = BoxKind.BOX
+    names: tuple[Names, Names] = ((), ())
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
@@ -150,7 +154,8 @@ class PackedDetectors:
             DetectionError: they cannot be read.
         """
         image, view = _Files.of(trained.image), _Files.of(trained.view)
-        return cls(image, view, trained.box_kind, trained.backend, trained.class_agnostic, trained.image_kind)
+        kinds = (trained.class_agnostic, trained.image_kind)
+        return cls(image, view, trained.box_kind, trained.backend, *kinds, trained.names)
 
     def load(self, threads: int | None) -> Detectors:
         """Writes the files into the machine's temporary folder, where they stay, and loads the detectors.
@@ -160,5 +165,6 @@ class PackedDetectors:
         """
         folder = scratch_folder() / "detectors"
         image, view = self.image.unpacked(folder), self.view.unpacked(folder)
-        trained = TrainedDetectors(image, view, self.box_kind, self.backend, self.class_agnostic, self.image_kind)
+        kinds = (self.class_agnostic, self.image_kind)
+        trained = TrainedDetectors(image, view, self.box_kind, self.backend, *kinds, self.names)
         return trained.load(threads)

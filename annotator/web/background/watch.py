@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import threading
 
 from annotator.project.database.patience import waiting_at_most
 from annotator.types.errors import AnnotatorError
+from annotator.web.background.learning import Learner
+from annotator.web.background.periodic import Periodic
 from annotator.web.context import Context
-from annotator.web.learning import Learner
 
 LOG = logging.getLogger("annotator.web")
 
@@ -17,26 +17,15 @@ EVERY_S = 0.5
 WAIT_S = 0.1
 
 
-class Watch:
-    """Polls the log of each project that a page has open: sends an event for each changed frame and each adjusted
-    recording, and lets it learn."""
+class Watch(Periodic):
+    """Polls the log of each project that a page has open: sends an event for each changed frame, each adjusted
+    recording and each change of the classes, and lets it learn."""
 
-    def __init__(self, context: Context, learner: Learner, every_s: float = EVERY_S) -> None:
-        self._context, self._learner, self._every_s = context, learner, every_s
+    def __init__(self, context: Context, learner: Learner) -> None:
+        super().__init__("watch", EVERY_S, self.poll)
+        self._context, self._learner = context, learner
         self._last_events: dict[str, int] = {}
         self._problems: dict[str, str] = {}
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
-
-    def start(self) -> None:
-        """Starts the thread."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Ends the thread, and waits for it."""
-        self._ended.set()
-        if self._thread.is_alive():
-            self._thread.join()
 
     def poll(self) -> None:
         """Reads new events of every project that a page has open."""
@@ -57,11 +46,14 @@ class Watch:
         before = self._last_events.get(name, since)
         newest, changed = project.log.changed_frames(before)
         adjusted = project.adjustments.since(before) if changed else ()
+        classes = project.class_changes_after(before) if newest > before else ()
         self._last_events[name] = newest
         for frame in changed:
             self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
         for recording, event, author in adjusted:
             self._context.hub.recording_adjusted(name, recording, event, author)
+        for author, change in classes:
+            self._context.hub.classes_changed(name, change.classes, author)
         self._learner.look(name, project)
 
     def _failed(self, name: str, problem: str) -> None:
@@ -69,10 +61,3 @@ class Watch:
         if self._problems.get(name) != problem:
             LOG.warning("%s: it cannot be watched, or cannot learn: %s", name, problem)
         self._problems[name] = problem
-
-    def _run(self) -> None:
-        while not self._ended.wait(self._every_s):
-            try:
-                self.poll()
-            except Exception:  # a failed poll must not end the thread
-                LOG.exception("polling the projects' logs failed")

@@ -1,0 +1,267 @@
+"""`annotator classes`: the classes and attributes of a project."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
+
+from pydantic import ValidationError
+from tyro.conf import arg
+
+from annotator.cli.options import AsJson, ProjectName, Projects
+from annotator.cli.output import print_facts, print_json, print_line
+from annotator.cli.projects import open_named
+from annotator.project import ProjectConfig
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
+from annotator.project.classes.changing import change_classes
+from annotator.project.classes.counting import ClassCounts
+from annotator.project.classes.edit import ClassEdit
+from annotator.project.classes.listing import ClassRow, list_classes
+from annotator.project.config import first_problem
+from annotator.types.errors import ConfigError
+
+AUTHOR = "annotator classes"
+
+ClassName = Annotated[str, arg(help="name of the class.")]
+Colour = Annotated[str | None, arg(metavar="RRGGBB", help="colour on the page, six hexadecimal digits.")]
+Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.")]
+
+
+def show(project: ProjectName, /, *, as_json: AsJson = False, projects: Projects = None) -> None:
+    """List a project's classes, with the number of their boxes, and its attributes."""
+    with open_named(project, projects) as opened:
+        listed = list_classes(opened)
+    if as_json:
+        print_json(listed)
+        return
+    print_facts([(row.name, _described(row)) for row in listed.classes])
+    print_facts([(f"{row.name} (no class of the project)", _described(row)) for row in listed.unknown])
+    for attribute in listed.attributes:
+        print_line(_attribute_line(attribute))
+
+
+def add(
+    project: ProjectName, name: ClassName, /, *, colour: Colour = None, key: Key = None, projects: Projects = None
+) -> None:
+    """Add a class at the end. Detectors find it after the next training."""
+    _change(project, projects, lambda config: edit.add_class(config, name, _style(ClassStyle(), colour, key)))
+
+
+def style(
+    project: ProjectName, name: ClassName, /, *, colour: Colour = None, key: Key = None, projects: Projects = None
+) -> None:
+    """Set the colour and the key of a class on the page."""
+
+    def styled(config: ProjectConfig) -> ClassEdit:
+        return edit.style_class(config, name, _style(config.class_styles.get(name, ClassStyle()), colour, key))
+
+    _change(project, projects, styled)
+
+
+def order(project: ProjectName, names: tuple[str, ...], /, *, projects: Projects = None) -> None:
+    """Set the order of the classes.
+
+    Args:
+        names: all classes of the project.
+    """
+
+    _change(project, projects, lambda config: edit.order_classes(config, names))
+
+
+def rename(project: ProjectName, old: str, new: str, /, *, projects: Projects = None) -> None:
+    """Rename a class. Its 2D and 3D boxes follow, and so do the results of detectors that know the old name.
+
+    Args:
+        old: present name.
+        new: new name.
+    """
+    _change(project, projects, lambda config: edit.rename_class(config, old, new), old)
+
+
+def merge(project: ProjectName, old: tuple[str, ...], /, *, into: str, projects: Projects = None) -> None:
+    """Give all boxes of some classes to another class, and remove these classes. A backup is made before.
+
+    Args:
+        old: names of the classes, or of boxes whose class was removed from project.json by hand.
+        into: class that gets the boxes.
+    """
+
+    def merged(config: ProjectConfig) -> ClassEdit:
+        for name in old:
+            if name not in counts:
+                edit.require_class(config, name)
+        return edit.merge_classes(config, old, into)
+
+    with open_named(project, projects) as opened:
+        counts = opened.class_counts()
+    _change(project, projects, merged, *old)
+
+
+def remove(
+    project: ProjectName,
+    name: ClassName,
+    /,
+    *,
+    into: str | None = None,
+    with_boxes: bool = False,
+    projects: Projects = None,
+) -> None:
+    """Remove a class. One that has boxes needs --into or --with-boxes.
+
+    Args:
+        into: class that gets the boxes.
+        with_boxes: remove all boxes of the class, too; only a backup, made before, has them then.
+    """
+    if into is not None:
+        if with_boxes:
+            raise ConfigError("--into keeps the boxes and --with-boxes removes them; give one of both")
+        merge(project, (name,), into=into, projects=projects)
+        return
+
+    def removed(config: ProjectConfig) -> ClassEdit:
+        made = edit.remove_class(config, name)
+        return made if with_boxes else ClassEdit(made.config)
+
+    _change(project, projects, removed, *([name] if with_boxes else []), verb="removed with the class")
+
+
+def attribute(
+    project: ProjectName,
+    name: str,
+    /,
+    *,
+    kind: AttributeKind | None = None,
+    of: AttributeOf | None = None,
+    choices: tuple[str, ...] = (),
+    minimum: float | None = None,
+    maximum: float | None = None,
+    classes: tuple[str, ...] = (),
+    required: bool = False,
+    optional: bool = False,
+    value: str | None = None,
+    key: Key = None,
+    drop: bool = False,
+    projects: Projects = None,
+) -> None:
+    """Add an attribute, or change what is given of one. Boxes without a value get the default value.
+
+    Args:
+        name: name of the attribute.
+        kind: kind of its values; a new attribute needs it.
+        of: what has the attribute: each box, a track (the same value in all its boxes), or a frame.
+        choices: the values of the kind choice.
+        minimum: smallest number.
+        maximum: greatest number.
+        classes: classes that have the attribute; default: all.
+        required: let checks report boxes without a value.
+        optional: let checks accept boxes without a value.
+        value: default value of new boxes.
+        drop: remove stored values that do not fit.
+    """
+
+    def put(config: ProjectConfig) -> ClassEdit:
+        known = {each.name: each for each in config.attributes}
+        if name not in known and kind is None:
+            raise ConfigError(f"a new attribute needs --kind, one of {', '.join(AttributeKind)}")
+        given: dict[str, Any] = {"kind": kind, "of": of, "minimum": minimum, "maximum": maximum, "key": key}
+        given |= {
+            "choices": choices or None,
+            "classes": classes or None,
+            "required": required or (False if optional else None),
+        }
+        fields = known[name].model_dump() if name in known else {"name": name}
+        fields |= {field: each for field, each in given.items() if each is not None}
+        for label in classes:
+            edit.require_class(config, label)
+        try:
+            made = Attribute.model_validate(fields)
+            if value is not None:
+                made = made.model_copy(update={"default": made.read(value)})
+        except ValidationError as error:
+            raise ConfigError(first_problem(error)) from error
+        except ValueError as error:
+            raise ConfigError(f"--value: {error}") from error
+        return edit.put_attribute(config, made, drop=drop)
+
+    config = _change(project, projects, put, show_classes=False)
+    print_line(_attribute_line(edit.find_attribute(config, name)))
+
+
+def remove_attribute(project: ProjectName, name: str, /, *, projects: Projects = None) -> None:
+    """Remove an attribute with all its values.
+
+    Args:
+        name: name of the attribute.
+    """
+    with open_named(project, projects) as opened:
+        number = sum(opened.value_counts().get(name, {}).values())
+    _change(project, projects, lambda config: edit.remove_attribute(config, name), show_classes=False)
+    print_line(f"removed {name} and {number} values of it")
+
+
+def rename_attribute(project: ProjectName, old: str, new: str, /, *, projects: Projects = None) -> None:
+    """Rename an attribute, or a choice given as ATTRIBUTE=CHOICE; values follow.
+
+    Args:
+        old: present name, or ATTRIBUTE=CHOICE.
+        new: new name; that of another choice merges both.
+    """
+    name, is_choice, choice = old.partition("=")
+
+    def renamed(config: ProjectConfig) -> ClassEdit:
+        if is_choice:
+            return edit.rename_choice(config, name, choice, new)
+        return edit.rename_attribute(config, old, new)
+
+    config = _change(project, projects, renamed, show_classes=False)
+    print_line(_attribute_line(edit.find_attribute(config, name if is_choice else new)))
+
+
+def _change(
+    name: str,
+    projects: Any,
+    change: Callable[[ProjectConfig], ClassEdit],
+    *followed: str,
+    verb: str = "relabelled",
+    show_classes: bool = True,
+) -> ProjectConfig:
+    """Changes a project; prints how many boxes of the classes `followed` were concerned, and the classes."""
+    with open_named(name, projects) as opened:
+        before = opened.class_counts()
+        changed = change_classes(opened, change, AUTHOR)
+    config = changed.config
+    for line in _followed(before, followed, verb):
+        print_line(line)
+    if changed.backup is not None:
+        print_line(f"backed up before: {changed.backup}")
+    if show_classes:
+        print_line(f"{name}: {', '.join(config.classes)}")
+    return config
+
+
+def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str) -> Iterator[str]:
+    for name in names:
+        count = before.get(name, ClassCounts())
+        yield f"{verb}: {count.labels} labels and {count.boxes_2d} 2D boxes of {name}"
+
+
+def _style(before: ClassStyle, colour: str | None, key: str | None) -> ClassStyle:
+    given = {"colour": None if colour is None else f"#{colour.lstrip('#')}", "key": key}
+    try:
+        return ClassStyle.model_validate(before.model_dump() | {name: each for name, each in given.items() if each})
+    except ValidationError as error:
+        raise ConfigError(first_problem(error)) from error
+
+
+def _described(row: ClassRow) -> str:
+    more = [f"colour {row.colour}" if row.colour else "", f"key {row.key}" if row.key else ""]
+    return ", ".join(filter(None, [f"{row.labels} labels", f"{row.boxes_2d} 2D boxes", *more]))
+
+
+def _attribute_line(attribute: Attribute) -> str:
+    has = f"of {', '.join(attribute.classes)}" if attribute.classes else ""
+    of = "" if attribute.of is AttributeOf.BOX else f"of each {attribute.of}"
+    default = "" if attribute.default is None else f"default {str(attribute.default).lower()}"
+    more = [of, has, "required" if attribute.required else "", default, f"key {attribute.key}" if attribute.key else ""]
+    return f"attribute {attribute.name}: " + "; ".join(filter(None, [attribute.values_text(), *more]))

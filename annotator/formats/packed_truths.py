@@ -1,0 +1,70 @@
+"""The boxes of many frames in a tenth of the memory that they take as objects."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from annotator.types import Box2D, BoxKind, OrientedBox, Truth
+from annotator.types.label import AttributeValue
+
+# The pose, as the upper three rows of its matrix, and the size.
+POSE, SIZE = 12, 3
+NUMBERS = POSE + SIZE
+
+_Others = tuple[str, int | None, Box2D | None, BoxKind, tuple[tuple[str, AttributeValue], ...]]
+"""All of an object but its numbers; few objects differ in it."""
+
+
+class PackedTruths(Mapping[str, tuple[Truth, ...]]):
+    """The objects of each frame, by its name; a frame's objects are made anew whenever they are asked for.
+
+    Args:
+        frames: the names, all different, and objects, read one by one.
+    """
+
+    def __init__(self, frames: Iterable[tuple[str, Sequence[Truth]]]) -> None:
+        self._numbers = array("d")
+        self._scores = array("d")
+        self._others: list[_Others] = []
+        self._places: dict[str, range] = {}
+        known: dict[_Others, _Others] = {}
+        for name, truths in frames:
+            self._places[name] = range(len(self._others), len(self._others) + len(truths))
+            for truth in truths:
+                self._numbers.extend(truth.box.T_camera_box.as_matrix()[:3].ravel().tolist())
+                self._numbers.extend(truth.box.size_m.tolist())
+                self._scores.append(np.nan if truth.score is None else truth.score)
+                values = tuple(truth.attributes.items())
+                others = (truth.label, truth.track_id, truth.image_box, truth.box_kind, values)
+                self._others.append(known.setdefault(others, others))
+
+    @property
+    def scores(self) -> Iterator[float]:
+        """The scores of all objects that have one."""
+        return (score for score in self._scores if score == score)
+
+    def __getitem__(self, name: str) -> tuple[Truth, ...]:
+        return tuple(map(self._truth, self._places[name]))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def _truth(self, place: int) -> Truth:
+        numbers = np.array(self._numbers[place * NUMBERS : (place + 1) * NUMBERS])
+        matrix = np.eye(4)
+        matrix[:3] = numbers[:POSE].reshape(3, 4)
+        # it was a pose before: normalising the rotation again would change its last bits
+        box = OrientedBox(RigidTransform(matrix, normalize=False), numbers[POSE:])
+        score = self._scores[place]
+        label, track_id, image_box, kind, values = self._others[place]
+        return Truth(label, box, track_id, None if score != score else score, image_box, kind, dict(values))

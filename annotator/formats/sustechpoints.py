@@ -1,0 +1,297 @@
+"""SUSTechPOINTS: scenes of clouds, each frame with a JSON file of fully oriented boxes.
+
+    [PART/]SCENE/lidar/ID.pcd                 clouds, z up, with colours and reflectances if known
+    [PART/]SCENE/camera/front/ID.png          images (or .jpg), and calib/camera/front.json, one for the scene
+    [PART/]SCENE/label/ID.json                the boxes: a list of {"obj_id", "obj_type", "psr", "obj_attr"}
+    frames.csv                                the origin of each frame
+
+In `psr`, `position` is the centre, `scale` the full length, width and height, and `rotation` the angles in radians with
+R = Rx Ry Rz (`euler_angle_to_rotate_matrix` in its `util.js`), all in the cloud's frame. `obj_attr` is a text, to which
+its page adds the attributes that it offers, separated by commas; values are written as `pose.sitting`. A calibration
+holds `extrinsic`, the 4 x 4 transform from the cloud to the camera, and `intrinsic`, the 3 x 3 matrix, both row by row.
+
+A scene has one calibration. So its clouds are in the level frame of its first frame (x ahead, y left, z against
+gravity), and a recording whose camera changes becomes several scenes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, Field, RootModel
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.files import new_folder
+from annotator.formats.attributes import from_joined, joined
+from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
+from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames, read_frames
+from annotator.formats.json_file import Bounded, BoundedPositive, read_model
+from annotator.formats.losses import Losses, Lost, count_lost
+from annotator.geometry.projection import straightened
+from annotator.geometry.transforms import level_pose
+from annotator.types import Label, OrientedBox, PointCloud, Truth
+from annotator.types.errors import FormatError
+from annotator.types.label import MOST_TRACK
+
+CLOUDS, LABELS, IMAGES, CALIBRATIONS = "lidar", "label", "camera/front", "calib/camera"
+CAMERA = "front.json"
+NOT_HELD = (Lost.SCORE, Lost.STATE, Lost.SAID, Lost.LENS, Lost.TIME)
+# Tolerance for R^T R = identity; matrices in files are rounded.
+MOST_OFF_ROTATION = 1e-2
+
+
+class _Axes(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    x: Bounded
+    y: Bounded
+    z: Bounded
+
+
+class _Scale(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    x: BoundedPositive
+    y: BoundedPositive
+    z: BoundedPositive
+
+
+class _Psr(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    position: _Axes
+    scale: _Scale
+    rotation: _Axes
+
+
+class _Object(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    obj_id: str | int | None = None
+    obj_type: Annotated[str, Field(min_length=1)]
+    obj_attr: str | None = None
+    psr: _Psr
+
+
+class _Labels(RootModel[tuple[_Object, ...]]):
+    model_config = ConfigDict(frozen=True)
+
+
+class _Calibration(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    extrinsic: Annotated[tuple[Bounded, ...], Field(min_length=16, max_length=16)]
+    intrinsic: Annotated[tuple[Bounded, ...], Field(min_length=9, max_length=9)]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneCamera:
+    """One calibrated camera of a scene: its 3 x 3 matrix, and the transform from the clouds to it."""
+
+    K: Float64[np.ndarray, "3 3"]
+    T_camera_cloud: RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class SustechFrame:
+    """The boxes of one cloud.
+
+    Attributes:
+        objects: in the cloud's frame.
+        cameras: those of the scene.
+        is_export: True if annotator wrote it: the only camera is that of the frame.
+    """
+
+    objects: tuple[Truth, ...]
+    cameras: tuple[SceneCamera, ...]
+    is_export: bool
+
+
+def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
+    """Returns the labels of a data folder, one scene, or a folder `label`, by frame name.
+
+    Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file.
+
+    Raises:
+        FormatError: no labels, a file that does not follow the format, or two scenes with a frame of the same name.
+    """
+    frames: dict[str, SustechFrame] = {}
+    for folder in _label_folders(path):
+        scene = folder.parent
+        origins = next((found for up in (path, scene, *scene.parents[:2]) if (found := read_frames(up))), {})
+        cameras = tuple(_camera(file) for file in sorted((scene / CALIBRATIONS).glob("*.json")))
+        for file in sorted(folder.glob("*.json")):
+            name = origins[file.stem].name if file.stem in origins else file.stem
+            if name in frames:
+                raise FormatError(file, f"the frame {name} has labels in two scenes; import one scene")
+            objects = tuple(_truth(each, file) for each in read_model(file, _Labels).root)
+            frames[name] = SustechFrame(objects, cameras, file.stem in origins and len(cameras) == 1)
+    return frames
+
+
+def _label_folders(path: Path) -> Iterator[Path]:
+    places = (path / LABELS, *sorted(path.glob(f"*/{LABELS}")), *sorted(path.glob(f"*/*/{LABELS}")), path)
+    found = [place for place in places if place.is_dir() and next(place.glob("*.json"), None) is not None]
+    if not found:
+        raise FormatError(path, f"has no label file of SUSTechPOINTS (SCENE/{LABELS}/*.json)")
+    # a folder with scenes has no label files of its own
+    yield from found[:-1] if len(found) > 1 and found[-1] == path else found
+
+
+def _truth(entry: _Object, file: Path) -> Truth:
+    psr = entry.psr
+    angles = [psr.rotation.x, psr.rotation.y, psr.rotation.z]
+    center = np.array([psr.position.x, psr.position.y, psr.position.z])
+    try:
+        box = OrientedBox(
+            RigidTransform.from_components(center, Rotation.from_euler("XYZ", angles)),
+            np.array([psr.scale.x, psr.scale.y, psr.scale.z]),
+        )
+    except ValueError as error:
+        raise FormatError(file, f"{entry.obj_type}: {error}") from error
+    return Truth(entry.obj_type, box, _track(entry.obj_id), attributes=from_joined(entry.obj_attr or ""))
+
+
+def _track(obj_id: str | int | None) -> int | None:
+    """An id is any text; only whole numbers are track ids."""
+    text = str(obj_id)
+    number = int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None
+    return None if number is None or number > MOST_TRACK else number
+
+
+def _camera(file: Path) -> SceneCamera:
+    content = read_model(file, _Calibration)
+    pose, K = np.array(content.extrinsic).reshape(4, 4), np.array(content.intrinsic).reshape(3, 3)
+    R = pose[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
+        raise FormatError(file, "extrinsic is not a rotation and translation")
+    return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
+
+
+def write_sustechpoints(
+    out: Path,
+    items: Iterable[DatasetItem],
+    losses: Losses,
+    *,
+    image_format: Literal["png", "jpg"] = "png",
+    overwrite: bool = False,
+) -> Mapping[str, int]:
+    """Writes the folder `out` atomically, one frame in memory at a time; returns the number of boxes of each class.
+
+    Args:
+        items: the frames, read one by one; if reading one raises, `out` is unchanged.
+        losses: counts what the format cannot store.
+        overwrite: replace an older export of this format.
+
+    Raises:
+        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
+    """
+    ids, origins, counts, scenes = FrameIds(), list[FrameOrigin](), Counter[str](), _Scenes()
+    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
+        for item in items:
+            count_lost(losses, item, NOT_HELD)
+            losses.add_values(item.attributes)
+            if item.frame.up is None:
+                losses.add(Lost.LEVEL)
+            frame_id = ids.add(out, item)
+            with writing(out):
+                scenes.write(part, item, frame_id, image_format)
+            origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
+            counts.update(label.label for label in item.labels)
+        if not origins:
+            raise FormatError(out, "there is no frame to export; the export was not written")
+        with writing(out):
+            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
+    return counts
+
+
+def _is_dataset(folder: Path) -> bool:
+    patterns = (f"*/{LABELS}/*.json", f"*/*/{LABELS}/*.json")
+    return has_frames(folder) and any(next(folder.glob(pattern), None) for pattern in patterns)
+
+
+class _Scenes:
+    """The scenes that have been begun."""
+
+    def __init__(self) -> None:
+        self._names = FileNames()
+        self._begun: dict[tuple[str | None, str, bytes], tuple[str, RigidTransform]] = {}
+
+    def write(self, folder: Path, item: DatasetItem, frame_id: str, image_format: Literal["png", "jpg"]) -> None:
+        """Writes the four files of a frame, and the calibration of a new scene."""
+        camera, rgb = straightened(item.frame.camera, item.frame.rgb)
+        key = (item.split, item.recording, camera.matrix.tobytes())
+        is_new = key not in self._begun
+        if is_new:
+            self._begun[key] = (self._names.add(item.recording), level_pose(item.frame.up))
+        name, T_scene_camera = self._begun[key]
+        scene = folder / (item.split or "") / name
+        if is_new:
+            for place in (CLOUDS, LABELS, IMAGES, CALIBRATIONS):
+                (scene / place).mkdir(parents=True)
+            calibration = {
+                "extrinsic": T_scene_camera.inv().as_matrix().ravel().tolist(),
+                "intrinsic": camera.matrix.ravel().tolist(),
+            }
+            (scene / CALIBRATIONS / CAMERA).write_text(json.dumps(calibration) + "\n", encoding="utf-8")
+        (scene / IMAGES / f"{frame_id}.{image_format}").write_bytes(encoded_image(rgb, image_format))
+        (scene / CLOUDS / f"{frame_id}.pcd").write_bytes(_pcd(item.frame.cloud, T_scene_camera))
+        boxes = [_entry(label, label.box.transformed(T_scene_camera)) for label in item.labels]
+        (scene / LABELS / f"{frame_id}.json").write_text(json.dumps(boxes, indent=1) + "\n", encoding="utf-8")
+
+
+def _entry(label: Label, box: OrientedBox) -> dict[str, object]:
+    psr = {
+        "position": _axes(box.center_m),
+        "scale": _axes(box.size_m),
+        "rotation": _axes(_angles(box.rotation)),
+    }
+    entry: dict[str, object] = {
+        "obj_id": "" if label.track_id is None else str(label.track_id),
+        "obj_type": label.label,
+        "psr": psr,
+    }
+    return entry | ({"obj_attr": joined(label.attributes)} if label.attributes else {})
+
+
+def _axes(values: Float64[np.ndarray, "3"]) -> dict[str, float]:
+    return dict(zip("xyz", (values + 0.0).tolist(), strict=True))
+
+
+def _angles(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
+    """The angles x, y, z of R = Rx Ry Rz.
+
+    If the box's z axis lies along the cloud's x axis (gimbal lock), only the sum or difference of x and z is
+    determined. y and z are computed from the rotation that remains after x, so that all three together are exact.
+    """
+    x = np.arctan2(-rotation[1, 2], rotation[2, 2])
+    rest = Rotation.from_rotvec([-x, 0.0, 0.0]).as_matrix() @ rotation
+    return np.array([x, np.arctan2(rest[0, 2], rest[2, 2]), np.arctan2(rest[1, 0], rest[1, 1])])
+
+
+def _pcd(cloud: PointCloud, T_scene_camera: RigidTransform) -> bytes:
+    """A binary PCD file (version 0.7), with packed colours and `intensity` if known."""
+    fields = [(axis, "<f4") for axis in "xyz"]
+    fields += [("rgb", "<f4")] if cloud.rgb is not None else []
+    fields += [("intensity", "<f4")] if cloud.reflectance is not None else []
+    rows = np.empty(len(cloud), np.dtype(fields))
+    for axis, values in zip("xyz", T_scene_camera.apply(cloud.xyz_m).T, strict=True):
+        rows[axis] = values
+    if cloud.rgb is not None:
+        red, green, blue = cloud.rgb.astype("<u4").T
+        rows["rgb"] = (red << 16 | green << 8 | blue).view("<f4")
+    if cloud.reflectance is not None:
+        rows["intensity"] = cloud.reflectance
+    names, each = " ".join(name for name, _ in fields), len(fields)
+    head = (
+        f"VERSION 0.7\nFIELDS {names}\nSIZE{' 4' * each}\nTYPE{' F' * each}\nCOUNT{' 1' * each}\nWIDTH {len(rows)}\n"
+        f"HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
+    )
+    return head.encode() + rows.tobytes()

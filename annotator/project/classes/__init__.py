@@ -1,0 +1,1 @@
+"""Classes and attributes of a project: their schema, their changes, and the values of labels and frames."""

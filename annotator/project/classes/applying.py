@@ -1,0 +1,258 @@
+"""Updates of the derived tables by changes of the classes, and by values of frames."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, bindparam, delete, insert, select, update
+
+from annotator.project.classes.attributes import values_json
+from annotator.project.classes.relabelling import Relabelling
+from annotator.project.event_types import (
+    PAYLOAD,
+    ClassesChanged,
+    ImageBoxesState,
+    LabelState,
+    ViewBoxesState,
+)
+from annotator.project.records import (
+    BOXES_2D,
+    SaidRecord,
+    ViewGeometry,
+    box_2d_json,
+    box_2d_of,
+    parsed,
+    said_json,
+    said_of,
+)
+from annotator.project.schema import AnyRow, events, frame_attributes, frames, image_labels, labels, view_labels
+from annotator.types.label import AttributeValue
+
+CHANGED = "classes_changed"
+_BATCH = 2000
+
+
+def relabel(connection: Connection, change: Relabelling) -> None:
+    """Changes all labels, 2D boxes and values of frames.
+
+    Frames of which anything changes get a new revision, so that changes which are based on the earlier classes are
+    refused.
+    """
+    changed = {*_labels(connection, change), *_frames(connection, change)}
+    if change.changes_boxes:
+        changed |= {*_images(connection, change), *_views(connection, change)}
+    rows = [{"frame": frame_id} for frame_id in sorted(changed)]
+    if rows:
+        newer = update(frames).where(frames.c.id == bindparam("frame")).values(revision=frames.c.revision + 1)
+        connection.execute(newer, rows)
+
+
+def set_frame_values(
+    connection: Connection, frame_id: int | None, values: Mapping[str, AttributeValue], event_id: int
+) -> None:
+    """Replaces the values of a frame."""
+    connection.execute(delete(frame_attributes).where(frame_attributes.c.frame_id == frame_id))
+    if values:
+        row = {"frame_id": frame_id, "attributes": values_json(values), "event_id": event_id}
+        connection.execute(insert(frame_attributes), row)
+
+
+def frame_values(connection: Connection, frame_id: int | None) -> dict[str, AttributeValue]:
+    """The values of a frame."""
+    query = select(frame_attributes.c.attributes).where(frame_attributes.c.frame_id == frame_id)
+    return values_of(connection.execute(query).scalar())
+
+
+def values_of(content: str | None) -> dict[str, AttributeValue]:
+    """The values in a database column."""
+    return {} if content in (None, "{}") else parsed(_values, content)
+
+
+def _values(content: str) -> dict[str, AttributeValue]:
+    values = json.loads(content)
+    if not isinstance(values, dict) or not all(
+        isinstance(value, bool | int | float | str) for value in values.values()
+    ):
+        raise ValueError("not values of attributes")
+    return values
+
+
+@dataclass(frozen=True)
+class MadeChange:
+    """A change of the classes, with the id, time (UTC nanoseconds since the epoch) and author of its event."""
+
+    event_id: int
+    time_ns: int
+    author: str
+    change: Relabelling
+
+
+def made_changes(connection: Connection, event_id: int = 0) -> list[MadeChange]:
+    """The changes of the classes after an event, in order."""
+    query = select(events.c.id, events.c.time_ns, events.c.author, events.c.payload)
+    query = query.where(events.c.kind == CHANGED, events.c.id > event_id).order_by(events.c.id)
+    return [
+        MadeChange(row.id, row.time_ns, row.author, payload.change)
+        for row in connection.execute(query)
+        if isinstance(payload := parsed(PAYLOAD.validate_json, row.payload), ClassesChanged)
+    ]
+
+
+class ClassChanges:
+    """The changes of the classes over time, within one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._made = made_changes(connection)
+
+    def after_time(self, time_ns: int) -> tuple[Relabelling, ...]:
+        """The changes after a time, UTC nanoseconds since the epoch."""
+        return tuple(made.change for made in self._made if made.time_ns > time_ns)
+
+    def label_state(self, state: str, event_id: int) -> str:
+        """A label's state after the event `event_id` (as `read_state` returns it), changed by what came later.
+
+        One of a removed class stays as it is; it cannot be restored.
+        """
+        label = parsed(LabelState.model_validate_json, state)
+        for change in self._since(event_id):
+            name = change.label(label.label)
+            if name is None:
+                return state
+            attributes = change.values_of(name, label.attributes)
+            values = {"label": name, "attributes": attributes, "said": _said(change, label.said)}
+            label = label.model_copy(update=values | {"image_box": change.box(label.image_box)})
+        return label.model_dump_json()
+
+    def said_state(self, state: str, event_id: int) -> str | None:
+        """What sources say, likewise; None if they say nothing any more."""
+        said = said_of(state)
+        for change in self._since(event_id):
+            said = _said(change, said)
+        return said_json(said)
+
+    def image_state(self, state: str, event_id: int) -> str:
+        """The state of the boxes on an image, likewise."""
+        image = parsed(ImageBoxesState.model_validate_json, state)
+        for change in self._since(event_id):
+            image = image.model_copy(update={"boxes": change.boxes(image.boxes)})
+        return image.model_dump_json()
+
+    def view_state(self, state: str, event_id: int) -> str:
+        """The state of the boxes on a pseudo-view, likewise."""
+        view = parsed(ViewBoxesState.model_validate_json, state)
+        for change in self._since(event_id):
+            boxes, geometry = change.boxes(view.boxes), _geometry(change, view.geometry)
+            if view.boxes and not boxes:
+                return state
+            view = view.model_copy(update={"boxes": boxes, "geometry": geometry})
+        return view.model_dump_json()
+
+    def frame_state(self, state: str, event_id: int) -> str | None:
+        """The values of a frame, likewise."""
+        values = values_of(state)
+        for change in self._since(event_id):
+            values = change.values(values)
+        return values_json(values) if values else None
+
+    def has_since(self, event_id: int) -> bool:
+        """Whether there were changes after an event."""
+        return bool(self._made) and self._made[-1].event_id > event_id
+
+    def _since(self, event_id: int) -> Iterator[Relabelling]:
+        return (made.change for made in self._made if made.event_id > event_id)
+
+
+def _labels(connection: Connection, change: Relabelling) -> set[int]:
+    names = ("id", "frame_id", "label", "attributes", "image_box", "said")
+    columns = tuple(labels.c[name] for name in names)
+    frames_changed, removed, changed = set[int](), list[int](), list[dict[str, Any]]()
+    for row in _batches(connection, select(*columns), labels.c.id):
+        name = change.label(row.label)
+        if name is None:
+            removed.append(row.id)
+            frames_changed.add(row.frame_id)
+            continue
+        values = values_json(change.values_of(name, values_of(row.attributes)))
+        image_box = box_2d_json(change.box(box_2d_of(row.image_box))) if change.changes_boxes else row.image_box
+        said = said_json(_said(change, said_of(row.said))) if change.changes_boxes else row.said
+        if (name, values, image_box, said) != (row.label, row.attributes, row.image_box, row.said):
+            changed.append({"row": row.id, "name": name, "values": values, "drawn": image_box, "sources": said})
+            frames_changed.add(row.frame_id)
+    if removed:
+        connection.execute(delete(labels).where(labels.c.id == bindparam("row")), [{"row": id} for id in removed])
+    if changed:
+        new: dict[str, Any] = {
+            "label": bindparam("name"),
+            "attributes": bindparam("values"),
+            "image_box": bindparam("drawn"),
+            "said": bindparam("sources"),
+        }
+        connection.execute(update(labels).where(labels.c.id == bindparam("row")).values(new), changed)
+    return frames_changed
+
+
+def _said(change: Relabelling, said: Iterable[SaidRecord]) -> tuple[SaidRecord, ...]:
+    """What sources say of an object; nothing of removed classes."""
+    named = ((each, change.label(each.label)) for each in said)
+    return tuple(each.model_copy(update={"label": name}) for each, name in named if name is not None)
+
+
+def _frames(connection: Connection, change: Relabelling) -> set[int]:
+    changed = set[int]()
+    for row in connection.execute(select(frame_attributes)).all():
+        before = values_of(row.attributes)
+        after = change.values(before)
+        if after != before:
+            set_frame_values(connection, row.frame_id, after, row.event_id)
+            changed.add(row.frame_id)
+    return changed
+
+
+def _images(connection: Connection, change: Relabelling) -> set[int]:
+    changed = set[int]()
+    for row in _batches(connection, select(image_labels), image_labels.c.frame_id):
+        before = parsed(BOXES_2D.validate_json, row.boxes)
+        after = change.boxes(before)
+        if after != before:
+            new = {"boxes": BOXES_2D.dump_json(after).decode(), "count": len(after)}
+            connection.execute(update(image_labels).where(image_labels.c.frame_id == row.frame_id).values(new))
+            changed.add(row.frame_id)
+    return changed
+
+
+def _views(connection: Connection, change: Relabelling) -> set[int]:
+    changed = set[int]()
+    for row in _batches(connection, select(view_labels), view_labels.c.id):
+        before = parsed(BOXES_2D.validate_json, row.boxes)
+        geometry = None if row.geometry is None else parsed(ViewGeometry.model_validate_json, row.geometry)
+        after, moved = change.boxes(before), _geometry(change, geometry)
+        if (after, moved) == (before, geometry):
+            continue
+        same = view_labels.c.id == row.id
+        if before and not after:
+            # a view without boxes would say that it shows no object
+            connection.execute(delete(view_labels).where(same))
+        else:
+            new: dict[str, Any] = {"boxes": BOXES_2D.dump_json(after).decode(), "count": len(after)}
+            new["geometry"] = None if moved is None else moved.model_dump_json()
+            connection.execute(update(view_labels).where(same).values(new))
+        if row.frame_id is not None:
+            changed.add(row.frame_id)
+    return changed
+
+
+def _geometry(change: Relabelling, geometry: ViewGeometry | None) -> ViewGeometry | None:
+    if geometry is None or geometry.image_box is None:
+        return geometry
+    return geometry.model_copy(update={"image_box": change.box(geometry.image_box)})
+
+
+def _batches(connection: Connection, query: Any, key: Any) -> Iterator[AnyRow]:
+    """Yields rows in order of a key, read in batches, so that a large project needs little memory."""
+    after = -1
+    while rows := connection.execute(query.where(key > after).order_by(key).limit(_BATCH)).all():
+        yield from rows
+        after = getattr(rows[-1], key.name)

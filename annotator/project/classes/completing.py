@@ -1,0 +1,214 @@
+"""Completes events with values of attributes that follow from the schema: defaults, and values of the label's track."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
+
+from sqlalchemy import Connection, Select, select
+
+from annotator.project.classes.applying import values_of
+from annotator.project.classes.attributes import Attribute, AttributeOf
+from annotator.project.event_types import (
+    FrameAttributesSet,
+    LabelAttributesSet,
+    LabelCreated,
+    LabelEdited,
+    LabelProposed,
+    LabelTracked,
+    Origin,
+    Payload,
+    ProposalsImported,
+    ProposalsReplaced,
+)
+from annotator.project.records import track_of
+from annotator.project.schema import AnyRow, frames, labels
+from annotator.types import ReviewState
+from annotator.types.errors import NotFoundError, ProjectError
+from annotator.types.label import AttributeValue
+from annotator.types.names import alternatives
+
+Values = dict[str, AttributeValue]
+# Values that some formats have for every box, measured by their tools; exports measure them again.
+MEASURED = frozenset({"truncation", "occlusion", "visibility"})
+
+
+def completed(
+    connection: Connection, attributes: Sequence[Attribute], frame_id: int | None, payload: Payload
+) -> Payload:
+    """The event with all its values.
+
+    Args:
+        attributes: of the project.
+
+    Raises:
+        ProjectError: a value is not one of its attribute, or the label's class does not have the attribute.
+    """
+    match payload:
+        case FrameAttributesSet():
+            of_frames = [each for each in attributes if each.of is AttributeOf.FRAME]
+            return payload.model_copy(update={"attributes": _checked(of_frames, payload.attributes, "a frame")})
+        case LabelAttributesSet():
+            name = _present(connection, payload.uid).label
+            new = {key: value for key, value in payload.attributes.items() if value is not None}
+            checked = _checked([each for each in attributes if each.is_of(name)], new, name)
+            return payload.model_copy(update={"attributes": payload.attributes | checked})
+        case LabelCreated() | LabelProposed():
+            of_label = [each for each in attributes if each.is_of(payload.label)]
+            given: Values
+            if isinstance(payload, LabelProposed) or payload.origin is Origin.COPIED:
+                given = _fitting(of_label, payload.attributes)
+            else:
+                given = _checked(of_label, payload.attributes, payload.label)
+            of_track = _of_tracks(connection, attributes, frame_id, [payload.track_id])
+            values = _new_values(of_label, of_track.get(payload.track_id, {}), given)
+            return payload.model_copy(update={"attributes": values})
+        case ProposalsReplaced() if attributes:
+            tracks = _of_tracks(connection, attributes, frame_id, [entry.track_id for entry in payload.objects])
+            objects = tuple(
+                entry
+                if entry.covered_by is not None
+                else entry.model_copy(
+                    update={
+                        "attributes": _new_values(
+                            [each for each in attributes if each.is_of(entry.proposal.label)],
+                            tracks.get(entry.track_id, {}),
+                            {},
+                        )
+                    }
+                )
+                for entry in payload.objects
+            )
+            return payload.model_copy(update={"objects": objects})
+        case ProposalsImported() if attributes:
+            ids = [track_of(group) for group in payload.objects]
+            tracks = _of_tracks(connection, attributes, frame_id, ids)
+            groups = []
+            for (shown, *others), track_id in zip(payload.objects, ids, strict=True):
+                of_label = [each for each in attributes if each.is_of(shown.label)]
+                given = _fitting(of_label, shown.attributes)
+                values = _new_values(of_label, tracks.get(track_id, {}), given)
+                groups.append((shown.model_copy(update={"attributes": values}), *others))
+            return payload.model_copy(update={"objects": tuple(groups)})
+        case LabelEdited() | LabelTracked() if attributes:
+            return payload.model_copy(update={"attributes": _after_edit(connection, attributes, frame_id, payload)})
+    return payload
+
+
+class ValueReader:
+    """Reads values of files that a project's attributes can hold.
+
+    Attributes:
+        left_out: how many values were left out, by attribute, with the reason in brackets.
+    """
+
+    def __init__(self, attributes: Sequence[Attribute]) -> None:
+        self._attributes = {each.name: each for each in attributes}
+        self.left_out: Counter[str] = Counter()
+
+    def of_label(self, label: str, values: Mapping[str, AttributeValue]) -> Values:
+        """The values of a box."""
+        return self._read(values, {name for name, each in self._attributes.items() if each.is_of(label)})
+
+    def of_frame(self, values: Mapping[str, AttributeValue]) -> Values:
+        """The values of a frame."""
+        return self._read(values, {name for name, each in self._attributes.items() if each.of is AttributeOf.FRAME})
+
+    def _read(self, values: Mapping[str, AttributeValue], names: Collection[str]) -> Values:
+        read: Values = {}
+        for name, value in values.items():
+            if name not in names:
+                again = "; exports measure it" if name in MEASURED else ""
+                self.left_out[f"{name} (not an attribute of the project{again})"] += 1
+                continue
+            try:
+                read[name] = self._attributes[name].read(value)
+            except ValueError as error:
+                self.left_out[str(error)] += 1
+        return read
+
+
+def _fitting(of_label: Sequence[Attribute], values: Mapping[str, AttributeValue]) -> Values:
+    """The values carried from another label, which may be older than the schema, that still fit."""
+    known = {each.name: each for each in of_label}
+    return {name: value for name, value in values.items() if name in known and known[name].fits(value)}
+
+
+def _after_edit(
+    connection: Connection, attributes: Sequence[Attribute], frame_id: int | None, payload: LabelEdited | LabelTracked
+) -> dict[str, AttributeValue | None]:
+    """What changes with the class and the track of a label."""
+    row = connection.execute(select(labels).where(labels.c.uid == payload.uid)).first()
+    if row is None:  # applying the event reports it
+        return {}
+    present, name = values_of(row.attributes), row.label
+    changed: dict[str, AttributeValue | None] = {}
+    if isinstance(payload, LabelEdited) and payload.label != name:
+        name = payload.label
+        changed = {each.name: None for each in attributes if each.name in present and not each.is_of(name)}
+        missing = [each for each in attributes if each.is_of(name) and each.name not in present]
+        changed |= {each.name: each.default for each in missing if each.default is not None}
+    if payload.track_id != row.track_id:
+        of_track = _of_tracks(connection, attributes, frame_id, [payload.track_id]).get(payload.track_id, {})
+        for each in attributes:
+            if each.is_of(name) and each.name in of_track and present.get(each.name) != of_track[each.name]:
+                changed[each.name] = of_track[each.name]
+    return changed
+
+
+def _new_values(of_label: Iterable[Attribute], of_track: Mapping[str, AttributeValue], given: Values) -> Values:
+    """Values of a new label: those given, else those of its track, else the defaults."""
+    values: Values = {}
+    for each in of_label:
+        value = given.get(each.name, of_track.get(each.name, each.default))
+        if value is not None:
+            values[each.name] = each.checked(value)
+    return values
+
+
+def _checked(attributes: Iterable[Attribute], values: Mapping[str, AttributeValue], what: str) -> Values:
+    known = {each.name: each for each in attributes}
+    if unknown := sorted(values.keys() - known.keys()):
+        raise ProjectError(
+            f"{what} has no attribute {unknown[0]!r} ({alternatives(unknown[0], known)}); "
+            "`annotator classes attribute` adds one"
+        )
+    try:
+        return {name: known[name].checked(value) for name, value in values.items()}
+    except ValueError as error:
+        raise ProjectError(f"{what}: {error}") from error
+
+
+def _present(connection: Connection, uid: str) -> AnyRow:
+    row = connection.execute(select(labels.c.label).where(labels.c.uid == uid)).first()
+    if row is None:
+        raise NotFoundError(f"the project has no label {uid}; it may have been deleted; reload the frame")
+    return row
+
+
+def _of_tracks(
+    connection: Connection, attributes: Sequence[Attribute], frame_id: int | None, tracks: Collection[int | None]
+) -> dict[int | None, Values]:
+    """Values of tracks in a frame's recording, by track id: of each attribute that of its first label with a value."""
+    names = {each.name for each in attributes if each.of is AttributeOf.TRACK}
+    known = {track for track in tracks if track is not None}
+    found: dict[int | None, Values] = defaultdict(dict)
+    if not names or not known:
+        return found
+    for row in connection.execute(labels_of_tracks(frame_id, known)):
+        for name, value in values_of(row.attributes).items():
+            if name in names:
+                found[row.track_id].setdefault(name, value)
+    return found
+
+
+def labels_of_tracks(frame_id: int | None, tracks: Collection[int]) -> Select[Any]:
+    """Query for the labels of tracks in a frame's recording that are not rejected, with their frames' revisions."""
+    recording = select(frames.c.recording_id).where(frames.c.id == frame_id).scalar_subquery()
+    query = select(labels, frames.c.revision).join(frames, frames.c.id == labels.c.frame_id)
+    return query.where(
+        labels.c.track_id.in_(tracks),
+        frames.c.recording_id == recording,
+        labels.c.state != ReviewState.REJECTED.value,
+    ).order_by(labels.c.id)

@@ -1,0 +1,88 @@
+"""How many boxes have a class, and whether stored values fit their attributes."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, func, select
+
+from annotator.project.classes.applying import values_of
+from annotator.project.classes.attributes import Attribute, AttributeOf
+from annotator.project.schema import frame_attributes, labels
+from annotator.types.errors import ProjectError
+from annotator.types.label import AttributeValue
+
+
+@dataclass(frozen=True)
+class ClassCounts:
+    """Numbers of 3D labels and of 2D boxes on images and views."""
+
+    labels: int = 0
+    boxes_2d: int = 0
+
+
+def class_counts(connection: Connection) -> dict[str, ClassCounts]:
+    """Numbers of boxes by class name."""
+    count = func.count().label("number")
+    of_labels = connection.execute(select(labels.c.label, count).group_by(labels.c.label))
+    in_3d: dict[str, int] = {row[0]: row[1] for row in of_labels}
+    in_2d: Counter[str] = Counter()
+    for table in ("image_labels", "view_labels"):
+        of_boxes = f"{table}, json_each({table}.boxes) AS box"
+        query = f"SELECT json_extract(box.value, '$.label'), count(*) FROM {of_boxes} GROUP BY 1"
+        in_2d.update({row[0]: row[1] for row in connection.exec_driver_sql(query)})
+    return {name: ClassCounts(in_3d.get(name, 0), in_2d[name]) for name in sorted({*in_3d, *in_2d})}
+
+
+def value_counts(connection: Connection) -> dict[str, dict[str, int]]:
+    """How often each value occurs, by attribute: of labels that are not rejected, and of frames."""
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for _, values, number in _stored(connection):
+        for name, value in values.items():
+            counts[name][str(value).lower() if isinstance(value, bool) else str(value)] += number
+    return {name: dict(counts[name].most_common()) for name in sorted(counts)}
+
+
+def require_fitting(connection: Connection, before: Sequence[Attribute], after: Sequence[Attribute]) -> None:
+    """Refuses a change of attributes that stored values do not fit.
+
+    Raises:
+        ProjectError: the message names an attribute, and how many of its values do not fit.
+    """
+    for attribute in after:
+        if attribute in before:
+            continue
+        wrong = list(_misfits(connection, attribute))
+        if wrong:
+            number, example = sum(number for number, _ in wrong), wrong[0][1]
+            raise ProjectError(
+                f"{number} stored values of {attribute.name} would not fit, such as {example}; change them first, or "
+                "have them removed (--drop)"
+            )
+
+
+def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int, str]]:
+    for label, values, number in _stored(connection, rejected=True):
+        if attribute.name not in values or (label is None) != (attribute.of is AttributeOf.FRAME):
+            continue
+        value = values[attribute.name]
+        if label is not None and not attribute.is_of(label):
+            yield number, f"{value!r} of a {label}"
+        elif not attribute.fits(value):
+            yield number, repr(value)
+
+
+def _stored(
+    connection: Connection, rejected: bool = False
+) -> Iterator[tuple[str | None, Mapping[str, AttributeValue], int]]:
+    """Class (None: of frames), values and how often they occur together."""
+    columns = (labels.c.label, labels.c.attributes)
+    query = select(*columns, func.count()).where(labels.c.attributes != "{}").group_by(*columns)
+    if not rejected:
+        query = query.where(labels.c.state != "rejected")
+    for label, content, number in connection.execute(query):
+        yield label, values_of(content), number
+    for row in connection.execute(select(frame_attributes.c.attributes)):
+        yield None, values_of(row.attributes), 1

@@ -1,0 +1,232 @@
+"""Changes of the classes and attributes, as pure functions on the configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from pydantic import ValidationError
+
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
+from annotator.project.classes.relabelling import Filled, Relabelling
+from annotator.project.config import ProjectConfig, first_problem
+from annotator.types.errors import ConfigError, NotFoundError
+from annotator.types.names import alternatives
+
+
+@dataclass(frozen=True)
+class ClassEdit:
+    """A change: the new configuration, and what happens to stored labels."""
+
+    config: ProjectConfig
+    change: Relabelling = field(default_factory=Relabelling)
+
+
+def add_class(config: ProjectConfig, name: str, style: ClassStyle | None = None) -> ClassEdit:
+    """Adds a class at the end.
+
+    Raises:
+        ConfigError: an invalid name, or one that the project has.
+    """
+    if name in config.classes:
+        raise ConfigError(f"project {config.name} has the class {name!r} already")
+    return ClassEdit(_with(config, classes=(*config.classes, name), class_styles=_styled(config, name, style)))
+
+
+def style_class(config: ProjectConfig, name: str, style: ClassStyle) -> ClassEdit:
+    """Sets the colour and the key of a class.
+
+    Raises:
+        NotFoundError, ConfigError: no such class, or the key is taken.
+    """
+    require_class(config, name)
+    return ClassEdit(_with(config, class_styles=_styled(config, name, style)))
+
+
+def with_classes(config: ProjectConfig, names: Sequence[str]) -> ProjectConfig:
+    """The configuration with these classes; what it says of others is left out.
+
+    Raises:
+        ConfigError: invalid names, or an attribute would be left without a class.
+    """
+    styles = {name: style for name, style in config.class_styles.items() if name in names}
+    attributes = []
+    for each in config.attributes:
+        left = tuple(label for label in each.classes if label in names)
+        if each.classes and not left:
+            raise ConfigError(
+                f"only {', '.join(each.classes)} has the attribute {each.name}; give it to other classes first, or "
+                "remove it (`annotator classes attribute`, `remove-attribute`)"
+            )
+        attributes.append(each.model_copy(update={"classes": left}))
+    return _with(config, classes=tuple(names), class_styles=styles, attributes=tuple(attributes))
+
+
+def order_classes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
+    """Orders the classes.
+
+    Raises:
+        ConfigError: not the project's classes.
+    """
+    if sorted(names) != sorted(config.classes):
+        raise ConfigError(f"the order must name each class once: {', '.join(config.classes)}")
+    return ClassEdit(_with(config, classes=tuple(names)))
+
+
+def rename_class(config: ProjectConfig, old: str, new: str) -> ClassEdit:
+    """Renames a class; its boxes follow.
+
+    Raises:
+        NotFoundError, ConfigError: no such class, an invalid name, or one that the project has.
+    """
+    require_class(config, old)
+    if new in config.classes:
+        raise ConfigError(
+            f"project {config.name} has the class {new!r} already; to give it the boxes of {old!r}, merge them: "
+            f"annotator classes merge {config.name} {old} --into {new}"
+        )
+    return _replaced(config, {old: new}, [new if name == old else name for name in config.classes])
+
+
+def merge_classes(config: ProjectConfig, old: Sequence[str], into: str) -> ClassEdit:
+    """Gives all boxes of some classes to another one, and removes these classes.
+
+    A name in `old` need not be a class: labels may have names that somebody has removed from `project.json`.
+
+    Raises:
+        NotFoundError, ConfigError: no class `into`, it is one of `old`, or `old` is empty.
+    """
+    if not old:
+        raise ConfigError(f"name the classes whose boxes {into!r} gets")
+    require_class(config, into)
+    if into in old:
+        raise ConfigError(f"{into!r} cannot be merged into itself; name the other classes only")
+    return _replaced(config, dict.fromkeys(old, into), [name for name in config.classes if name not in old])
+
+
+def remove_class(config: ProjectConfig, name: str) -> ClassEdit:
+    """Removes a class with its boxes.
+
+    Raises:
+        NotFoundError, ConfigError: no such class, or it is the only one.
+    """
+    require_class(config, name)
+    new = with_classes(config, [label for label in config.classes if label != name])
+    return ClassEdit(new, Relabelling(removed=(name,)))
+
+
+def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = False) -> ClassEdit:
+    """Adds an attribute, or changes the one of this name; boxes without a value get its default.
+
+    Args:
+        drop: remove stored values that do not fit.
+
+    Raises:
+        ConfigError: an unknown class, or a key that is taken.
+    """
+    known = {each.name: each for each in config.attributes}
+    before = known.get(attribute.name)
+    if before is not None and before.of is not attribute.of and AttributeOf.FRAME in (before.of, attribute.of):
+        raise ConfigError(
+            f"attribute {attribute.name} belongs to a {before.of}; its values cannot move to a {attribute.of}; remove "
+            "it first, or choose another name"
+        )
+    of_boxes = attribute.of is not AttributeOf.FRAME
+    filled = () if attribute.default is None or not of_boxes else (_filled(attribute),)
+    change = Relabelling(filled=filled, fitted=(attribute,) if drop else ())
+    return ClassEdit(_with(config, attributes=tuple((known | {attribute.name: attribute}).values())), change)
+
+
+def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
+    """Renames an attribute; its values follow.
+
+    Raises:
+        NotFoundError, ConfigError: no such attribute, an invalid name, or one that the project has.
+    """
+    find_attribute(config, old)
+    if any(each.name == new for each in config.attributes):
+        raise ConfigError(f"project {config.name} has the attribute {new!r} already")
+    renamed = [each.model_dump() | {"name": new} if each.name == old else each for each in config.attributes]
+    return ClassEdit(_with(config, attributes=renamed), Relabelling(attributes={old: new}))
+
+
+def remove_attribute(config: ProjectConfig, name: str) -> ClassEdit:
+    """Removes an attribute with its values.
+
+    Raises:
+        NotFoundError: no such attribute.
+    """
+    find_attribute(config, name)
+    left = tuple(each for each in config.attributes if each.name != name)
+    return ClassEdit(_with(config, attributes=left), Relabelling(dropped=(name,)))
+
+
+def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> ClassEdit:
+    """Renames a choice, or merges it into another one; values follow.
+
+    Raises:
+        NotFoundError, ConfigError: no such attribute or choice.
+    """
+    attribute = find_attribute(config, name)
+    if attribute.kind is not AttributeKind.CHOICE or old not in attribute.choices:
+        raise NotFoundError(f"attribute {name} has no choice {old!r}; it takes {attribute.values_text()}")
+    choices = list(dict.fromkeys(new if choice == old else choice for choice in attribute.choices))
+    default = new if attribute.default == old else attribute.default
+    changed = attribute.model_dump() | {"choices": choices, "default": default}
+    attributes = [changed if each.name == name else each for each in config.attributes]
+    return ClassEdit(_with(config, attributes=attributes), Relabelling(choices={name: {old: new}}))
+
+
+def find_attribute(config: ProjectConfig, name: str) -> Attribute:
+    """The attribute of this name.
+
+    Raises:
+        NotFoundError: the project has none.
+    """
+    found = next((each for each in config.attributes if each.name == name), None)
+    if found is None:
+        other = alternatives(name, [each.name for each in config.attributes])
+        raise NotFoundError(f"project {config.name} has no attribute {name!r}; {other}")
+    return found
+
+
+def _filled(attribute: Attribute) -> Filled:
+    assert attribute.default is not None
+    return Filled(name=attribute.name, value=attribute.checked(attribute.default), classes=attribute.classes)
+
+
+def _replaced(config: ProjectConfig, names: dict[str, str], classes: Sequence[str]) -> ClassEdit:
+    styles: dict[str, ClassStyle] = {}
+    for name, style in config.class_styles.items():
+        if name not in names:
+            styles[name] = style
+        elif names[name] not in config.classes:  # a renamed class keeps its style, a merged one takes the other's
+            styles[names[name]] = style
+    attributes = [
+        each.model_copy(update={"classes": tuple(dict.fromkeys(names.get(name, name) for name in each.classes))})
+        for each in config.attributes
+    ]
+    new = _with(config, classes=tuple(classes), class_styles=styles, attributes=tuple(attributes))
+    return ClassEdit(new, Relabelling(classes=names))
+
+
+def _styled(config: ProjectConfig, name: str, style: ClassStyle | None) -> dict[str, ClassStyle]:
+    styles = config.class_styles | {name: style or ClassStyle()}
+    return {label: each for label, each in styles.items() if each != ClassStyle()}
+
+
+def _with(config: ProjectConfig, **changes: object) -> ProjectConfig:
+    try:
+        return ProjectConfig.model_validate(dict(config) | changes)
+    except ValidationError as error:
+        raise ConfigError(f"project {config.name}: {first_problem(error)}") from error
+
+
+def require_class(config: ProjectConfig, name: str) -> None:
+    """Checks that the project has a class.
+
+    Raises:
+        NotFoundError: it has none of this name; the message says which is probably meant.
+    """
+    if name not in config.classes:
+        raise NotFoundError(f"project {config.name} has no class {name!r}; {alternatives(name, config.classes)}")

@@ -1,0 +1,243 @@
+"""Stores boxes of other software as proposals, and keeps them beside those of automatic passes."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, exists, func, select
+
+from annotator.project.classes.applying import values_of
+from annotator.project.classes.kept import kept_proposals
+from annotator.project.config import ProjectConfig, read_config
+from annotator.project.event_types import CoveredBox, OwnProposal, ProposalsImported
+from annotator.project.labels import NewLabel, stored_label
+from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable
+from annotator.project.schema import frames, labels
+from annotator.project.sources.covering import covered_by
+from annotator.project.sources.merge import merged
+from annotator.project.writing import Receipt, WriteContext, Writer
+from annotator.types import BoxKind, Label, ReviewState, Source
+
+
+@dataclass(frozen=True)
+class Brought:
+    """Result of storing one source's boxes of a frame.
+
+    Attributes:
+        is_open: for each of them, False if a reviewed label covers it, so that it is not proposed.
+        merged: number of the others that other sources see as well, or our own proposals.
+        receipt: of the write.
+    """
+
+    is_open: tuple[bool, ...]
+    merged: int
+    receipt: Receipt
+
+
+def bring(
+    writer: Writer,
+    source: str,
+    frames_boxes: Mapping[int, Sequence[NewLabel]],
+    author: str | None = None,
+    action: str | None = None,
+) -> dict[int, Brought]:
+    """Makes boxes of one source the proposals of some frames; they replace what the same source has said there before.
+
+    A box is not proposed if a reviewed label of its class, or a proposal of which a person has set values, covers it
+    (exact 3D IoU 0.5 or more). Boxes of several sources that overlap as much become one proposal, together with our own
+    (`merge.py`).
+
+    Args:
+        source: name of the detector, person or file that the boxes come from.
+        frames_boxes: by frame id; the boxes' states are ignored. A track id of a reviewed label of the frame is not
+            used again. All are stored in one transaction, so give a few frames at once.
+        author: who brings them; None = the source itself.
+        action: id of the action (`new_action`) that undoes them; None = they cannot be undone.
+
+    Returns:
+        The results by frame id; finalised frames are left out, and stay as they are.
+
+    Raises:
+        ProjectError: an unknown frame or class, or a box that cannot be stored.
+    """
+    with writer.store.write() as connection:
+        config = read_config(writer.folder)
+        columns = select(frames.c.id, frames.c.revision, frames.c.finalised)
+        rows = connection.execute(columns.where(frames.c.id.in_(frames_boxes))).all()
+        return {
+            row.id: _bring(
+                connection,
+                writer,
+                source,
+                frames_boxes[row.id],
+                _Place(row.id, row.revision, config),
+                author or source,
+                action,
+            )
+            for row in rows
+            if not row.finalised
+        }
+
+
+@dataclass(frozen=True)
+class _Place:
+    frame_id: int
+    revision: int
+    config: ProjectConfig
+
+
+def _bring(
+    connection: Connection,
+    writer: Writer,
+    source: str,
+    boxes: Sequence[NewLabel],
+    place: _Place,
+    author: str,
+    action: str | None,
+) -> Brought:
+    kept = kept_proposals(connection, place.config.attributes, place.frame_id)
+    staying = _staying(connection, place.frame_id, kept)
+    taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
+    with storable(f"a box of {source}"):
+        new = [_said(source, box, taken) for box in boxes]
+        covering = covered_by(boxes, staying)
+        free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
+        covered = [CoveredBox(said=each, by=uid) for each, uid in zip(new, covering, strict=True) if uid]
+        proposed = _Open.of(connection, place.frame_id, place.config.classes, kept)
+        payload = proposed.after(source, free, covered)
+    context = WriteContext(place.revision, author, Source.IMPORTED)
+    receipt = writer.to_frame_in(connection, place.frame_id, (payload,), context, action)
+    together = sum(len(group) > 1 and any(each.source == source for each in group) for group in payload.objects)
+    together += sum(any(each.source == source for each in own.said) for own in payload.ours)
+    return Brought(tuple(uid is None for uid in covering), together, receipt)
+
+
+def said_again(
+    connection: Connection, frame_id: int, source: str, said: Sequence[SaidRecord], config: ProjectConfig
+) -> ProposalsImported:
+    """Returns the event after which `source` says this of a frame, as it did at another time.
+
+    Args:
+        config: of the project.
+    """
+    kept = kept_proposals(connection, config.attributes, frame_id)
+    staying = connection.execute(select(labels.c.said).where(labels.c.uid.in_(kept))).scalars()
+    present = {each.uid for content in staying for each in said_of(content)}
+    known = [each for each in said if each.label in config.classes and each.uid not in present]
+    return _Open.of(connection, frame_id, config.classes, kept).after(source, known, [])
+
+
+def _staying(connection: Connection, frame_id: int, kept: Collection[str]) -> list[Label]:
+    stays = (labels.c.state != ReviewState.PROPOSED.value) | labels.c.uid.in_(kept)
+    rows = connection.execute(select(labels).where(labels.c.frame_id == frame_id, stays).order_by(labels.c.id))
+    return [stored_label(row).label for row in rows]
+
+
+def beside_new_pass(
+    connection: Connection,
+    frame_id: int,
+    new: Sequence[SaidRecord],
+    classes: Collection[str],
+    kept: frozenset[str] = frozenset(),
+) -> ProposalsImported | None:
+    """Returns the event that follows an automatic pass, so that one object stays one proposal.
+
+    Args:
+        new: the pass's proposals.
+        classes: of the project.
+        kept: uids of proposals that the pass does not replace.
+
+    Returns:
+        The event; None if the frame has no boxes of other software.
+    """
+    proposed = _Open.of(connection, frame_id, classes, kept)
+    if not proposed.others:
+        return None
+    return _Open(proposed.others, list(new), kept).after(OWN, [], [])
+
+
+def used_tracks(writer: Writer, recording_id: int, source: str) -> frozenset[int]:
+    """Track ids of a recording, without those that `source` itself has brought."""
+    said = func.json_each(func.coalesce(labels.c.said, "[]")).table_valued("value")
+    by_source = exists().select_from(said).where(func.json_extract(said.c.value, "$.source") == source)
+    query = (
+        select(labels.c.track_id)
+        .join(frames, frames.c.id == labels.c.frame_id)
+        .where(frames.c.recording_id == recording_id, labels.c.track_id.is_not(None), ~by_source)
+    )
+    with writer.store.read() as connection:
+        return frozenset(connection.execute(query.distinct()).scalars())
+
+
+def _said(source: str, box: NewLabel, taken: Collection[int | None]) -> SaidRecord:
+    return SaidRecord(
+        uid=uuid.uuid4().hex,
+        source=source,
+        label=box.label,
+        score=box.score,
+        box=BoxRecord.of(box.box),
+        track_id=None if box.track_id in taken else box.track_id,
+        box_kind=box.box_kind,
+        attributes=dict(box.attributes),
+    )
+
+
+@dataclass(frozen=True)
+class _Open:
+    """What the open proposals of a frame say.
+
+    Attributes:
+        others: boxes of other software; boxes of ours that one of them hides, as well.
+        ours: our own open proposals.
+        kept: uids of proposals that stay as they are; neither list has them.
+    """
+
+    others: list[SaidRecord]
+    ours: list[SaidRecord]
+    kept: frozenset[str]
+
+    @classmethod
+    def of(cls, connection: Connection, frame_id: int, classes: Collection[str], kept: frozenset[str]) -> _Open:
+        """Reads them; boxes of classes that the project no longer has are left out."""
+        is_open = (labels.c.frame_id == frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
+        others, ours = list[SaidRecord](), list[SaidRecord]()
+        query = select(labels).where(is_open, labels.c.uid.not_in(kept)).order_by(labels.c.id)
+        for row in connection.execute(query):
+            # values of the shown one may have changed since
+            values = values_of(row.attributes)
+            others += [
+                each.model_copy(update={"attributes": values}) if each.uid == row.uid else each
+                for each in said_of(row.said)
+            ]
+            if row.source != Source.IMPORTED.value:
+                box = parsed(BoxRecord.model_validate_json, row.box)
+                score, track_id, kind = row.score, row.track_id, BoxKind(row.box_kind)
+                ours.append(
+                    SaidRecord(
+                        uid=row.uid,
+                        source=OWN,
+                        label=row.label,
+                        score=score,
+                        box=box,
+                        track_id=track_id,
+                        box_kind=kind,
+                        attributes=values,
+                    )
+                )
+        return cls([each for each in others if each.label in classes], ours, kept)
+
+    def after(self, source: str, new: Sequence[SaidRecord], covered: Sequence[CoveredBox]) -> ProposalsImported:
+        """Returns the event that replaces what `source` says by `new`."""
+        uids = {each.uid for each in self.ours}
+        groups = merged([*(each for each in self.others if each.source != source), *new, *self.ours])
+        return ProposalsImported(
+            source=source,
+            objects=tuple(group for group in groups if group[0].uid not in uids),
+            ours=tuple(OwnProposal(uid=group[0].uid, said=group[1:]) for group in groups if group[0].uid in uids),
+            hidden=tuple(each.uid for group in groups for each in group[1:] if each.uid in uids),
+            covered=tuple(covered),
+            kept=tuple(sorted(self.kept)),
+            keeps_ours=True,
+        )

@@ -1,0 +1,186 @@
+"""Classes and attributes of a project, and values of labels and frames."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse
+from pydantic import Field, ValidationError
+
+from annotator.project import ProjectConfig, Receipt, WriteContext
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, ClassStyle, Value
+from annotator.project.classes.changing import change_classes
+from annotator.project.classes.edit import ClassEdit
+from annotator.project.classes.listing import ClassList, list_classes
+from annotator.project.config import first_problem
+from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.web.context import Ctx, Operator
+from annotator.web.frame_json import frame_state, stale_response
+from annotator.web.projects import ProjectInfo, project_info
+from annotator.web.routes.frames import STALE
+from annotator.web.schemas import ClassName, Effort, FrameStateJson, RowId, Schema, Uid
+
+router = APIRouter(tags=["classes"])
+
+ClassNames = Annotated[list[ClassName], Field(min_length=1, max_length=1000)]
+Text = Annotated[str, Field(max_length=1000)]
+
+
+class Add(Schema):
+    """Adds a class, with a colour and a key."""
+
+    do: Literal["add"]
+    name: ClassName
+    style: dict[Literal["colour", "key"], Text | None] = Field(default_factory=dict)
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        return edit.add_class(config, self.name, ClassStyle.model_validate(self.style))
+
+
+class Style(Schema):
+    """Sets colour and key of a class; null = none, what is not given stays."""
+
+    do: Literal["style"]
+    name: ClassName
+    style: dict[Literal["colour", "key"], Text | None]
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        before = config.class_styles.get(self.name, ClassStyle())
+        return edit.style_class(config, self.name, ClassStyle.model_validate(before.model_dump() | self.style))
+
+
+class Rename(Schema):
+    """Renames a class; its boxes follow."""
+
+    do: Literal["rename"]
+    name: ClassName
+    new: ClassName
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        return edit.rename_class(config, self.name, self.new)
+
+
+class Merge(Schema):
+    """Gives the boxes of classes to another class, and removes these classes."""
+
+    do: Literal["merge"]
+    names: ClassNames
+    into: ClassName
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        return edit.merge_classes(config, self.names, self.into)
+
+
+class Remove(Schema):
+    """Removes a class; one with boxes only if they are to be removed, too."""
+
+    do: Literal["remove"]
+    name: ClassName
+    with_boxes: bool = False
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        made = edit.remove_class(config, self.name)
+        return made if self.with_boxes else ClassEdit(made.config)
+
+
+class Order(Schema):
+    """Orders the classes."""
+
+    do: Literal["order"]
+    names: ClassNames
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        return edit.order_classes(config, self.names)
+
+
+class PutAttribute(Schema):
+    """Adds or replaces an attribute, as in `project.json`; `drop` removes values that do not fit."""
+
+    do: Literal["attribute"]
+    attribute: dict[Annotated[str, Field(max_length=64)], Any]
+    drop: bool = False
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        return edit.put_attribute(config, Attribute.model_validate(self.attribute), drop=self.drop)
+
+
+class RenameAttribute(Schema):
+    """Renames an attribute, or one of its choices; values follow."""
+
+    do: Literal["rename_attribute"]
+    name: ClassName
+    choice: ClassName | None = None
+    new: ClassName
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        if self.choice is not None:
+            return edit.rename_choice(config, self.name, self.choice, self.new)
+        return edit.rename_attribute(config, self.name, self.new)
+
+
+class RemoveAttribute(Schema):
+    """Removes an attribute with its values."""
+
+    do: Literal["remove_attribute"]
+    name: ClassName
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        return edit.remove_attribute(config, self.name)
+
+
+class ClassChange(Schema):
+    """One change of the classes or attributes."""
+
+    change: Annotated[
+        Add | Style | Rename | Merge | Remove | Order | PutAttribute | RenameAttribute | RemoveAttribute,
+        Field(discriminator="do"),
+    ]
+
+
+class ValuesIn(Schema):
+    """Values to set, null = none; of a label `uid`, or of the frame."""
+
+    revision: RowId
+    uid: Uid | None = None
+    values: Annotated[dict[ClassName, Value | None], Field(min_length=1, max_length=100)]
+    effort: Effort | None = None
+
+
+@router.get("/api/projects/{name}/classes")
+def classes(ctx: Ctx, operator: Operator, name: str) -> ClassList:
+    """The classes and attributes, with the numbers of their boxes and values."""
+    return list_classes(ctx.project(name))
+
+
+@router.post("/api/projects/{name}/classes")
+def change(ctx: Ctx, operator: Operator, name: str, body: ClassChange) -> ProjectInfo:
+    """Change the classes or attributes; labels follow. What no other change brings back is backed up before."""
+    project = ctx.project(name)
+    try:
+        change_classes(project, body.change.edit, operator)
+    except ValidationError as error:
+        raise ConfigError(first_problem(error)) from error
+    return project_info(name, project)
+
+
+@router.post("/api/projects/{name}/frames/{frame_id}/attributes", response_model=FrameStateJson, responses=STALE)
+def set_values(
+    ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ValuesIn
+) -> FrameStateJson | JSONResponse:
+    """Set values of a label, or of the frame; those of a track in all its labels, as one action."""
+    project, effort = ctx.project(name), None if body.effort is None else body.effort.stored()
+    context = WriteContext(body.revision, operator, effort=effort, effort_target=body.uid)
+    try:
+        if body.uid is None:
+            changed: tuple[tuple[int, Receipt], ...] = (
+                (frame_id, project.frames.set_attributes(frame_id, body.values, context)),
+            )
+        else:
+            changed = project.labels.set_attributes(frame_id, body.uid, body.values, context)
+    except StaleRevisionError as error:
+        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
+    for changed_id, receipt in changed:
+        ctx.hub.frame_changed(name, changed_id, receipt.revision, operator)
+    return frame_state(ctx, name, frame_id, operator)

@@ -1,0 +1,165 @@
+"""Recognises the format of a file or folder of boxes, by what its reader looks for first."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from codecs import BOM_UTF8
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path, PurePosixPath
+
+from pydantic_core import from_json
+
+from annotator.files import ARCHIVE_ERRORS, open_archive, open_file, why_missing
+from annotator.formats.coco_dataset import ANNOTATIONS
+from annotator.formats.json_file import read_json
+from annotator.formats.kitti import label_folders, tracking_folder
+from annotator.formats.labelcloud.model import CLASSES_FILE
+from annotator.formats.labelcloud.write import LABELS
+from annotator.formats.rcv.export import MANIFEST
+from annotator.formats.sunrgbd.labels import FIELDS as SUN_FIELDS
+from annotator.formats.text_folder import text_rows
+from annotator.formats.yolo_dataset import DATA_YAML
+from annotator.formats.yolo_read import CLASSES
+from annotator.types.errors import FormatError
+from annotator.workflows.importing.picture_labels import FlatFormat
+from annotator.workflows.importing.table import BoxFormat
+
+Format = FlatFormat | BoxFormat
+
+# What is read of a large JSON file.
+PEEK_BYTES = 2**20
+# How many files of a folder are looked at: the first ones may be empty.
+LOOK_AT = 50
+# Fields of a row: YOLO; KITTI's labels and results; KITTI's tracks and their results.
+YOLO_FIELDS, KITTI_FIELDS, TRACK_FIELDS = (5,), (15, 16), (17, 18)
+
+
+def format_of(path: Path) -> Format:
+    """Returns the format of the boxes at `path`.
+
+    Raises:
+        FormatError: there is nothing at `path`, it fits no format, or it fits several.
+    """
+    missing = why_missing(path)
+    if missing is not None:
+        raise FormatError(path, missing)
+    if path.is_dir():
+        fitting = [format for format, fits in _FOLDERS.items() if fits(path)] or _of_files_in(path)
+    else:
+        fitting = _of_file(path)
+    if len(fitting) == 1:
+        return fitting[0]
+    every = "|".join((*FlatFormat, *BoxFormat))
+    if not fitting:
+        raise FormatError(path, f"no format of boxes was recognised; if it has one of these, name it: --format {every}")
+    raise FormatError(path, f"could be {' or '.join(fitting)}; choose one with --format")
+
+
+def _has(*patterns: str) -> Callable[[Path], bool]:
+    return lambda folder: any(next(folder.glob(pattern), None) is not None for pattern in patterns)
+
+
+_FOLDERS: dict[Format, Callable[[Path], bool]] = {
+    BoxFormat.RCV: _has(MANIFEST),
+    BoxFormat.NUSCENES: _has("sample_annotation.json", "v1.0-*/sample_annotation.json"),
+    BoxFormat.LABELCLOUD: _has(CLASSES_FILE, f"{LABELS}/{CLASSES_FILE}", f"*/{LABELS}/{CLASSES_FILE}"),
+    BoxFormat.KITTI_TRACKING: _has(f"training/{tracking_folder.LABELS}/", f"{tracking_folder.LABELS}/"),
+    BoxFormat.KITTI: _has(*label_folders.PLACES),
+    BoxFormat.SUNRGBD: _has("SUNRGBDMeta*.mat", "label/*.txt"),
+    FlatFormat.COCO: _has(f"{ANNOTATIONS}/instances_*.json"),
+    FlatFormat.YOLO: _has(DATA_YAML, CLASSES),
+}
+
+
+def _of_files_in(folder: Path) -> list[Format]:
+    """The format of the first files that show it; labelCloud's labels may also be in a folder `labels`."""
+    for pattern in ("*.txt", "*.json", "label/*.json", "*/*.json", "*/label/*.json", "*/*/label/*.json"):
+        for file in islice(sorted(folder.glob(pattern)), LOOK_AT):
+            if file.name not in ("frames.csv", CLASSES_FILE) and (found := _of_file(file)):
+                return found
+    return []
+
+
+def _of_file(file: Path) -> list[Format]:
+    match file.suffix.lower():
+        case ".mat":
+            return [BoxFormat.SUNRGBD]
+        case ".yaml":
+            return [FlatFormat.YOLO]
+        case ".json":
+            return _of_json(_beginning(file))
+        case ".txt" if file.name == "label_02.txt":
+            return [BoxFormat.KITTI]
+        case ".txt":
+            rows = text_rows(file)
+            return _of_row(rows[0][1]) if rows else []
+        case ".zip":
+            return _of_archive(file)
+    return []
+
+
+def _of_row(fields: list[str]) -> list[Format]:
+    numbers = [re.fullmatch(r"-?\d+", field) is not None for field in fields[:2]]
+    if len(fields) in TRACK_FIELDS and all(numbers):
+        return [BoxFormat.KITTI_TRACKING]
+    if len(fields) in KITTI_FIELDS:
+        return [BoxFormat.KITTI]
+    if len(fields) == SUN_FIELDS:
+        return [BoxFormat.SUNRGBD]
+    return [FlatFormat.YOLO] if len(fields) in YOLO_FIELDS and numbers[0] else []
+
+
+def _of_archive(file: Path) -> list[Format]:
+    try:
+        with open_file(file) as stream, open_archive(stream) as archive:
+            for info in _text_members(archive):
+                first = archive.open(info).readline(1000).decode("utf-8-sig", "replace").split()
+                if first:
+                    return _of_row(first)
+    except ARCHIVE_ERRORS as error:
+        raise FormatError(file, f"the archive cannot be read ({error})") from error
+    return []
+
+
+def _text_members(archive: zipfile.ZipFile) -> Iterator[zipfile.ZipInfo]:
+    """The label files of an archive first: it may also hold calibrations."""
+    members = [info for info in archive.infolist() if info.filename.endswith(".txt") and not info.is_dir()]
+    places = (label_folders.LABELS, tracking_folder.LABELS)
+    members.sort(key=lambda info: PurePosixPath(info.filename).parent.name not in places)
+    return islice(iter(members), LOOK_AT)
+
+
+def _beginning(file: Path) -> object:
+    """The content of a JSON file, up to where its beginning of `PEEK_BYTES` ends."""
+    try:
+        with open_file(file) as stream:
+            return from_json(stream.read(PEEK_BYTES).removeprefix(BOM_UTF8), allow_partial=True)
+    except (OSError, ValueError):
+        return read_json(file)  # says what is wrong
+
+
+def _of_json(content: object) -> list[Format]:
+    match content:
+        case {"results": {}}:
+            return [BoxFormat.NUSCENES]
+        case {"openlabel": _}:
+            return [BoxFormat.OPENLABEL]
+        case {"images": [{"file_name": _}, *_]} | {"images": _, "annotations": _} | {"images": _, "categories": _}:
+            return [FlatFormat.COCO]
+        case [{"psr": _}, *_]:
+            return [BoxFormat.SUSTECHPOINTS]
+        case {"objects": _, "filename": _}:
+            return [BoxFormat.LABELCLOUD]
+        case dict() if any(_is_box(entry) for entries in islice(content.values(), LOOK_AT) for entry in _list(entries)):
+            return [BoxFormat.BOXES]
+    return []
+
+
+def _list(entries: object) -> list[object]:
+    return entries if isinstance(entries, list) else [entries]
+
+
+def _is_box(entry: object) -> bool:
+    return isinstance(entry, dict) and {"center", "size", "rotation"} <= entry.keys()

@@ -1,0 +1,215 @@
+"""What it costs to review the boxes of a recording until each has an IoU with the true one: actions, and seconds.
+
+    python -m benchmarks.review PROJECT|DIR [--quality 0.7] [--only proposals,base_detector,from_nothing,peers]
+        [--minutes N] [--upright | --free] [--seed N] [--json]
+
+A simulated operator (`review_operator`) does what the Review page offers, and a keystroke-level model (`keystrokes`)
+says how long that takes. Of a recording, ten frames teach both detectors, and the others are reviewed. Of a project,
+the frames without reviewed boxes are. The rows are
+- `proposals`: what the project's detectors propose,
+- `base_detector`: the same with the base detector in place of the project's view detector,
+- `from_nothing`: no proposals and no taught detector: each object is drawn, and followed,
+- `peers`: boxes drawn with other tools, walked through (`review_peers`).
+
+Each row is reviewed frame by frame, and with contact sheets of tracks; the cheaper way gives the row's figures. An
+object without a right box at the end counts as missed, a reviewed box that is right for no object as wrong. Waiting is
+measured on this computer, and is part of the seconds.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from annotator.detection.progress import TrainingProgress
+from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame
+from annotator.types import DetectorKind, ReviewState
+from annotator.types.errors import ConfigError
+from benchmarks.keystrokes import Bill
+from benchmarks.report import Table, finish, guarded
+from benchmarks.review_moves import shaky
+from benchmarks.review_operator import Operator
+from benchmarks.review_peers import peers
+from benchmarks.review_projects import copied, is_project, propose, teach, without_labels
+
+PARTS = ("proposals", "base_detector", "from_nothing", "peers")
+# Whether contact sheets are used, by name.
+WAYS = {"frame_by_frame": False, "contact_sheets": True}
+QUIET = Console(stderr=True)
+
+
+@dataclass
+class Arguments:
+    """Measure what the review of a recording costs an operator."""
+
+    path: Annotated[Path, tyro.conf.Positional]
+    """A recording with true boxes, or the folder of a project of such recordings."""
+    quality: float = 0.7
+    """3D IoU from which a box is right."""
+    error_px: float = 2.0
+    """Error of the hand, standard deviation in pixels of a picture."""
+    only: str = ",".join(PARTS)
+    """Rows to measure, separated by commas."""
+    minutes: float | None = None
+    """Length of the view detector's training, minutes; None = the default."""
+    upright: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Upright boxes (default if the recording has a gravity direction)."""
+    free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Freely rotated boxes (default for other recordings)."""
+    keep: Path | None = None
+    """Folder in which to keep the taught project, which PATH can name the next time."""
+    seed: int = 0
+    """Seed of the hand's errors."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object as the last line."""
+
+    @property
+    def rotation(self) -> BoxRotation:
+        """The rotation of the boxes.
+
+        Raises:
+            ConfigError: --upright and --free are both given.
+        """
+        if self.upright and self.free:
+            raise ConfigError("--upright and --free exclude each other; give at most one")
+        return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else BoxRotation.AUTO
+
+
+def run(args: Arguments) -> dict[str, Any]:
+    """Runs the benchmark; returns what `--json` prints.
+
+    Raises:
+        ConfigError: invalid arguments, or nothing to review.
+        AnnotatorError: the recording cannot be read, or a training failed.
+    """
+    parts = [part.strip() for part in args.only.split(",") if part.strip()]
+    if unknown := [part for part in parts if part not in PARTS]:
+        raise ConfigError(f"--only: unknown row {unknown[0]!r}; the rows are {', '.join(PARTS)}")
+    if not 0 < args.quality < 1:
+        raise ConfigError(f"--quality is an IoU between 0 and 1, not {args.quality}")
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        project = args.path
+        if not is_project(project):
+            kept = args.keep or folder / "taught"
+            kept.mkdir(parents=True, exist_ok=True)
+            project = teach(args.path, kept, args.rotation, args.minutes, _report)
+        return {part: _row(args, part, project, folder) for part in PARTS if part in parts}
+
+
+def _report(role: DetectorKind, step: TrainingProgress) -> None:
+    if step.batch == step.batches and step.epoch % 10 == 0:
+        QUIET.print(f"{role} epoch {step.epoch}/{step.epochs}: {step.seconds:.0f} s", highlight=False)
+
+
+def _row(args: Arguments, part: str, project: Path, folder: Path) -> dict[str, Any]:
+    if part == "peers":
+        return _peers(args, project, folder)
+    ways: dict[str, dict[str, Any]] = {}
+    with _prepared(part, project, folder) as prepared:
+        for way in WAYS:
+            with copied(prepared, folder, f"{part}-{way}") as copy:
+                ways[way] = _reviewed(args, copy, way)
+    best = min(ways, key=lambda way: ways[way]["seconds_per_box"])
+    return {"way": best, **ways[best], "ways": ways}
+
+
+def _peers(args: Arguments, path: Path, folder: Path) -> dict[str, Any]:
+    """Draws the objects of the frames to review with other tools."""
+    with copied(path, folder, "peers") as project:
+        objects = [
+            (thing.box, xyz_m) for operator in _operators(args, project) for thing, xyz_m in operator.due_objects()
+        ]
+        return peers(objects, args.quality, shaky(np.random.default_rng(args.seed), args.error_px))
+
+
+@contextmanager
+def _prepared(part: str, path: Path, folder: Path) -> Iterator[Path]:
+    """A project with what is to be reviewed."""
+    with copied(path, folder, part) as project:
+        if part == "from_nothing":
+            without_labels(project)
+        elif part == "base_detector" or not project.labels.count([ReviewState.PROPOSED]):
+            propose(project, with_base=part == "base_detector")
+    yield folder / part
+
+
+def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
+    """Reviews all frames without reviewed boxes; returns the figures."""
+    tracks: list[dict[str, Any]] = []
+    total, boxes, missed, wrong = Bill(), 0, 0, 0
+    for operator in _operators(args, project):
+        operator.review(WAYS[way])
+        left = operator.left()
+        boxes, missed, wrong = boxes + left.boxes, missed + left.missed, wrong + left.wrong
+        total = sum(operator.bills.values(), total)
+        due = Counter(thing.key for thing, _ in operator.due_objects())
+        tracks += [
+            {"label": key[0], "track": key[1], "boxes": due[key], **_effort(operator.bills[key])} for key in sorted(due)
+        ]
+    if not boxes:
+        raise ConfigError(f"{args.path}: there is no visible object of the project's classes in the frames to review")
+    effort = _effort(total)
+    return {
+        "boxes": boxes,
+        "actions_per_box": effort["actions"] / boxes,
+        "seconds_per_box": effort["seconds"] / boxes,
+        "waiting_per_box": total.waiting_s / boxes,
+        "looks_per_box": total.looks / boxes,
+        "by_kind": dict(total.actions.most_common()),
+        "missed": missed,
+        "wrong": wrong,
+        "failures": (missed + wrong) / boxes,
+        "tracks": tracks,
+    }
+
+
+def _operators(args: Arguments, project: Project) -> Iterator[Operator]:
+    """An operator for each recording, with the frames that have no reviewed box."""
+    done = project.labels.frames(states=REVIEWED)
+    for recording in project.recordings.all():
+        frames = [f for f in project.frames.of([recording.id]) if _is_open(f) and f.id not in done]
+        if frames:
+            yield Operator(project, frames, args.quality, args.error_px, args.seed)
+
+
+def _is_open(frame: StoredFrame) -> bool:
+    return frame.index is not None and not frame.finalised
+
+
+def _effort(bill: Bill) -> dict[str, float]:
+    return {"actions": float(bill.actions.total()), "seconds": bill.seconds}
+
+
+def main() -> None:
+    args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
+    result = run(args)
+    table = Table("row", "way", "boxes", "actions a box", "s a box", "of it waiting", "failures")
+    kinds = Table("row", "way", "what was done", "times")
+    tracks = Table("row", "way", "class", "track", "boxes", "actions", "seconds")
+    for part, row in result.items():
+        if part == "peers":
+            for name, figures in row.items():
+                table.add(name, "drawn", "", figures["actions_per_box"], figures["seconds_per_box"], "", "")
+            continue
+        for way, figures in row["ways"].items():
+            numbers = ("boxes", "actions_per_box", "seconds_per_box", "waiting_per_box", "failures")
+            table.add(part, way, *(figures[name] for name in numbers))
+            for kind, times in figures["by_kind"].items():
+                kinds.add(part, way, kind, times)
+            for track in figures["tracks"]:
+                tracks.add(part, way, *track.values())
+    finish(result, args.json, table, kinds, tracks)
+
+
+if __name__ == "__main__":
+    guarded(main)

@@ -1,0 +1,563 @@
+"""A simulated operator of the Review page, who knows where the objects are and does only what the page offers.
+
+Each action calls the functions that the page's requests call, and is stored in the project as a person's. The operator
+- looks before each decision: at a box on the image and in its three views, at a frame for objects without a box, at
+  each picture of a contact sheet;
+- looks at the small pictures of all boxes of a frame, corrects the wrong ones, and accepts the others with one key;
+- drags with an error of `error_px` pixels of the picture, looks again, and corrects what is not good enough yet;
+- cannot foresee what "Fit again", a new box on the image, following a corrected box, or correcting the later ones alike
+  will give, and tries them when that pays on average, by how often they have helped so far.
+- waits for what the page has not loaded before: it loads the frame and the pictures of the queue's next box while the
+  operator is busy with this one.
+
+The model has no errors of judgement: where an object ends is known as well where no point shows it.
+"""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+
+from annotator.geometry.iou import iou_3d, iou_3d_matrix
+from annotator.geometry.oriented_box import contains
+from annotator.geometry.outline import box_on_image
+from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame, WriteContext
+from annotator.project.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected, Payload
+from annotator.project.records import BoxRecord
+from annotator.project.views import png
+from annotator.rcv.operator import draw_object
+from annotator.rcv.teach import project_box
+from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView, ReviewState
+from annotator.types.errors import ConfigError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.simulate import MIN_VISIBLE_POINTS
+from annotator.workflows.tracks.carry_correction import carry_correction
+from annotator.workflows.tracks.follow_recording import follow_from_frame
+from annotator.workflows.training.held_out import inaccurate
+from annotator.workflows.workbench.apply_changes import apply_changes
+from annotator.workflows.workbench.contact_sheet import picture
+from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps
+from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
+from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.ortho_views import ortho_views
+from annotator.workflows.workbench.refit import find_box, refit
+from benchmarks.keystrokes import CLICK_S, DRAG_S, KEY_S, Bill, M
+from benchmarks.review_moves import VIEW_PX, moves, plan, shaky
+
+AUTHOR = "simulated operator"
+# The operator gives up on a box after so many actions.
+MOST_ACTIONS = 15
+# A proposal is meant for an object that it overlaps by this IoU, or whose middle is that near, share of its diagonal.
+SAME_IOU, SAME_DISTANCE = 0.05, 0.4
+# A contact sheet is opened for so many proposals of a track; a corrected box is followed if so many are left.
+SHEET_FROM, FOLLOW_FROM = 3, 3
+# Followed boxes are expected to be right until so many of them were seen.
+OPTIMISM = 4
+
+# So many boxes' small pictures are seen at once in the list of a frame's boxes, at 1366 x 768.
+SEEN_TOGETHER = 4
+
+T = TypeVar("T")
+TrackKey = tuple[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """A true object in a frame.
+
+    Attributes:
+        key: class and track id; of objects without a track, one track for each class.
+        due: visible, so that it must get a box.
+    """
+
+    key: TrackKey
+    label: str
+    box: OrientedBox
+    due: bool
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a review leaves: number of visible objects, of those without a right box, and of boxes of no object."""
+
+    boxes: int
+    missed: int
+    wrong: int
+
+
+class Operator:
+    """Reviews frames of one recording.
+
+    Attributes:
+        bills: the effort by track; None: looks at frames, and proposals of no object.
+    """
+
+    def __init__(
+        self, project: Project, frames: Sequence[StoredFrame], quality: float, error_px: float, seed: int
+    ) -> None:
+        """
+        Args:
+            project: may be changed.
+            frames: to review, in time order.
+            quality: 3D IoU from which a box is right.
+            error_px: standard deviation of the hand's error.
+        """
+        self._project, self._frames, self._quality = project, frames, quality
+        self._rng = np.random.default_rng(seed)
+        self._hand, self._error_px = shaky(self._rng, error_px), error_px
+        self._source, self._ready, self._moves = FrameSource(project), ready_view(project), moves()
+        self.bills: dict[TrackKey | None, Bill] = defaultdict(Bill)
+        self._tries: Counter[str] = Counter()
+        self._helped: Counter[str] = Counter()
+        self._waits: dict[str, float] = defaultdict(float)
+        self._opened: tuple[int, OpenFrame] | None = None
+        # seconds after which the page began to load the next box
+        self._ahead_since_s = 0.0
+        self._things: dict[int, list[Thing]] = {}
+        self._on_sheets: set[int] = set()
+        # uids of boxes that a key has made, by what it did
+        self._made: dict[str, set[str]] = {"follow": set(), "alike": set()}
+        self._right: Counter[object] = Counter()
+        self._seen: Counter[object] = Counter()
+
+    # -- the ways to review
+
+    def review(self, with_sheets: bool) -> None:
+        """Reviews the proposals of each frame in time order, draws what is missing, and follows it.
+
+        Args:
+            with_sheets: open the contact sheet of each track first, and accept the right boxes there.
+        """
+        for number, frame in enumerate(self._frames):
+            if with_sheets:
+                tracks = {label.track_id for label in self._open_labels(frame) if label.track_id is not None}
+                for track in sorted(tracks - self._on_sheets):
+                    self._use_sheet(track, number)
+            if number and not self._open_labels(frame):
+                # the queue opens only frames with proposals
+                self.bills[None].act("next frame", KEY_S)
+            self._review_frame(frame)
+
+    def left(self) -> Left:
+        """Compares what is stored with the true objects."""
+        boxes = missed = wrong = 0
+        for frame in self._frames:
+            things = self.things(frame)
+            labels = [label for label in self._labels(frame) if label.state in REVIEWED]
+            boxes += sum(thing.due for thing in things)
+            right = [any(self._is_right(label, thing) for label in labels) for thing in things]
+            missed += sum(thing.due and not found for thing, found in zip(things, right, strict=True))
+            wrong += sum(not any(self._is_right(label, thing) for thing in things) for label in labels)
+        return Left(boxes, missed, wrong)
+
+    def things(self, frame: StoredFrame) -> list[Thing]:
+        """The true objects of a frame."""
+        if frame.id not in self._things:
+            recording, read = self._source.recording(frame.recording_id), self._open(frame).frame
+            classes = self._project.config.classes
+            self._things[frame.id] = [
+                Thing(
+                    (truth.label, -1 if truth.track_id is None else truth.track_id),
+                    truth.label,
+                    truth.box,
+                    box_on_image(read.camera, truth.box, truth.label) is not None
+                    and int(contains(truth.box, read.cloud.xyz_m).sum()) >= MIN_VISIBLE_POINTS,
+                )
+                for truth in load_truth(recording, frame.index or 0, read)
+                if truth.label in classes
+            ]
+        return self._things[frame.id]
+
+    def due_objects(self) -> Iterator[tuple[Thing, np.ndarray]]:
+        """Yields the visible objects of all frames, each with the points inside it, (n, 3)."""
+        for frame in self._frames:
+            for thing in self.things(frame):
+                if thing.due:
+                    xyz_m = self._open(frame).frame.cloud.xyz_m
+                    yield thing, xyz_m[contains(thing.box, xyz_m)]
+
+    # -- one frame
+
+    def _review_frame(self, frame: StoredFrame) -> None:
+        self._enter(frame)
+        things = self.things(frame)
+        labels = self._open_labels(frame)
+        done = [label for label in self._labels(frame) if label.state in REVIEWED]
+        has = {id(thing) for thing in things if any(self._is_right(label, thing) for label in done)}
+        meant = _meant(labels, [thing for thing in things if id(thing) not in has])
+        together = self._seen_together(frame, labels, meant)
+        has |= {id(meant[label.uid]) for label in together}
+        selected = 0
+        for number, label in enumerate(labels):
+            thing = meant.get(label.uid)
+            if label in together:
+                continue
+            if together:
+                self._select(number - selected, len(labels), self.bills[None if thing is None else thing.key])
+                selected = number
+            if thing is not None and self._review(frame, label, thing, moves_on=not together):
+                has.add(id(thing))
+            elif thing is None:
+                self._look(frame, label.box, self.bills[None], is_ahead=True)
+                self.bills[None].act("reject", KEY_S)
+                self._store(frame, [LabelRejected(uid=label.uid)])
+        if together:
+            self.bills[meant[together[0].uid].key].act("accept all", KEY_S)
+            self._store(frame, [LabelAccepted(uid=label.uid) for label in together])
+        self.bills[None].looks += 1  # is there an object without a box?
+        for thing in things:
+            if thing.due and id(thing) not in has:
+                self._draw_missing(frame, thing)
+
+    @staticmethod
+    def _select(steps: int, boxes: int, bill: Bill) -> None:
+        """Selects another box of the frame, with Tab and Shift+Tab or with the mouse."""
+        keys = min(steps % boxes, -steps % boxes)
+        if keys * KEY_S > CLICK_S:
+            bill.act("select", CLICK_S)
+        else:
+            for _ in range(keys):
+                bill.act("next box", KEY_S)
+
+    def _seen_together(self, frame: StoredFrame, labels: Sequence[Label], meant: dict[str, Thing]) -> list[Label]:
+        """Looks at the small pictures of a frame's proposals, if it has several, but not more than are
+        seen at once; returns the right ones."""
+        if not 2 <= len(labels) <= SEEN_TOGETHER:
+            return []
+        opened = self._open(frame)
+        begin = time.perf_counter()
+        for label in labels:
+            png(picture(opened.frame, label.box))
+        self._waited(self.bills[None], time.perf_counter() - begin, is_ahead=True)
+        self._ahead_since_s = self._spent_s()
+        for label in labels:
+            self.bills[meant[label.uid].key if label.uid in meant else None].looks += 1
+        right = [label for label in labels if label.uid in meant and self._is_right(label, meant[label.uid])]
+        for label in right:
+            self._count(label, is_right=True)
+        return right
+
+    def _review(self, frame: StoredFrame, label: Label, thing: Thing, *, moves_on: bool) -> bool:
+        """Reviews a proposal of an object; returns whether the object now has a right box.
+
+        Args:
+            moves_on: with the key that accepts it; else a key accepts the others of the frame afterwards.
+        """
+        bill = self.bills[thing.key]
+        self._look(frame, label.box, bill, is_ahead=True)
+        if not thing.due and iou_3d(label.box, thing.box) < self._quality:
+            bill.act("reject", KEY_S)
+            self._store(frame, [LabelRejected(uid=label.uid)])
+            return False
+        name = label.label
+        if name != thing.label:
+            bill.act("class", KEY_S)
+        was_right = self._is_right(label, thing)
+        self._count(label, was_right)
+        box, is_new = self._corrected(frame, label.box, thing, bill, can_redraw=True)
+        if is_new or moves_on:
+            bill.act("accept", KEY_S)
+        if is_new:
+            bill.act("reject", KEY_S)
+            self._store(frame, [LabelRejected(uid=label.uid), self._created(thing, box, label.track_id)])
+        elif box is label.box and name == thing.label:
+            self._store(frame, [LabelAccepted(uid=label.uid)])
+        else:
+            record = BoxRecord.of(box)
+            self._store(frame, [LabelEdited(uid=label.uid, label=thing.label, box=record, track_id=label.track_id)])
+            if not was_right:
+                self._help_later(frame, label, bill)
+        return iou_3d(box, thing.box) >= self._quality
+
+    def _count(self, label: Label, is_right: bool) -> None:
+        """Remembers how often proposals of a track were right, and those that a key has made."""
+        for what in (label.track_id, *(key for key, uids in self._made.items() if label.uid in uids)):
+            self._seen[what] += 1
+            self._right[what] += is_right
+
+    def _help_later(self, frame: StoredFrame, label: Label, bill: Bill) -> None:
+        """Replaces the later proposals of a corrected box's track with the key that has helped most, if one helps."""
+        if label.track_id is None or len(self._shown(label.track_id, frame)) < FOLLOW_FROM:
+            return
+        made_by = next((key for key, uids in self._made.items() if label.uid in uids), None)
+        # one key: worth a try; what it made before drifts, or was corrected too far: begin anew
+        chances = {key: (self._right[key] + OPTIMISM) / (self._seen[key] + OPTIMISM) for key in self._made}
+        key = max(chances, key=lambda key: (round(chances[key], 6), -self._waits[key]))
+        own = (self._right[label.track_id] + 1) / (self._seen[label.track_id] + 2)
+        if made_by is None and chances[key] <= own:
+            return
+        if key == "follow":
+            self._follow(frame, label.uid, bill)
+        else:
+            self._correct_alike(frame, label, bill)
+
+    def _correct_alike(self, frame: StoredFrame, label: Label, bill: Bill) -> None:
+        """Corrects the later proposals of a track like a box.
+
+        Args:
+            label: as it was before it was corrected.
+        """
+        bill.act("alike", KEY_S)
+
+        def run() -> float:
+            revision = self._project.frames.get(frame.id).revision
+            begin = time.perf_counter()
+            carry_correction(self._project, frame.id, label.uid, revision, label.box, AUTHOR, effort=Effort(0, 0.0))
+            return time.perf_counter() - begin
+
+        self._replace_later("alike", bill, run)
+
+    def _draw_missing(self, frame: StoredFrame, thing: Thing) -> None:
+        """Draws an object, and follows it if the recording has later frames."""
+        bill = self.bills[thing.key]
+        box = self._drawn(frame, thing, bill)
+        if box is None:
+            return
+        self._look(frame, box, bill)
+        box, _ = self._corrected(frame, box, thing, bill, can_redraw=False)
+        bill.act("accept", KEY_S)
+        created = self._created(thing, box, None)
+        self._store(frame, [created])
+        if frame.id != self._frames[-1].id:
+            self._follow(frame, created.uid, bill)
+
+    def _follow(self, frame: StoredFrame, uid: str, bill: Bill) -> None:
+        bill.act("follow", KEY_S)
+        view = view_with_classes(self._project)
+
+        def run() -> float:
+            revision = self._project.frames.get(frame.id).revision
+            followed = follow_from_frame(self._project, frame.id, revision, view, AUTHOR, uid=uid)
+            begin = time.perf_counter()
+            times_s: list[float] = []
+            followed.run(lambda _: times_s.append(time.perf_counter() - begin))
+            # the page shows the first box at once, and the others are found while the operator reviews
+            later = pairwise(times_s)
+            return times_s[0] + sum(max(0.0, after - before - (M + KEY_S)) for before, after in later)
+
+        self._replace_later("follow", bill, run)
+
+    def _replace_later(self, key: str, bill: Bill, run: Callable[[], float]) -> None:
+        """Waits for a key's work as long as `run` returns, and remembers which boxes it made."""
+        before = {label.uid for _, label in self._all_open()}
+        try:
+            self._waits[key] = run()
+        except ConfigError:
+            return  # there is no later box: the page says so
+        bill.waiting_s += self._waits[key]
+        new = [label for _, label in self._all_open() if label.uid not in before]
+        self._made[key] |= {label.uid for label in new}
+        self._on_sheets -= {label.track_id for label in new if label.track_id is not None}
+
+    # -- contact sheets
+
+    def _use_sheet(self, track: int, first: int) -> None:
+        """Accepts the right boxes of a track on its contact sheet; the others stay proposals."""
+        shown = self._shown(track, self._frames[first])
+        if len(shown) < SHEET_FROM:
+            return
+        self._on_sheets.add(track)
+        verdicts = [(frame, label, self._thing_at(frame, label)) for frame, label in shown]
+        keys = Counter(thing.key for _, _, thing in verdicts if thing is not None)
+        bill = self.bills[keys.most_common(1)[0][0] if keys else None]
+        bill.act("open sheet", KEY_S)
+        for place, (frame, label, thing) in enumerate(verdicts):
+            bill.looks += 1
+            self._count(label, thing is not None)
+            if thing is not None:
+                self._store(frame, [LabelAccepted(uid=label.uid)])
+                continue
+            bill.act("click out", CLICK_S)
+            if label.uid in self._made["follow"] and place + 1 < len(verdicts) and verdicts[place + 1][2] is None:
+                bill.looks += 1
+                break  # it drifted: all from here on are out (Shift)
+        bill.act("accept sheet", KEY_S)
+
+    def _shown(self, track: int, first: StoredFrame) -> list[tuple[StoredFrame, Label]]:
+        """The proposals of a track, from a frame on."""
+        indices = [frame.id for frame in self._frames]
+        later = set(indices[indices.index(first.id) :])
+        return [(frame, label) for frame, label in self._all_open() if label.track_id == track and frame.id in later]
+
+    def _all_open(self) -> list[tuple[StoredFrame, Label]]:
+        return [(frame, label) for frame in self._frames for label in self._open_labels(frame)]
+
+    def _thing_at(self, frame: StoredFrame, label: Label) -> Thing | None:
+        """The object of which a label is a right box."""
+        return next((thing for thing in self.things(frame) if self._is_right(label, thing)), None)
+
+    # -- one box
+
+    def _corrected(
+        self, frame: StoredFrame, box: OrientedBox, thing: Thing, bill: Bill, can_redraw: bool
+    ) -> tuple[OrientedBox, bool]:
+        """Corrects a box until it is good enough; returns it, and whether it was drawn anew."""
+        tried = set() if can_redraw else {"redraw"}
+        actions, is_new = 0, False
+        while iou_3d(box, thing.box) < self._quality and actions < MOST_ACTIONS:
+            drags = plan(box, thing.box, self._quality, self._moves)
+            by_hand_s = sum(move.seconds + M for move in drags)
+            offers = {"drag": by_hand_s}
+            for kind, seconds in (("refit", KEY_S), ("redraw", DRAG_S + 2 * KEY_S)):
+                if kind not in tried:
+                    chance = (self._helped[kind] + 1) / (self._tries[kind] + 2)
+                    offers[kind] = seconds + self._waits[kind] + M + (1 - chance) * by_hand_s
+            choice = min(offers, key=lambda kind: offers[kind])
+            actions += 1
+            if choice == "drag":
+                bill.act(drags[0].kind, drags[0].seconds)
+                box = drags[0].apply(box, thing.box, self._hand)
+            else:
+                tried.add(choice)
+                self._tries[choice] += 1
+                found = (
+                    self._refitted(frame, box, thing, bill) if choice == "refit" else self._drawn(frame, thing, bill)
+                )
+                if found is not None:
+                    is_better = iou_3d(found, thing.box) > iou_3d(box, thing.box)
+                    self._helped[choice] += iou_3d(found, thing.box) >= self._quality
+                    if is_better:
+                        box, is_new = found, is_new or choice == "redraw"
+                    else:
+                        self._look(frame, found, bill)
+                        bill.act("undo", KEY_S)
+            self._look(frame, box, bill)
+        return box, is_new
+
+    def _refitted(self, frame: StoredFrame, box: OrientedBox, thing: Thing, bill: Bill) -> OrientedBox:
+        opened, ready = self._open(frame), self._ready
+        config = frame_config(self._project, opened.frame, ready)
+        bill.act("refit", KEY_S)
+        return self._wait("refit", bill, lambda: refit(opened, box, thing.label, config, ready)).box
+
+    def _drawn(self, frame: StoredFrame, thing: Thing, bill: Bill) -> OrientedBox | None:
+        """Draws an object on the image; where no box is found, on the four views, too. None if it cannot be drawn."""
+        opened, ready = self._open(frame), self._ready
+        camera = opened.frame.camera
+        outline = box_on_image(camera, thing.box, thing.label)
+        errors_px = self._rng.normal(0, self._error_px, 4)
+        image_box = None if outline is None else inaccurate(camera, outline, errors_px)
+        if image_box is None:
+            return None
+        bill.act("draw key", KEY_S)
+        bill.act("draw on image", DRAG_S)
+        config = frame_config(self._project, opened.frame, ready)
+        found = self._wait("redraw", bill, lambda: find_box(opened, image_box, config, ready)).box
+        return self._on_views(opened, image_box, thing, bill) if found is None else found
+
+    def _on_views(self, opened: OpenFrame, image_box: Box2D, thing: Thing, bill: Bill) -> OrientedBox | None:
+        """Finishes an object in Label, on two and two views."""
+        config = label_config(self._project, opened.frame)
+
+        def draw(view: PseudoView) -> Box2D | None:
+            bill.looks += 1
+            true = project_box(view, thing.box, thing.label)
+            if true is None:
+                return None
+            bill.act("draw on view", DRAG_S)
+            edges = np.array(true.xyxy) + self._rng.normal(0, self._error_px, 4)
+            low, high = np.minimum(edges[:2], edges[2:] - 1), edges[2:]
+            return Box2D(thing.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+        drawn = draw_object(opened.with_normals, image_box, draw, config)
+        if drawn is None:
+            return None
+        boxes = [item.box for item in drawn.views]
+        return label_steps(opened, image_box, boxes, config, BoxKind.BOX, axes=drawn.views[2].view.axes).box
+
+    def _look(self, frame: StoredFrame, box: OrientedBox, bill: Bill, is_ahead: bool = False) -> None:
+        """Waits for the three pictures of a box, and looks at them.
+
+        Args:
+            is_ahead: the box is the queue's next one, whose pictures the page has loaded ahead.
+        """
+        opened = self._open(frame)
+        begin = time.perf_counter()
+        for view in ortho_views(opened, box, VIEW_PX):
+            png(view.view.rgb)
+        self._waited(bill, time.perf_counter() - begin, is_ahead)
+        if is_ahead:
+            # now the page loads the next one
+            self._ahead_since_s = self._spent_s()
+        bill.looks += 1
+
+    def _waited(self, bill: Bill, work_s: float, is_ahead: bool) -> None:
+        """Counts what is left of work that the page may have done while the operator was busy."""
+        if is_ahead:
+            done_s = min(work_s, self._spent_s() - self._ahead_since_s)
+            # the rest of that time is left for what else was loaded
+            self._ahead_since_s += done_s
+            work_s -= done_s
+        bill.waiting_s += work_s
+
+    def _spent_s(self) -> float:
+        return sum((each.seconds for each in self.bills.values()), 0.0)
+
+    def _is_right(self, label: Label, thing: Thing) -> bool:
+        return label.label == thing.label and iou_3d(label.box, thing.box) >= self._quality
+
+    # -- the project
+
+    def _labels(self, frame: StoredFrame) -> tuple[Label, ...]:
+        return self._project.labels.of_frame(frame.id)
+
+    def _open_labels(self, frame: StoredFrame) -> list[Label]:
+        return [label for label in self._labels(frame) if label.state is ReviewState.PROPOSED]
+
+    def _created(self, thing: Thing, box: OrientedBox, track: int | None) -> LabelCreated:
+        return LabelCreated(
+            uid=uuid.uuid4().hex, label=thing.label, box=BoxRecord.of(box), track_id=track, origin=Origin.DRAWN
+        )
+
+    def _store(self, frame: StoredFrame, payloads: list[Payload]) -> None:
+        context = WriteContext(self._project.frames.get(frame.id).revision, AUTHOR, effort=Effort(0, 0.0))
+        apply_changes(self._project, frame.id, payloads, context, lambda: self._open(frame))
+
+    def _enter(self, frame: StoredFrame) -> None:
+        """Opens the next frame, which the server has read ahead while the operator was busy with the one before."""
+        if self._opened is not None and self._opened[0] == frame.id:
+            return
+        begin = time.perf_counter()
+        self._open(frame)
+        self._waited(self.bills[None], time.perf_counter() - begin, is_ahead=True)
+        if not self._open_labels(frame):
+            self._ahead_since_s = self._spent_s()
+
+    def _open(self, frame: StoredFrame) -> OpenFrame:
+        if self._opened is None or self._opened[0] != frame.id:
+            self._opened = frame.id, OpenFrame(self._source.read(frame))
+        return self._opened[1]
+
+    def _wait(self, kind: str, bill: Bill, work: Callable[[], T]) -> T:
+        begin = time.perf_counter()
+        result = work()
+        self._waits[kind] = time.perf_counter() - begin
+        bill.waiting_s += self._waits[kind]
+        return result
+
+
+def _meant(labels: Sequence[Label], things: Sequence[Thing]) -> dict[str, Thing]:
+    """Which object each label is meant for, by uid: the nearest; an object has one label at most."""
+    if not labels or not things:
+        return {}
+    ious = iou_3d_matrix([label.box for label in labels], [thing.box for thing in things])
+    centers = np.stack([label.box.center_m for label in labels])[:, None] - np.stack([t.box.center_m for t in things])
+    reach_m = SAME_DISTANCE * np.array([float(np.linalg.norm(thing.box.size_m)) for thing in things])
+    nearness = 1.0 - np.linalg.norm(centers, axis=2) / reach_m
+    ranks = np.where(ious >= SAME_IOU, 1.0 + ious, nearness)
+    meant: dict[str, Thing] = {}
+    for place in np.argsort(-ranks, axis=None, kind="stable"):
+        row, column = np.unravel_index(place, ranks.shape)
+        if ranks[row, column] <= 0:
+            break
+        if labels[row].uid not in meant and things[column] not in meant.values():
+            meant[labels[row].uid] = things[column]
+    return meant

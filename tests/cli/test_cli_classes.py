@@ -1,0 +1,103 @@
+"""`annotator classes`: shows and changes the classes and attributes of a project."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.cli.main import main
+from annotator.project import NewLabel, WriteContext, create_project, open_project
+from annotator.types import OrientedBox
+
+
+@pytest.fixture
+def cars(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project with one label of the class car."""
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path))
+    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
+    with create_project(tmp_path, "cars", ["car", "van"]) as project:
+        project.recordings.add(tmp_path / "r", "rgbd", "r", ["a"], True)
+        project.labels.create(1, [NewLabel("car", box)], WriteContext(0, "ann"))
+    return tmp_path / "cars"
+
+
+def listed(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    capsys.readouterr()
+    assert main(["classes", "list", "cars", "--json"]) == 0
+    content: dict[str, object] = json.loads(capsys.readouterr().out)
+    return content
+
+
+def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (
+        "add cars bus --colour 3366ff --key b",
+        "attribute cars pose --kind choice --choices parked driving --value parked --key p",
+        "attribute cars pose --required --classes car van",
+        "cars rename car auto",
+        "rename-attribute cars pose=parked still",
+        "merge cars van --into auto",
+        "style cars auto --key a",
+        "order cars bus auto",
+    ):
+        assert main(["classes", *words.split()]) == 0, words
+    content = listed(capsys)
+    assert content["classes"] == [
+        {"name": "bus", "labels": 0, "boxes_2d": 0, "colour": "#3366ff", "key": "b"},
+        {"name": "auto", "labels": 1, "boxes_2d": 0, "colour": None, "key": "a"},
+    ]
+    assert content["attributes"] == [
+        {
+            "name": "pose",
+            "kind": "choice",
+            "choices": ["still", "driving"],
+            "classes": ["auto"],
+            "required": True,
+            "default": "still",
+            "key": "p",
+        }
+    ]
+    with open_project(cars) as project:
+        (label,) = project.labels.of_frame(1)
+        assert (label.label, label.attributes) == ("auto", {"pose": "still"})
+    assert main(["classes", "cars"]) == 0
+    shown = capsys.readouterr().out
+    assert "auto  1 labels, 0 2D boxes, key a" in shown
+    assert "attribute pose: one of still, driving; of auto; required; default still; key p" in shown
+    assert main(["classes", "remove-attribute", "cars", "pose"]) == 0
+    assert "removed pose and 1 values of it" in capsys.readouterr().out
+    assert main(["classes", "cars", "remove", "auto", "--with-boxes"]) == 0
+    out = capsys.readouterr().out
+    assert "removed with the class: 1 labels and 0 2D boxes of auto" in out
+    assert "backed up before: " in out
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("add cars car", "has the class 'car' already"),
+        ("add cars bus --colour blue", "'#blue' is not a colour of six hexadecimal digits, such as #3366ff"),
+        ("add cars bus --key 11", "'11' is not a key, one of 0 to 9 and a to z"),
+        ("rename cars car van", "annotator classes merge cars car --into van"),
+        ("merge cars car --into bus", "has no class 'bus'; it has: car, van"),
+        ("merge cars vans --into car", "has no class 'vans'; did you mean 'van'?"),
+        ("merge cars --into car", "name the classes whose boxes 'car' gets"),
+        ("remove cars car", "'car' cannot be removed while boxes use it; merge it into another class"),
+        ("remove cars car --into van --with-boxes", "give one of both"),
+        ("remove cars Van", "has no class 'Van'; did you mean 'van'?"),
+        ("order cars car", "must name each class once: car, van"),
+        ("attribute cars pose", "a new attribute needs --kind"),
+        ("attribute cars pose --kind integer --value red", "--value: pose must be a whole number"),
+        ("attribute cars pose --kind text --classes bus", "has no class 'bus'"),
+        ("rename-attribute cars pose posture", "has no attribute 'pose'; it has: none"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_way_out(
+    cars: Path, words: str, problem: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (cars / "project.json").read_text()
+    assert main(["classes", *words.split()]) == 2
+    assert problem in capsys.readouterr().err
+    assert (cars / "project.json").read_text() == before

@@ -1,0 +1,179 @@
+"""Removing, renaming and copying projects, and recordings that are removed or have moved."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from annotator.cli import output
+from annotator.cli.main import main
+from annotator.project import open_project
+
+Capture = pytest.CaptureFixture[str]
+LABELS = 15
+
+
+@pytest.fixture
+def people(own_copy: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A recording in the project `room`, with its labels; the current folder is that of the recording."""
+    monkeypatch.chdir(tmp_path)
+    recording = own_copy("people")
+    assert main(["new", "room", "--classes", "person"]) == main(["add", "room", "people"]) == 0
+    return recording
+
+
+def run(capsys: Capture, command: str, code: int = 0) -> str:
+    capsys.readouterr()
+    assert main(command.split()) == code
+    said = capsys.readouterr()
+    return said.err if code else said.out
+
+
+def labels(capsys: Capture, project: str = "room") -> int:
+    counts: dict[str, dict[str, int]] = json.loads(run(capsys, f"stats {project} --json"))
+    return counts["labels"]["total"]
+
+
+def test_a_removed_recording_comes_back_with_its_labels(people: Path, capsys: Capture) -> None:
+    assert "Its 15 labels come back if it is added again. Nothing was changed: add --yes" in run(
+        capsys, "project remove room people", code=2
+    )
+    assert labels(capsys) == LABELS
+    assert f"bring it back with: annotator add room {people}" in run(capsys, "project remove room people --yes")
+    assert labels(capsys) == 0
+    assert "'people' was removed from the project; `annotator add` brings it back" in run(
+        capsys, "up room people", code=2
+    )
+    assert run(capsys, "add room people").startswith("people is back in the project, with its labels: 5 frames\nnext:")
+    assert labels(capsys) == LABELS
+    assert run(capsys, "check room").endswith("about 15 labels\n"), "which begins with a verification"
+
+
+def test_the_question_is_asked_at_a_terminal(people: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    for answer, code in (("\n", 2), ("no\n", 2), ("y\n", 0)):
+        stdin = SimpleNamespace(isatty=lambda: True, readline=lambda answer=answer: answer)
+        monkeypatch.setattr(
+            output, "sys", SimpleNamespace(stdin=stdin, stdout=output.sys.stdout, stderr=output.sys.stderr)
+        )
+        assert main(["project", "remove", "room", "people"]) == code
+        monkeypatch.undo()
+        monkeypatch.chdir(people.parent)
+    assert labels(capsys) == 0
+
+
+def test_a_recording_that_has_only_moved_is_not_added_a_second_time(people: Path, capsys: Capture) -> None:
+    people.rename("archive")
+    refused = run(capsys, "add room archive", code=2)
+    assert f"archive: is the recording people, which was at {people}; to keep its labels" in refused
+    assert labels(capsys) == LABELS
+    command = refused.split("`")[1].removeprefix("annotator ")
+    assert command == "project move room people archive"
+    run(capsys, command)
+    assert "already in the project: 0 new frames" in run(capsys, "add room archive")
+    assert labels(capsys) == LABELS
+
+
+def test_the_way_out_of_a_recording_that_was_added_twice(people: Path, capsys: Capture) -> None:
+    people.rename("archive")
+    run(capsys, "add room archive --as-new")
+    assert labels(capsys) == 2 * LABELS
+    refused = run(capsys, "project move room people archive", code=2)
+    assert "as recording archive; to have the labels of people there, first run `annotator project remove" in refused
+    run(capsys, "project remove room archive --yes")
+    run(capsys, "project move room people archive")
+    assert labels(capsys) == LABELS
+
+
+def test_a_removed_recording_that_has_moved_is_recognised(people: Path, capsys: Capture) -> None:
+    run(capsys, "project remove room people --yes")
+    people.rename("archive")
+    assert "`annotator project move room people archive`" in run(capsys, "add room archive", code=2)
+    assert "people: 5 frames, now at" in run(capsys, "project move room people archive")
+    assert labels(capsys) == LABELS
+
+
+def test_another_recording_with_the_same_names_of_frames_is_added(
+    people: Path, generated: Path, capsys: Capture
+) -> None:
+    """Cameras number the frames of all their recordings alike."""
+    people.rename("archive")
+    assert "added hands: 5 frames" in run(capsys, f"add room {generated / 'hands'}")
+    # without a fingerprint, as in projects of older versions, the names are all that is known
+    with open_project(Path("projects/room")) as project, project.store.write() as connection:
+        connection.exec_driver_sql("UPDATE recordings SET fingerprint = NULL")
+    shutil.copytree(generated / "hands", "third")
+    assert "third: has the frames of the recording people, which was at" in run(capsys, "add room third", code=2)
+    assert "added third: 5 frames" in run(capsys, "add room third --as-new")
+
+
+def test_boxes_of_a_class_that_is_spelt_otherwise_are_named(people: Path, capsys: Capture) -> None:
+    run(capsys, "export room out --format openlabel")
+    run(capsys, "new hall --classes Person")
+    assert "skipped: 15 boxes of class person, which is not in the project; did you mean 'Person'?" in run(
+        capsys, "add hall people"
+    )
+    assert "of class person, which is not in the project; did you mean 'Person'?" in run(
+        capsys, "import hall out --format openlabel"
+    )
+
+
+def test_a_project_is_renamed_with_its_backups(people: Path, capsys: Capture) -> None:
+    backups = Path("projects/.backups/room")
+    backups.mkdir(parents=True)
+    run(capsys, "new other --classes person")
+    assert "exists already; choose another name" in run(capsys, "project rename room other", code=2)
+    assert "is not a valid project name" in run(capsys, "project rename room Rooms", code=2)
+    assert run(capsys, "project rename room rooms") == "renamed room to rooms\n"
+    assert labels(capsys, "rooms") == LABELS
+    with open_project(Path("projects/rooms")) as project:
+        assert project.config.name == "rooms"
+    assert sorted(path.name for path in Path("projects").iterdir()) == [".backups", "other", "rooms"]
+    assert [path.name for path in backups.parent.iterdir()] == ["rooms"]
+
+
+def test_a_removed_project_can_be_brought_back(people: Path, capsys: Capture) -> None:
+    assert (
+        "Remove the project room (recordings: 1, labels: 15)? It is moved to projects/.removed. "
+        "Nothing was changed: add --yes"
+    ) in run(capsys, "project remove room", code=2)
+    with open_project(Path("projects/room")):
+        assert "another process has this project open" in run(capsys, "project remove room --yes", code=2)
+        assert "if it is a server, use its start page" in run(capsys, "project rename room hall", code=2)
+    said = run(capsys, "project remove room --yes")
+    assert "has no project 'room'" in run(capsys, "stats room", code=2)
+    run(capsys, said.splitlines()[-1].partition(": annotator ")[2])
+    assert labels(capsys) == LABELS
+    # a damaged one can be removed, too
+    Path("projects/room/project.db").write_bytes(b"damaged")
+    run(capsys, "project remove room --yes")
+    assert len(list(Path("projects/.removed").iterdir())) == 2
+
+
+def test_a_project_is_copied_with_or_without_its_labels(people: Path, capsys: Capture) -> None:
+    run(capsys, "calibrate room people --shift 0.1 0 0")
+    run(capsys, "up room people 0 -1 -1")
+    said = run(capsys, "project copy room second")
+    assert said.splitlines()[0] == "copied projects/room to projects/second"
+    assert labels(capsys, "second") == LABELS
+    assert "copied projects/room to projects/empty without its labels" in run(
+        capsys, "project copy room empty --without-labels"
+    )
+    assert labels(capsys, "empty") == 0
+    with open_project(Path("projects/room")) as old, open_project(Path("projects/empty")) as new:
+        (before,), (after,) = old.recordings.all(), new.recordings.all()
+        assert (after.path, after.frames, after.correction) == (before.path, 5, before.correction)
+        assert after.up == pytest.approx(before.up)
+        assert (after.correction.shift_m[0], new.boxes.on_images()) == (pytest.approx(0.1), ())
+        assert new.config.classes == ("person",)
+    assert run(capsys, "check empty") == "0 warnings about 0 labels\n"
+    assert "has no project 'rom' (did you mean 'room'?)" in run(capsys, "project copy rom third", code=2)
+    shutil.copytree("projects/room", "room")
+    assert "room is both a folder and a project; write ./room or projects/room" in run(
+        capsys, "project copy room third", code=2
+    )
+    run(capsys, "project copy ./room third")

@@ -1,0 +1,143 @@
+"""What a new user meets: each refusal is one line that says what to do next.
+
+A new refusal is one row of `REFUSALS`; its command runs in a folder with what `place` makes.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from annotator.cli.main import main
+
+ROW = "Car 0.00 0 -1.5 100 100 200 200 1.5 1.6 3.9 1.0 1.5 20.0 -1.5"
+
+REFUSALS = [
+    # names of projects, recordings and classes
+    ("stats Room", "has no project 'Room' (did you mean 'room'?)"),
+    ("stats rom", "(did you mean 'room'?); create it with `annotator new rom --classes ...`"),
+    ("stats ../room", "--projects names the folder of projects"),
+    ("up room People", "no recording 'People'; did you mean 'people'?"),
+    ("project remove room People", "no recording 'People'; did you mean 'people'?"),
+    ("project rename Room hall", "has no project 'Room' (did you mean 'room'?)"),
+    ("classes remove room Person", "has no class 'Person'; did you mean 'person'?"),
+    ("classes attribut room pose", "unknown command 'classes attribut'; did you mean 'classes attribute'?"),
+    ("import room labels --classes Car=Person", "the project has no class 'Person'; did you mean 'person'?"),
+    ("export room out --classes Person", "has no class 'Person'; did you mean 'person'?"),
+    ("export room out --classes tree", "has no class 'tree'; it has: person"),
+    # paths
+    ("check peple", "peple: no such file or folder, and projects has no project 'peple' (it has: room)"),
+    ("check no/such", "has no no); give the path of a recording"),
+    ("add room recordigs/people", "has no recordigs; did you mean recordings?)"),
+    ("check labels", "it holds text files; if they are labels, give the folder that also has their images and clouds"),
+    ("check boxes.json", "it holds boxes; give the recording's folder, which may have it in truth/"),
+    ("add room boxes.json", "it holds boxes; give the recording's folder"),
+    ("check sun", "it looks like SUN RGB-D as VoteNet extracts it: depth/*.mat or points/*.npz is missing"),
+    ("check other", "`annotator inspect other` lists what each format needs"),
+    # evaluation
+    ("evaluate labels labels --protocol kitti", "append one to each row (1.0 if all are equally certain)"),
+    ("evaluate boxes.csv boxes.csv --protocol sunrgbd", "boxes.csv:1: has no column score"),
+    ("evaluate boxes.json boxes.json --protocol oriented", "then `annotator evaluate --project PROJECT`"),
+    ("evaluate boxes.json boxes.json --protocol sunrgbd", "then `annotator evaluate --project PROJECT`"),
+    ("evaluate sun sun --protocol sunrgbd", "is no CSV file of boxes, one for all images"),
+    ("evaluate recordings recordings --protocol oriented", "is no dataset in the format rcv, which has a dataset.json"),
+    # import
+    ("import room sun --format sunrgbd", "has images and no folder label/, so there are no labels to import"),
+    ("import room labels --format rcv", "labels: is no dataset in the format rcv, which has a dataset.json"),
+    ("import room other", "no format of boxes was recognised; if it has one of these, name it: --format coco|yolo|"),
+    ("import room far", "the project has none of the dataset's frames (999999); first add their recording"),
+    # export
+    (
+        "export room other --overwrite",
+        "remove what is in it (only an older export of the same format can be overwritten",
+    ),
+    ("export room other", "exists and is not empty; choose another folder"),
+    ("export room out --split train=0.8,val=0.3", "add up to 1.1, not to 1; write train=0.73,val=0.27, or ratios"),
+    ("export room out --split train=0.8", "add up to 0.8, not to 1; write train=1"),
+    ("export room out --split 0.8", "give each part once with its share, as in train=0.8,val=0.2"),
+]
+
+
+@pytest.fixture(scope="module")
+def place(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the project `room`, its recording, and files that a command cannot use."""
+    folder = tmp_path_factory.mktemp("place")
+    shutil.copytree(generated / "people", folder / "recordings" / "people")
+    projects = ["--projects", str(folder / "projects")]
+    assert main(["new", "room", "--classes", "person", *projects]) == 0
+    assert main(["add", "room", str(folder / "recordings" / "people"), *projects]) == 0
+    for name in ("labels", "far", "other", "sun/image", "sun/calib"):
+        (folder / name).mkdir(parents=True)
+    for path in ("labels/000000.txt", "far/999999.txt"):
+        (folder / path).write_text(ROW)
+    (folder / "boxes.csv").write_text("image,class,cx,cy,cz,l,w,h,yaw\n1,car,0,0,1,1,1,1,0\n")
+    (folder / "boxes.json").write_text("{}")
+    (folder / "other/thesis.pdf").touch()
+    return folder
+
+
+@pytest.mark.parametrize(("command", "says"), REFUSALS)
+def test_a_refusal_is_one_line_that_says_what_to_do(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, says: str
+) -> None:
+    monkeypatch.chdir(place)
+    before = sorted(place.rglob("*"))
+    assert main(command.split()) == 2
+    said = capsys.readouterr().err
+    errors = [line for line in said.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert says in errors[0]
+    assert said.endswith(f"{errors[0]}\n"), "nothing after it"
+    assert sorted(place.rglob("*")) == before
+
+
+def test_ratios_and_rounded_shares_are_no_wrong_split(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place)
+    for number, split in enumerate(("a=4,b=1", "a=0.33,b=0.33,c=0.33")):
+        assert main(["export", "room", f"../split{number}", "--format", "openlabel", "--split", split]) == 0
+
+
+def test_a_check_of_labels_that_cannot_be_seen_fails(
+    own_copy: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Repeated findings are counted, and frames that cannot be read are a failure."""
+    monkeypatch.chdir(tmp_path)
+    recording = own_copy("people")
+    assert main(["new", "room", "--classes", "person"]) == main(["add", "room", str(recording)]) == 0
+    assert main(["check", "room"]) == 0
+    shutil.move(recording, tmp_path / "away")
+    capsys.readouterr()
+    assert main(["check", "room"]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[-2].endswith("give its new path: annotator project move room people PATH, or Locate on the start page")
+    assert said[-1].endswith("; 1 recordings or frames cannot be read")
+    shutil.move(tmp_path / "away", recording)
+    for cached in (tmp_path / "projects/room/cache").iterdir():
+        cached.unlink()
+    for image in (recording / "color").iterdir():
+        image.write_bytes(b"")
+    assert main(["check", "room"]) == 1
+    assert capsys.readouterr().out.splitlines()[-1].endswith("; 5 recordings or frames cannot be read")
+    assert main(["check", "room", "--json"]) == 1
+    assert len(json.loads(capsys.readouterr().out)["unreadable"]) == 5
+
+
+def test_repeated_findings_are_counted_and_listed_on_request(
+    own_copy: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = own_copy("people")
+    boxes = recording / "truth/boxes.json"
+    boxes.write_text(json.dumps(json.loads(boxes.read_text()) | {f"gone{number}": [] for number in range(12)}))
+
+    assert main(["check", str(recording)]) == 1
+    said = capsys.readouterr().out
+    assert said.count(" stray-file: ") == 5
+    assert "stray-file: 7 more like these; --all lists them" in said
+    assert main(["check", str(recording), "--all"]) == 1
+    assert capsys.readouterr().out.count(" stray-file: ") == 12
+    assert main(["check", str(recording), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["by_rule"] == {"stray-file": 12}

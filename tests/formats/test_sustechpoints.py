@@ -1,0 +1,79 @@
+"""SUSTechPOINTS' labels: what its own page writes is read, clouds open, and turned boxes keep their angles."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataset_samples import make_item, make_label
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.formats.losses import Losses
+from annotator.formats.sustechpoints import _angles, read_sustechpoints, write_sustechpoints
+from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.types.errors import FormatError
+
+PSR = {
+    "position": {"x": 4.1, "y": -49.7, "z": 1.8},
+    "scale": {"x": 4.5, "y": 1.7, "z": 1.6},
+    "rotation": {"x": 0.1, "y": -0.2, "z": 1.45},
+}
+
+
+def test_labels_of_its_own_page_are_read(tmp_path: Path) -> None:
+    folder = tmp_path / "data" / "example" / "label"
+    folder.mkdir(parents=True)
+    objects = [
+        {"psr": PSR, "obj_type": "Car", "obj_id": "8", "obj_attr": "door open, occluded,lane.left"},
+        {"psr": PSR, "obj_type": "Bus", "obj_id": "a-1", "obj_attr": None},
+    ]
+    (folder / "000950.json").write_text(json.dumps(objects))
+    for path in (tmp_path / "data", tmp_path / "data" / "example", folder):
+        frame = read_sustechpoints(path)["000950"]
+        assert [(each.label, each.track_id) for each in frame.objects] == [("Car", 8), ("Bus", None)]
+        values = {"door open": True, "occluded": True, "lane": "left"}
+        assert [each.attributes for each in frame.objects] == [values, {}]
+        box = frame.objects[0].box
+        x, y, z = (
+            Rotation.from_euler(axis, angle).as_matrix() for axis, angle in zip("xyz", (0.1, -0.2, 1.45), strict=True)
+        )
+        np.testing.assert_allclose(box.rotation, x @ y @ z, atol=1e-12)
+        assert (box.center_m.tolist(), box.size_m.tolist()) == ([4.1, -49.7, 1.8], [4.5, 1.7, 1.6])
+        assert (frame.cameras, frame.is_export) == ((), False)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ('[{"obj_type": "Car"}]', "psr: Field required"),
+        (json.dumps([{"obj_type": "Car", "psr": PSR | {"scale": {"x": 0, "y": 1, "z": 1}}}]), "greater than 0"),
+        ("{}", "valid tuple"),
+    ],
+)
+def test_bad_labels_are_errors(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "1.json").write_text(content)
+    with pytest.raises(FormatError, match=message):
+        read_sustechpoints(tmp_path)
+
+
+@given(st.tuples(*[st.sampled_from([-np.pi, -np.pi / 2, 0.0, 0.3, np.pi / 2, 2.0])] * 3))
+def test_angles_are_exact_also_where_they_are_ambiguous(angles: tuple[float, float, float]) -> None:
+    rotation = Rotation.from_euler("XYZ", angles).as_matrix()
+    np.testing.assert_allclose(Rotation.from_euler("XYZ", _angles(rotation)).as_matrix(), rotation, atol=1e-12)
+
+
+def test_written_clouds_have_the_points_with_their_colours(tmp_path: Path) -> None:
+    item = make_item([make_label(track_id=3)])
+    write_sustechpoints(tmp_path / "out", [item], Losses())
+    (file,) = (tmp_path / "out").glob("*/lidar/*.pcd")
+    raw = read_cloud(file)
+    (frame,) = read_sustechpoints(tmp_path / "out").values()
+    (camera,) = frame.cameras
+    np.testing.assert_allclose(camera.T_camera_cloud.apply(raw.xyz_m), item.frame.cloud.xyz_m, atol=1e-5)
+    assert item.frame.cloud.rgb is not None
+    np.testing.assert_array_equal(raw.rgb, item.frame.cloud.rgb)
+    assert [each.track_id for each in frame.objects] == [3] and frame.is_export

@@ -1,0 +1,82 @@
+"""A file project.db-wal that is left beside a database is used only if it belongs to it."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from backup_samples import content
+from store_samples import box_at, by_hand
+from time_limit import time_limit
+
+from annotator.project import NewLabel, open_project
+from annotator.project.backup.repair import repair
+from annotator.project.backup.verify import verify
+from annotator.types.errors import ProjectError
+
+
+def write_and_be_killed(project: Path) -> None:
+    """Adds three labels, and leaves the files as they are while the database is open: as after a kill."""
+    left = project.parent / "left"
+    with open_project(project) as opened:
+        for _ in range(3):
+            frame = opened.frames.of()[4]
+            opened.labels.create(frame.id, [NewLabel("hand", box_at(9.0))], by_hand(frame.revision))
+        shutil.copytree(project, left)
+    for name in ("project.db", "project.db-wal"):
+        (left / name).replace(project / name)
+    shutil.rmtree(left)
+
+
+def test_a_database_copied_beside_a_left_wal_is_not_mixed_with_it(full: Path, tmp_path: Path) -> None:
+    shutil.copyfile(full / "project.db", tmp_path / "by_hand.db")
+    before = content(full)
+    write_and_be_killed(full)
+    shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
+    with pytest.raises(ProjectError, match=r"does not belong to the file project\.db-wal beside it"):
+        open_project(full)
+    assert "does not belong" in verify(full).problems[0]
+    repaired = repair(full)
+    assert (repaired.path, repaired.is_new, repaired.lost) == (tmp_path / "hands-repaired", True, {})
+    assert content(repaired.path) == before
+    assert verify(repaired.path, deep=True).problems == ()
+    assert (full / "project.db-wal").exists()
+
+
+def test_a_left_wal_of_the_database_itself_is_used(full: Path, tmp_path: Path) -> None:
+    for _ in range(2):
+        write_and_be_killed(full)
+    moved = full.rename(tmp_path / "moved")
+    with open_project(moved) as project:
+        assert len(project.labels.of_frame(project.frames.of()[4].id)) == 6
+    assert verify(moved, deep=True).problems == ()
+
+
+def test_a_database_copied_in_the_middle_of_a_session_is_not_mixed_with_a_later_wal(full: Path, tmp_path: Path) -> None:
+    write_and_be_killed(full)
+    with open_project(full) as project:
+        frame = project.frames.of()[3]
+        project.labels.create(frame.id, [NewLabel("hand", box_at())], by_hand(frame.revision))
+        shutil.copyfile(full / "project.db", tmp_path / "by_hand.db")
+        with closing(sqlite3.connect(full / "project.db")) as connection:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    write_and_be_killed(full)
+    shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
+    with pytest.raises(ProjectError, match="does not belong"):
+        open_project(full)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [struct.pack(">IIII", 0x377F0682, 3007000, 2**32 - 1, 0), struct.pack(">IIII", 0x377F0682, 3007000, 4096, 0)],
+)
+def test_a_huge_empty_wal_does_not_hold_up_an_open(full: Path, header: bytes) -> None:
+    with (full / "project.db-wal").open("wb") as file:
+        file.write(header)
+        file.truncate(2**33)
+    with time_limit(20), open_project(full) as project:
+        assert project.problems() == []

@@ -1,0 +1,59 @@
+"""A repair makes the state anew, or saves what is readable in a new project."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from backup_samples import content, damage
+from store_samples import box_at, by_hand
+
+from annotator.project import NewLabel, Project, StoredRecording
+from annotator.project.backup.automatic import Reason, automatic_backups
+from annotator.project.backup.repair import repair
+from annotator.project.backup.verify import verify
+from annotator.types.errors import ProjectError
+
+
+def test_repair_makes_the_state_anew_after_a_backup(full: Path) -> None:
+    before = content(full)
+    damage("UPDATE labels SET state = 'rejected'")(full)
+    repaired = repair(full)
+    assert (repaired.path, repaired.is_new) == (full, False)
+    assert content(full) == before
+    assert verify(full, deep=True).problems == ()
+    assert automatic_backups(full, Reason.REPAIR) == [repaired.backup]
+
+
+def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, recording: StoredRecording) -> None:
+    for frame in project.frames.of():
+        for revision in range(20):
+            project.labels.create(frame.id, [NewLabel("hand", box_at(1.0 * revision))], by_hand(revision))
+    project.close()
+    database = project.path / "project.db"
+    with closing(sqlite3.connect(database)) as connection:
+        tables = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'events'").fetchall()
+        pages = connection.execute("PRAGMA page_count").fetchone()[0]
+    before, whole = database.read_bytes(), content(project.path)
+    leaves = [page for page in range(1, pages) if b"label_created" in before[page * 4096 : page * 4096 + 4096]]
+    assert tables and len(leaves) > 3
+    with database.open("r+b") as file:  # one page of events, not the labels
+        file.seek(leaves[len(leaves) // 2] * 4096)
+        file.write(b"\0" * 4096)
+    damaged = database.read_bytes()
+    repaired = repair(project.path, "saved")
+    assert repaired.is_new and repaired.lost and repaired.restored
+    assert database.read_bytes() == damaged
+    assert verify(repaired.path, deep=True).problems == ()
+    saved = content(repaired.path)
+    boxes = [sorted(str(row[3]) for row in state["labels"]) for state in (saved, whole)]
+    assert boxes[0] == boxes[1]
+
+
+def test_repair_of_something_that_is_no_database_says_so(full: Path) -> None:
+    (full / "project.db").write_bytes(b"nothing" * 1000)
+    with pytest.raises(ProjectError, match="nothing can be read"):
+        repair(full)
+    assert {path.name for path in full.parent.iterdir()} == {"hands"}

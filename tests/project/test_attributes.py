@@ -1,0 +1,356 @@
+"""Attributes of boxes, tracks and frames: their schema, their values, and what changes of the classes do to them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, some_boxes, state_of
+
+from annotator.project import NewLabel, Origin, Project, StoredRecording, open_project
+from annotator.project.backup.verify import verify
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind, ClassStyle
+from annotator.project.event_types import LabelEdited, LabelProposed, LabelTracked
+from annotator.project.records import BoxRecord
+from annotator.types import BoxKind, Label, ReviewState
+from annotator.types.errors import ConfigError, HistoryError, NotFoundError, ProjectError, StaleRevisionError
+
+
+@pytest.fixture(autouse=True)
+def _schema(project: Project) -> None:
+    give_attributes(project)
+
+
+def create(project: Project, frame: int, label: str = "hand", **values: Any) -> str:
+    revision = project.frames.get(frame).revision
+    return project.labels.create(frame, [NewLabel(label, box_at(revision), **values)], by_hand(revision)).uids[0]
+
+
+def of(project: Project, uid: str) -> dict[str, Any]:
+    return dict(project.labels.get(uid).label.attributes)
+
+
+def revised(project: Project, frame: int) -> Any:
+    return by_hand(project.frames.get(frame).revision)
+
+
+def test_old_projects_stay_valid_and_files_stay_simple(project: Project) -> None:
+    path = project.path / "project.json"
+    content = json.loads(path.read_text())
+    assert content["attributes"][1] == {
+        "name": "pose",
+        "kind": "choice",
+        "choices": ["sitting", "lying"],
+        "classes": ["person"],
+    }
+    assert "class_styles" not in content
+    del content["attributes"]
+    path.write_text(json.dumps(content))
+    with open_project(project.path) as old:
+        assert old.config.attributes == ()
+        assert "attributes" not in json.loads(old.config.model_dump_json())
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"kind": "choice"}, "needs at least one"),
+        ({"kind": "text", "minimum": 1}, "are for the kinds integer and number"),
+        ({"kind": "number", "minimum": 2, "maximum": 1}, "minimum is greater"),
+        ({"kind": "integer", "default": "two"}, "must be a whole number"),
+        ({"kind": "choice", "choices": ["a", "a"]}, "must differ"),
+        ({"kind": "boolean", "of": "frame", "classes": ["hand"]}, "no classes"),
+        ({"kind": "text", "key": "ctrl"}, "'ctrl' is not a key"),
+        ({"kind": "text", "name": "a b"}, "'a b' is not a name"),
+    ],
+)
+def test_an_attribute_that_contradicts_itself_is_refused(changes: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ValidationError, match=problem):
+        Attribute.model_validate({"name": "new"} | changes)
+
+
+def test_a_file_that_contradicts_itself_is_refused_with_its_place(project: Project) -> None:
+    path = project.path / "project.json"
+    content = path.read_text().replace('"pose"', '"occlusion"')
+    path.write_text(content)
+    with pytest.raises(ProjectError, match=r"project\.json: two attributes have the name 'occlusion'"):
+        project.config  # noqa: B018
+    start, _, end = content.replace('"name": "occlusion"', '"name": "pose"', 1).rpartition('"person"')
+    path.write_text(f'{start}"dog"{end}')
+    with pytest.raises(ProjectError, match="'dog', which is not in classes"):
+        project.config  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "read"),
+    [
+        ("integer", "2", 2),
+        ("integer", 2.0, 2),
+        ("number", "0.5", 0.5),
+        ("number", 1, 1.0),
+        ("boolean", "Yes", True),
+        ("boolean", 0, False),
+        ("text", 7, "7"),
+        ("text", "seven", "seven"),
+        ("integer", 2.5, None),
+        ("integer", True, None),
+        ("number", float("nan"), None),
+        ("boolean", "maybe", None),
+    ],
+)
+def test_values_of_files_are_read_where_they_can_be(kind: str, given: Any, read: Any) -> None:
+    attribute = Attribute(name="new", kind=AttributeKind(kind))
+    if read is None:
+        with pytest.raises(ValueError, match="new must be"):
+            attribute.read(given)
+    else:
+        assert (attribute.read(given), type(attribute.read(given))) == (read, type(read))
+
+
+def test_new_labels_get_defaults_and_values_of_their_track(project: Project, recording: StoredRecording) -> None:
+    first, second = (frame.id for frame in project.frames.of([recording.id])[:2])
+    uid = create(project, first, track_id=7, attributes={"side": "left"})
+    assert of(project, uid) == {"occlusion": 0, "side": "left"}
+    assert of(project, create(project, second, track_id=7)) == {"occlusion": 0, "side": "left"}
+    assert of(project, create(project, second, track_id=8, attributes={"occlusion": 3})) == {"occlusion": 3}
+    assert project.proposals.replace(first, [proposal_at(9.0)], by_machine(1), track_ids=[8]).uids[0] is not None
+    (proposed,) = [label for label in project.labels.of_frame(first) if label.uid != uid]
+    assert proposed.attributes == {"occlusion": 0}
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        ({"occlusion": 4}, "occlusion must be a whole number from 0 to 3, not 4"),
+        ({"pose": "sitting"}, "hand has no attribute 'pose' (it has: occlusion, side)"),
+        ({"colour": "red"}, "hand has no attribute 'colour'"),
+    ],
+)
+def test_values_that_the_schema_lacks_are_refused(
+    project: Project, frame: int, values: dict[str, Any], problem: str
+) -> None:
+    uid = create(project, frame)
+    for change in (
+        lambda: create(project, frame, attributes=values),
+        lambda: project.labels.set_attributes(frame, uid, values, revised(project, frame)),
+    ):
+        with pytest.raises(ProjectError, match=problem.replace("(", r"\(").replace(")", r"\)")):
+            change()
+    # what is carried along is no mistake of the operator
+    assert of(project, create(project, frame, attributes=values, origin=Origin.COPIED)) == {"occlusion": 0}
+    carried = LabelProposed(uid="carried", label="hand", box=BoxRecord.of(box_at(4.0)), attributes=values)
+    project.log.append(frame, [carried], revised(project, frame))
+    assert of(project, "carried") == {"occlusion": 0}
+
+
+def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
+    project: Project, recording: StoredRecording
+) -> None:
+    ids = [frame.id for frame in project.frames.of([recording.id])[:3]]
+    uids = [create(project, id, track_id=7) for id in ids]
+    other = create(project, ids[2], track_id=8)
+    changed = project.labels.set_attributes(ids[1], uids[1], {"side": "left", "occlusion": 2}, revised(project, ids[1]))
+    assert [id for id, _ in changed] == [ids[1], ids[0], ids[2]]
+    assert [of(project, uid).get("side") for uid in (*uids, other)] == ["left", "left", "left", None]
+    assert [of(project, uid)["occlusion"] for uid in uids] == [0, 2, 0]
+    assert project.history.undo("ann").words == "set attributes of 3 labels (frames 1 to 2)"
+    assert [of(project, uid) for uid in uids] == [{"occlusion": 0}] * 3
+    project.history.redo("ann")
+    assert of(project, uids[0])["side"] == "left"
+    # a label that enters the track takes its values, one that leaves it keeps them
+    project.log.append(ids[2], [LabelTracked(uid=uids[2], track_id=9)], revised(project, ids[2]))
+    project.labels.edit(ids[2], other, revised(project, ids[2]), label="hand", box=box_at(1.0), track_id=7)
+    assert (of(project, uids[2])["side"], of(project, other)["side"]) == ("left", "left")
+    with pytest.raises(StaleRevisionError):
+        project.labels.set_attributes(ids[1], uids[1], {"side": None}, by_hand(1))
+
+
+def test_a_class_change_takes_away_what_the_new_class_lacks_and_undo_brings_it_back(
+    project: Project, frame: int
+) -> None:
+    uid = create(project, frame, "person", attributes={"pose": "lying", "occlusion": 2})
+    edited = LabelEdited(uid=uid, label="hand", box=BoxRecord.of(box_at(1.0)))
+    project.log.append(frame, [edited], revised(project, frame))
+    assert of(project, uid) == {"occlusion": 2}
+    project.history.undo("ann")
+    assert of(project, uid) == {"occlusion": 2, "pose": "lying"}
+
+
+def test_values_of_frames_are_set_undone_and_kept_by_a_rebuild(project: Project, frame: int) -> None:
+    project.frames.set_attributes(frame, {"weather": 1}, by_hand())
+    project.frames.set_attributes(frame, {"weather": 2.5}, revised(project, frame))
+    assert project.frames.attributes() == {frame: {"weather": 2.5}}
+    project.history.undo("ann")
+    assert project.frames.attributes() == {frame: {"weather": 1.0}}
+    project.log.rebuild()
+    assert project.frames.attributes() == {frame: {"weather": 1.0}}
+    project.history.undo("ann")
+    assert project.frames.attributes() == {}
+    with pytest.raises(ProjectError, match="a frame has no attribute 'occlusion'"):
+        project.frames.set_attributes(frame, {"occlusion": 1}, revised(project, frame))
+
+
+def labels(project: Project) -> dict[str, Label]:
+    return {label.label.uid: label.label for label in project.labels.select()}
+
+
+def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) -> None:
+    project.change_classes(lambda config: edit.style_class(config, "hand", ClassStyle(key="h")), "ann")
+    uid = create(project, frame, attributes={"side": "left"})
+    project.boxes.set_on_image(frame, some_boxes(2), BoxKind.BOX, revised(project, frame))
+    before = project.frames.get(frame).revision
+    config = project.change_classes(lambda config: edit.rename_class(config, "hand", "palm"), "ann")
+    assert (config.classes, config.class_styles["palm"].key) == (("palm", "person"), "h")
+    assert labels(project)[uid].label == "palm"
+    assert labels(project)[uid].attributes == {"occlusion": 0, "side": "left"}
+    boxes = project.boxes.on_image(frame)
+    assert boxes is not None
+    assert [box.label for box in boxes.boxes] == ["palm", "palm"]
+    with pytest.raises(StaleRevisionError):
+        project.labels.accept(frame, uid, by_hand(before))
+    # earlier actions can still be undone, under the new name
+    assert project.history.undo("ann").words.startswith("draw on the image")
+    assert "hand" not in str(project.boxes.on_image(frame))
+    assert project.history.undo("ann").words == "draw hand (frame 2)"
+    project.history.redo("ann")
+    assert labels(project)[uid].label == "palm"
+    assert verify(project.path, deep=True).problems == ()
+
+
+def test_merged_classes_and_names_that_are_no_class_any_more(project: Project, frame: int) -> None:
+    uid = create(project, frame, "person", attributes={"pose": "lying"})
+    project.change_classes(lambda config: edit.merge_classes(config, ["person"], "hand"), "ann")
+    assert project.config.classes == ("hand",)
+    # the attribute followed, too
+    assert (labels(project)[uid].label, labels(project)[uid].attributes["pose"]) == ("hand", "lying")
+    with pytest.raises(NotFoundError, match="no class 'person'"):
+        project.change_classes(lambda config: edit.merge_classes(config, ["hand"], "person"), "ann")
+    # somebody has renamed the class in the file by hand: the labels are brought along afterwards
+    path = project.path / "project.json"
+    path.write_text(path.read_text().replace('"hand"', '"arm"'))
+    assert "hand" in project.class_counts()
+    project.change_classes(lambda config: edit.merge_classes(config, ["hand"], "arm"), "ann")
+    assert labels(project)[uid].label == "arm"
+
+
+def test_a_class_in_use_is_removed_only_with_its_boxes(project: Project, frame: int) -> None:
+    kept, removed = create(project, frame, "hand"), create(project, frame, "person")
+    project.boxes.set_on_image(frame, some_boxes(1), BoxKind.BOX, revised(project, frame))
+    with pytest.raises(ConfigError, match="only person has the attribute pose"):
+        project.configure(classes=["hand"])
+    project.change_classes(lambda config: edit.remove_attribute(config, "pose"), "ann")
+    with pytest.raises(ProjectError, match="'person' cannot be removed while boxes use it"):
+        project.configure(classes=["hand"])
+    assert set(labels(project)) == {kept, removed}
+    project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
+    assert set(labels(project)) == {kept}
+    before = state_of(project)
+    project.log.rebuild()
+    assert state_of(project) == before
+    project.history.undo("ann")
+    with pytest.raises(HistoryError, match="the person label was changed"):
+        project.history.undo("ann")
+
+
+def test_attributes_are_renamed_narrowed_and_removed(project: Project, frame: int) -> None:
+    uid = create(project, frame, "person", attributes={"pose": "lying", "occlusion": 3})
+    project.change_classes(lambda config: edit.rename_choice(config, "pose", "lying", "prone"), "ann")
+    project.change_classes(lambda config: edit.rename_attribute(config, "pose", "posture"), "ann")
+    assert of(project, uid) == {"posture": "prone", "occlusion": 3}
+    narrow = Attribute(name="occlusion", kind=AttributeKind.INTEGER, minimum=0.0, maximum=2.0)
+    with pytest.raises(ProjectError, match="1 stored values of occlusion would not fit, such as 3"):
+        project.change_classes(lambda config: edit.put_attribute(config, narrow), "ann")
+    assert of(project, uid)["occlusion"] == 3
+    project.change_classes(lambda config: edit.put_attribute(config, narrow, drop=True), "ann")
+    assert of(project, uid) == {"posture": "prone"}
+    # undo restores the label as it would be now
+    project.history.undo("ann")
+    project.history.redo("ann")
+    assert of(project, uid) == {"posture": "prone"}
+    project.change_classes(lambda config: edit.remove_attribute(config, "posture"), "ann")
+    assert of(project, uid) == {}
+    default = narrow.model_copy(update={"default": 1})
+    project.change_classes(lambda config: edit.put_attribute(config, default), "ann")
+    assert of(project, uid) == {"occlusion": 1}
+    assert verify(project.path, deep=True).problems == ()
+
+
+def proposals(project: Project) -> list[tuple[str, float]]:
+    open_ = project.labels.select(states=[ReviewState.PROPOSED])
+    return sorted((each.label.uid, round(float(each.label.box.center_m[0]), 2)) for each in open_)
+
+
+def test_a_pass_keeps_proposals_of_which_a_person_has_set_values(project: Project, frame: int) -> None:
+    kept, other = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
+    assert kept is not None
+    assert other is not None
+    project.labels.set_attributes(frame, kept, {"occlusion": 2}, revised(project, frame))
+    again = [proposal_at(0.05), proposal_at(5.05), proposal_at(9.0)]
+
+    def second_pass() -> tuple[str | None, ...]:
+        return project.proposals.replace(frame, again, by_machine(project.frames.get(frame).revision)).uids
+
+    covered, *new = second_pass()
+    assert covered is None
+    assert proposals(project) == sorted([(kept, 0.0), (new[0], 5.05), (new[1], 9.0)])
+    assert of(project, kept)["occlusion"] == 2
+    before = state_of(project)
+    project.log.rebuild()
+    assert state_of(project) == before
+    # undone, it is a proposal like the others; redone, it is kept again
+    project.history.undo("ann")
+    project.history.redo("ann")
+    assert second_pass()[0] is None
+    project.history.undo("ann")
+    assert second_pass()[0] is not None
+    assert kept not in dict(proposals(project))
+
+
+def test_imported_proposals_with_values_stay_too(project: Project, frame: int) -> None:
+    project.proposals.bring("mine", {frame: [NewLabel("hand", box_at(0.0), 0.5), NewLabel("hand", box_at(5.0), 0.5)]})
+    (kept, _), (other, _) = sorted(proposals(project), key=lambda each: each[1])
+    project.labels.set_attributes(frame, kept, {"occlusion": 3}, revised(project, frame))
+    revision = project.frames.get(frame).revision
+    ours = project.proposals.replace(frame, [proposal_at(0.02), proposal_at(20.0)], by_machine(revision))
+    assert ours.uids[0] is None
+    assert (of(project, kept)["occlusion"], len(proposals(project))) == (3, 3)
+    brought = project.proposals.bring("mine", {frame: [NewLabel("hand", box_at(0.1), 0.9)]})[frame]
+    assert brought.is_open == (False,)
+    assert (of(project, kept)["occlusion"], other in dict(proposals(project))) == (3, False)
+    assert [each.source for each in project.labels.get(kept).said] == ["mine"]
+    before = state_of(project)
+    project.log.rebuild()
+    assert state_of(project) == before
+
+
+def test_a_value_of_a_track_keeps_only_the_proposal_on_which_it_was_set(
+    project: Project, recording: StoredRecording
+) -> None:
+    frames = [each.id for each in project.frames.of([recording.id])[:2]]
+    uids = [
+        project.proposals.replace(id, [proposal_at(0.0)], by_machine(), track_ids=[7]).uids[0] or "" for id in frames
+    ]
+    project.labels.set_attributes(frames[0], uids[0], {"side": "left"}, revised(project, frames[0]))
+    assert [of(project, uid)["side"] for uid in uids] == ["left", "left"]
+    assert [project.labels.kept(id) for id in frames] == [{uids[0]}, frozenset()]
+
+
+def test_undo_passes_over_what_would_restore_a_box_of_a_removed_class(
+    project: Project, recording: StoredRecording
+) -> None:
+    create(project, 2, "person")
+    uid = create(project, 1, "hand")
+    project.labels.edit(1, uid, revised(project, 1), label="person", box=box_at(1.0))
+    project.change_classes(lambda config: edit.remove_class(config, "hand"), "bea")
+    with pytest.raises(HistoryError, match="the class 'hand' was removed"):
+        project.history.undo("ann")
+    assert project.history.undo("ann", skip=True).frame_id == 2
+    assert [entry.frame_id for entry in project.labels.select()] == [1]
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400), float("inf"), float("nan")])
+def test_a_number_beyond_every_float_is_refused(value: float) -> None:
+    assert not Attribute(name="speed", kind=AttributeKind.NUMBER).fits(value)

@@ -1,0 +1,219 @@
+"""Proposals of other software: one for each object, beside ours, and who said what stays known."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from sqlalchemy import select
+from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
+
+from annotator.project import NewLabel, Project, new_action
+from annotator.project.classes import edit
+from annotator.project.labels import StoredLabel
+from annotator.project.review.waiting import By
+from annotator.project.schema import labels
+from annotator.types import Correction, ReviewState, Source
+from annotator.types.errors import HistoryError
+from annotator.workflows.workbench.review_priority import FORMULA
+
+
+def bring(project: Project, frame: int, source: str, *boxes: NewLabel) -> tuple[int, int, int]:
+    """Number of open, merged and covered boxes."""
+    done = project.proposals.bring(source, {frame: boxes})[frame]
+    return done.is_open.count(True), done.merged, done.is_open.count(False)
+
+
+def box(x: float, score: float | None = None, label: str = "hand", track_id: int | None = None) -> NewLabel:
+    return NewLabel(label, box_at(x), score, track_id)
+
+
+def shown(project: Project) -> list[tuple[str, float, list[str]]]:
+    """Source, x and further sources of every open proposal."""
+    return sorted(map(_shown, project.labels.select(states=[ReviewState.PROPOSED])))
+
+
+def _shown(stored: StoredLabel) -> tuple[str, float, list[str]]:
+    said = [each.source for each in stored.said]
+    is_ours = stored.label.source is Source.AUTO
+    source = "ours" if is_ours else said[0]
+    return source, round(float(stored.label.box.center_m[0]), 3), said if is_ours else said[1:]
+
+
+def test_a_source_replaces_what_it_said_before_and_nothing_else(project: Project, frame: int) -> None:
+    assert bring(project, frame, "one", box(0.0), box(5.0, 0.3)) == (2, 0, 0)
+    assert bring(project, frame, "two", box(10.0)) == (1, 0, 0)
+    assert bring(project, frame, "one", box(20.0)) == (1, 0, 0)
+    assert shown(project) == [("one", 20.0, []), ("two", 10.0, [])]
+    assert bring(project, frame, "two") == (0, 0, 0)
+    assert shown(project) == [("one", 20.0, [])]
+    (stored,) = project.labels.select()
+    assert (stored.label.source, stored.label.author) == (Source.IMPORTED, "one")
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations("abc")))
+def test_one_object_is_one_proposal_and_the_surest_box_is_shown(
+    project: Project, frame: int, order: tuple[str, ...]
+) -> None:
+    said = {"a": box(0.0, 0.2), "b": box(0.02, 0.9, label="person"), "c": box(0.04, 0.5)}
+    for source in order:
+        bring(project, frame, source, said[source], box({"a": 10.0, "b": 20.0, "c": 30.0}[source], 0.5))
+    assert shown(project) == [("a", 10.0, []), ("b", 0.02, ["c", "a"]), ("b", 20.0, []), ("c", 30.0, [])]
+    # what the others said takes its place
+    bring(project, frame, "b")
+    assert shown(project) == [("a", 10.0, []), ("c", 0.04, ["a"]), ("c", 30.0, [])]
+
+
+def test_two_boxes_of_one_source_stay_apart(project: Project, frame: int) -> None:
+    bring(project, frame, "one", box(0.0, 0.9), box(0.01, 0.8))
+    bring(project, frame, "two", box(0.0, 0.7))
+    assert shown(project) == [("one", 0.0, ["two"]), ("one", 0.01, [])]
+
+
+@pytest.mark.parametrize("ours_first", [True, False])
+def test_ours_and_theirs_are_one_proposal_in_either_order(project: Project, frame: int, ours_first: bool) -> None:
+    def ours() -> None:
+        found = [proposal_at(0.0, score=0.9), proposal_at(5.0, score=0.2), proposal_at(9.0)]
+        project.proposals.replace(frame, found, by_machine(project.frames.get(frame).revision))
+
+    def theirs() -> None:
+        bring(project, frame, "one", box(0.01, 0.5), box(5.01, 0.5), box(20.0))
+
+    for step in (ours, theirs) if ours_first else (theirs, ours):
+        step()
+    both = [("one", 5.01, ["annotator"]), ("one", 20.0, []), ("ours", 0.0, ["one"]), ("ours", 9.0, [])]
+    assert shown(project) == both
+    ours()
+    assert shown(project) == both
+    # a pass without them, and a source that takes its boxes back, each leave what the other says
+    project.proposals.replace(frame, [], by_machine(project.frames.get(frame).revision))
+    assert shown(project) == [("one", 0.01, []), ("one", 5.01, []), ("one", 20.0, [])]
+    ours()
+    bring(project, frame, "one")
+    assert shown(project) == [("ours", 0.0, []), ("ours", 5.0, []), ("ours", 9.0, [])]
+
+
+def test_reviewed_labels_stay_and_cover(project: Project, frame: int) -> None:
+    states = [ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED]
+    made = [NewLabel("hand", box_at(5.0 * n), state=state, track_id=n) for n, state in enumerate(states)]
+    project.labels.create(frame, made, by_hand())
+    new = [box(0.01), box(5.01), box(10.01), box(0.01, label="person"), box(30.0, track_id=1), box(35.0, track_id=2)]
+    assert bring(project, frame, "one", *new) == (3, 0, 3)
+    labels = project.labels.of_frame(frame)
+    assert [label.state for label in labels[:3]] == states
+    # a reviewed box keeps its track
+    assert [(label.label, label.track_id) for label in labels[3:]] == [("person", None), ("hand", None), ("hand", 2)]
+
+
+def test_who_said_it_survives_review_undo_moves_and_a_rebuild(project: Project, frame: int) -> None:
+    bring(project, frame, "one", box(0.0, 0.9))
+    bring(project, frame, "two", box(0.02, 0.4))
+    (stored,) = project.labels.select()
+    uid, revision = stored.label.uid, project.frames.get(frame).revision
+    project.labels.edit(frame, uid, by_hand(revision), label="person", box=box_at(0.1))
+    assert [each.source for each in project.labels.get(uid).said] == ["one", "two"]
+    before = project.labels.get(uid).said
+    recording = project.frames.get(frame).recording_id
+    project.adjustments.correct(recording, Correction((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), "ann")
+    moved = project.labels.get(uid)
+    assert [each.box.center_m[0] for each in moved.said] == [each.box.center_m[0] + 1.0 for each in before]
+    state = state_of(project)
+    assert project.log.rebuild() > 0
+    assert state_of(project) == state
+    project.history.undo("ann")
+    project.history.undo("ann")
+    assert shown(project) == [("one", 0.0, ["two"])]
+
+
+def test_finalised_frames_stay_as_they_are(project: Project, frame: int) -> None:
+    other = project.frames.of()[0].id
+    project.frames.finalise(frame, by_hand())
+    assert project.proposals.bring("one", {frame: [box(0.0)], other: [box(0.0)]}).keys() == {other}
+    assert [stored.frame_id for stored in project.labels.select()] == [other]
+
+
+def test_the_queue_tells_the_sources_of_each_object_and_filters_by_them(project: Project, frame: int) -> None:
+    odd = 'their "best"\\ détector'
+    project.proposals.replace(frame, [proposal_at(0.0, score=0.9), proposal_at(5.0)], by_machine())
+    bring(project, frame, "one", box(0.01, 0.5), box(10.0))
+    bring(project, frame, odd, box(10.02, 0.1), box(20.0))
+
+    def queued(source: str | None) -> list[tuple[str, ...]]:
+        found, total = project.labels.waiting(FORMULA, By.FRAME, source=source, most=10)
+        assert len(found) == total
+        return sorted(each.sources for each in found)
+
+    assert queued(None) == sorted([("annotator", "one"), ("annotator",), ("one", odd), (odd,)])
+    assert queued("annotator") == [("annotator",), ("annotator", "one")]
+    assert queued("one") == [("annotator", "one"), ("one", odd)]
+    assert queued(odd) == [("one", odd), (odd,)]
+    assert queued("on") == []
+    assert project.labels.waiting_sources() == {"annotator": 2, "one": 2, odd: 2}
+    # a surer box hides ours, which stays a source of the object
+    bring(project, frame, "one", box(0.01, 1.0))
+    assert queued("annotator") == [("annotator",), ("one", "annotator")]
+    assert project.labels.waiting_sources() == {"annotator": 2, "one": 1, odd: 2}
+
+
+def test_an_import_over_several_frames_is_undone_and_redone_as_one_step(project: Project, frame: int) -> None:
+    others = [each.id for each in project.frames.of() if each.id != frame][:1]
+    project.proposals.replace(frame, [proposal_at(0.0, score=0.5)], by_machine())
+    bring(project, frame, "one", box(5.0))
+    before = shown(project)
+    action = new_action()
+    for places in ([frame], others):
+        new = {each: [box(0.01, 1.0), box(5.01, 0.4), box(10.0)] for each in places}
+        project.proposals.bring("two", new, "Ada", action)
+    after = shown(project)
+    assert after != before and [who for who, *_ in after].count("two") == 5
+    assert project.history.next("Ada")[0].startswith("import boxes of two (frames ")
+    project.log.rebuild()
+    project.history.undo("Ada")
+    assert shown(project) == before
+    project.history.redo("Ada")
+    assert shown(project) == after
+    # a moved cloud and a renamed class are no obstacles, a review by somebody else is one
+    project.change_classes(lambda config: edit.rename_class(config, "hand", "paw"), "Eve")
+    project.history.undo("Ada")
+    assert [who for who, *_ in shown(project)].count("two") == 0
+    project.history.redo("Ada")
+    assert shown(project) == after
+    (uid, *_) = [each.label.uid for each in project.labels.select() if each.frame_id == others[0]]
+    project.labels.reject(others[0], uid, by_hand(project.frames.get(others[0]).revision))
+    with pytest.raises(HistoryError, match="what two says was changed"):
+        project.history.undo("Ada")
+
+
+@pytest.mark.parametrize("ours_first", [True, False])
+def test_our_proposal_is_as_before_when_the_box_that_hides_it_goes(
+    project: Project, frame: int, ours_first: bool
+) -> None:
+    def ours() -> None:
+        context = by_machine(project.frames.get(frame).revision)
+        project.proposals.replace(frame, [proposal_at(0.0, score=0.5)], context, track_ids=[7])
+
+    def columns() -> list[dict[str, object]]:
+        with project.store.read() as connection:
+            rows = connection.execute(select(labels).where(labels.c.frame_id == frame)).mappings().all()
+        changing = ("id", "event_id", "time_ns", "uid", "proposal_event_id")
+        assert all(row["proposal_event_id"] is not None for row in rows if row["source"] == Source.AUTO.value)
+        return [{name: row[name] for name in row if name not in changing} for row in rows]
+
+    ours()
+    before = columns()
+    assert before[0]["track_linked"] and before[0]["kept_share"] is not None
+    project.proposals.bring("one", {frame: [box(0.01, 0.9)]}, "me", new_action())
+    bring(project, frame, "two", box(0.02, 0.8))
+    if not ours_first:
+        # it is hidden at once
+        ours()
+    assert shown(project) == [("one", 0.01, ["two", "annotator"])]
+    bring(project, frame, "two")
+    if ours_first:
+        project.history.undo("me")
+    else:
+        bring(project, frame, "one")
+    assert columns() == before
+    state = state_of(project)
+    project.log.rebuild()
+    assert state_of(project) == state

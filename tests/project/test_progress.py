@@ -1,0 +1,285 @@
+"""The statistics of the work: by day and person, over time, of the proposals, and of what is left."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sqlalchemy import Connection, text
+from store_samples import box_at, by_machine, proposal_at
+
+from annotator.geometry.iou import iou_3d
+from annotator.project import Effort, NewLabel, RunShare, Statistics, WriteContext, create_project
+from annotator.project.event_types import LabelProposed
+from annotator.project.progress.action_log import ActionLog, read_log
+from annotator.project.records import BoxRecord
+from annotator.types import BoxKind
+from annotator.types.errors import ProjectError
+
+MONDAY, TUESDAY = datetime(2026, 1, 5, 12), datetime(2026, 1, 6, 12)
+
+
+class Shift:
+    """A project whose clock the test sets, and people who work in it."""
+
+    def __init__(self, folder: Path, frames: int = 40) -> None:
+        self.now_s = MONDAY.timestamp()
+        self.project = create_project(folder, "shift", ("hand", "person"), clock=lambda: int(self.now_s * 1e9))
+        keys = [f"{n:03d}" for n in range(frames)]
+        self.project.recordings.add(folder / "take", "rgbd", "take", keys, True)
+        self.frames = [frame.id for frame in self.project.frames.of()]
+
+    def at(self, day: datetime, after_s: float = 0.0) -> None:
+        self.now_s = day.timestamp() + after_s
+
+    def by(self, frame: int, person: str = "ann", actions: int = 1, seconds: float = 1.0) -> WriteContext:
+        return WriteContext(self.project.frames.get(frame).revision, person, effort=Effort(actions, seconds))
+
+    def progress(self) -> dict[str, Any]:
+        content: dict[str, Any] = json.loads(self.project.statistics().model_dump_json())["progress"]
+        return content
+
+
+@pytest.fixture
+def shift(tmp_path: Path) -> Iterator[Shift]:
+    shift = Shift(tmp_path)
+    with shift.project:
+        yield shift
+
+
+def test_work_is_counted_by_day_and_person(shift: Shift) -> None:
+    project, (frame, other) = shift.project, shift.frames[:2]
+    uids = project.proposals.replace(frame, [proposal_at(5.0 * n) for n in range(3)], by_machine()).uids
+    project.labels.accept(frame, uids[0] or "", shift.by(frame, seconds=2.0))
+    shift.at(MONDAY, 60.0)
+    project.labels.reject(frame, uids[1] or "", shift.by(frame, seconds=3.0))
+    shift.at(MONDAY, 7200.0)
+    gone = project.labels.create(other, [NewLabel("hand", box_at())], shift.by(other, actions=5, seconds=20.0)).uids
+    shift.at(TUESDAY)
+    project.labels.delete(other, gone[0], shift.by(other, seconds=1.0))
+    project.labels.edit(frame, uids[2] or "", shift.by(frame, "bob", 4, 9.0), label="hand", box=box_at(9.9))
+    # a later look at what ann has done: the box stays hers, the time is bob's
+    project.labels.edit(frame, uids[0] or "", shift.by(frame, "bob", 2, 5.0), label="hand", box=box_at(0.1))
+    monday, tuesday, of_bob = shift.progress()["days"]
+    expected = {"day": "2026-01-05", "person": "ann", "boxes": 1, "rejected": 1, "frames": 2, "actions": 7}
+    # counted: 2 s before the first action, 60 s to the next, and 20 s after the break
+    assert monday == {**expected, "seconds": 25.0, "hours": pytest.approx(82 / 3600)}
+    assert (tuesday["person"], tuesday["boxes"], tuesday["actions"]) == ("ann", 0, 1)
+    assert (of_bob["day"], of_bob["person"], of_bob["boxes"], of_bob["seconds"]) == ("2026-01-06", "bob", 1, 14.0)
+
+
+def test_undo_and_redo_leave_a_box_with_who_labelled_it(shift: Shift) -> None:
+    project, frame = shift.project, shift.frames[0]
+    uid = project.proposals.replace(frame, [proposal_at()], by_machine()).uids[0] or ""
+    project.labels.accept(frame, uid, shift.by(frame))
+    shift.at(TUESDAY)
+    project.history.undo("ann")
+    assert [entry["boxes"] for entry in shift.progress()["days"]] == [0, 0]
+    project.history.redo("ann")
+    assert [entry["boxes"] for entry in shift.progress()["days"]] == [1, 0]
+    project.history.undo("ann")
+    project.labels.accept(frame, uid, shift.by(frame, "bob"))
+    assert [(entry["person"], entry["boxes"]) for entry in shift.progress()["days"][1:]] == [("ann", 0), ("bob", 1)]
+
+
+def test_the_pace_follows_the_order_of_the_work(shift: Shift) -> None:
+    for n, frame in enumerate(shift.frames):
+        shift.at(MONDAY, 100.0 * n)
+        slow = n < 20
+        effort = shift.by(frame, actions=4 if slow else 2, seconds=12.0 if slow else 6.0)
+        shift.project.labels.create(frame, [NewLabel("hand", box_at())], effort)
+    pace = shift.progress()["pace"]
+    assert [group["boxes"] for group in pace["groups"]] == [10, 10, 10, 10]
+    assert [group["seconds_a_box"] for group in pace["groups"]] == [12.0, 12.0, 6.0, 6.0]
+    assert (pace["earliest"]["actions_a_box"], pace["latest"]["actions_a_box"]) == (4.0, 2.0)
+    assert pace["latest"]["proposed"] == 0.0
+    assert pace["latest"]["iou_proposal_to_final"] is None
+
+
+def test_proposals_are_compared_by_class_and_distance(shift: Shift) -> None:
+    project, frame = shift.project, shift.frames[0]
+    offered = [proposal_at(0.0), proposal_at(4.0), proposal_at(60.0), proposal_at(0.0, "person")]
+    uids = [uid or "" for uid in project.proposals.replace(frame, offered, by_machine()).uids]
+    project.labels.accept(frame, uids[0], shift.by(frame))
+    project.labels.edit(frame, uids[1], shift.by(frame), label="hand", box=box_at(4.2))
+    project.labels.reject(frame, uids[2], shift.by(frame))
+    project.labels.edit(frame, uids[3], shift.by(frame), label="hand", box=box_at(0.0))
+    project.labels.create(frame, [NewLabel("hand", box_at(60.0))], shift.by(frame))
+    # neither proposed nor touched
+    project.labels.create(frame, [NewLabel("person", box_at(8.0))], by_machine(project.frames.get(frame).revision))
+    quality = shift.progress()["proposals"]
+    moved = iou_3d(box_at(4.0), box_at(4.2))
+    counts = {"untouched": 1, "corrected": 2, "rejected": 1, "missed": 1}
+    hand = counts | {"iou_proposal_to_final": pytest.approx((2 + moved) / 3)}
+    assert quality["by_class"]["hand"] == hand
+    near, middle, far = quality["by_class_and_range"]["hand"]
+    assert (near["from_m"], near["to_m"], near["untouched"], near["corrected"]) == (3.0, 5.0, 1, 1)
+    assert (middle["from_m"], middle["iou_proposal_to_final"]) == (5.0, pytest.approx(moved))
+    assert (far["from_m"], far["to_m"], far["rejected"], far["missed"]) == (50.0, 70.0, 1, 1)
+    assert far["iou_proposal_to_final"] is None
+
+
+def test_a_box_that_following_proposed_is_a_proposal(shift: Shift) -> None:
+    frame = shift.frames[0]
+    proposed = LabelProposed(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    shift.project.log.append(frame, [proposed], shift.by(frame))
+    shift.project.labels.accept(frame, "u", shift.by(frame))
+    assert shift.project.statistics().effort.by_origin["proposal accepted untouched"].boxes == 1
+    assert shift.progress()["proposals"]["by_class"]["hand"]["missed"] == 0
+
+
+# --- what is left -----------------------------------------------------------------------------------------------------
+
+
+def label(shift: Shift, count: int, seconds: float = 18.0) -> None:
+    """Two boxes in each of `count` frames; the time at work is `seconds` per box."""
+    for n, frame in enumerate(shift.frames[:count]):
+        for box in range(2):
+            shift.at(MONDAY, seconds * (2 * n + box + 1))
+            shift.project.labels.create(
+                frame, [NewLabel("hand", box_at(4.0 * box))], shift.by(frame, seconds=0.5 * seconds)
+            )
+
+
+def test_a_steady_pace_is_continued(shift: Shift) -> None:
+    label(shift, 20)
+    forecast = shift.progress()["forecast"]
+    assert (forecast["frames_done"], forecast["frames_left"], forecast["boxes_left"]) == (20, 20, 40.0)
+    # the first box has no time before it
+    expected = 20 * 2 * 18 / 3600
+    assert forecast["hours_left"]["expected"] == pytest.approx(expected, rel=0.05)
+    assert forecast["hours_left"]["low"] < expected < forecast["hours_left"]["high"]
+    assert forecast["days_left"]["expected"] == pytest.approx(1.0, rel=0.05), "as many hours as on Monday"
+
+
+def test_open_proposals_empty_frames_and_passes_that_found_nothing(shift: Shift) -> None:
+    project = shift.project
+    label(shift, 20)
+    run = project.jobs.start(image_detector="a", view_detector="b", config_json="{}").id
+    for frame in shift.frames[20:30]:
+        project.proposals.replace(frame, [proposal_at(4.0 * n) for n in range(3)], by_machine(), run=RunShare(run, 0.1))
+    for frame in shift.frames[30:36]:
+        project.proposals.replace(frame, [], by_machine(), run=RunShare(run, 0.1))
+    project.boxes.set_on_image(shift.frames[36], [], BoxKind.BOX, shift.by(shift.frames[36]))
+    project.frames.finalise(shift.frames[37], shift.by(shift.frames[37]))
+    forecast = shift.progress()["forecast"]
+    assert (forecast["frames_done"], forecast["frames_found_empty"], forecast["frames_left"]) == (22, 6, 12)
+    assert forecast["proposals_open"] == 30
+    assert forecast["boxes_left"] == pytest.approx(30 + 2 * 40 / 22)
+
+
+def test_few_frames_allow_no_forecast(shift: Shift) -> None:
+    label(shift, 9)
+    forecast = shift.progress()["forecast"]
+    assert (forecast["boxes_left"], forecast["hours_left"], forecast["days_left"]) == (None, None, None)
+    assert forecast["frames_used"] == 9
+
+
+def test_practice_is_continued(shift: Shift) -> None:
+    after_s = 0.0
+    for n, frame in enumerate(shift.frames[:20]):
+        for box in range(2):
+            after_s += 40.0 * (2 * n + box + 1) ** -0.3
+            shift.at(MONDAY, after_s)
+            shift.project.labels.create(frame, [NewLabel("hand", box_at(4.0 * box))], shift.by(frame))
+    hours = shift.progress()["forecast"]["hours_left"]
+    true = sum(40.0 * n**-0.3 for n in range(41, 81)) / 3600
+    assert hours["expected"] == pytest.approx(true, rel=0.05)
+    assert hours["expected"] < 0.9 * after_s / 3600, "less than the first 40 boxes took"
+
+
+def test_nothing_is_left_of_a_project_that_is_done(shift: Shift) -> None:
+    label(shift, 40)
+    assert shift.progress()["forecast"]["hours_left"] == {"low": 0.0, "expected": 0.0, "high": 0.0}
+
+
+def test_uneven_work_gives_a_wider_interval(tmp_path: Path) -> None:
+    widths = []
+    for spread in (0.1, 0.8):
+        shift = Shift(tmp_path / str(spread))
+        random = np.random.default_rng(0)
+        after_s = 0.0
+        for frame in shift.frames[:30]:
+            after_s += 20.0 * float(random.lognormal(0.0, spread))
+            shift.at(MONDAY, after_s)
+            shift.project.labels.create(frame, [NewLabel("hand", box_at())], shift.by(frame))
+        hours = shift.progress()["forecast"]["hours_left"]
+        widths.append(hours["high"] / hours["low"])
+        shift.project.close()
+    assert widths[1] > 1.5 * widths[0] > 1.5
+
+
+# --- all together -----------------------------------------------------------------------------------------------------
+
+
+def test_they_are_computed_once_for_each_state(shift: Shift, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads: list[ActionLog] = []
+
+    def counted(connection: Connection) -> ActionLog:
+        reads.append(read_log(connection))
+        return reads[-1]
+
+    monkeypatch.setattr("annotator.project.progress.report.read_log", counted)
+    label(shift, 1)
+    first = shift.project.statistics()
+    assert shift.project.statistics() == first
+    assert len(reads) == 1
+    label(shift, 2)
+    assert shift.project.statistics().progress.days[0].boxes == 6
+    assert len(reads) == 2
+
+
+def test_the_json_has_the_schema_of_its_model(shift: Shift) -> None:
+    label(shift, 12)
+    keys: set[str] = set()
+
+    def require(value: Any, schema: dict[str, Any], where: str) -> None:
+        """Every key of the schema is there, and no other."""
+        options = [
+            definitions[option["$ref"].rpartition("/")[2]] for option in schema.get("anyOf", ()) if "$ref" in option
+        ]
+        schema = definitions[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
+        schema = options[0] if options and value is not None else schema
+        if isinstance(value, dict) and "properties" in schema:
+            assert set(value) == set(schema["properties"]), where
+            for key, part in value.items():
+                keys.add(f"{where}.{key}")
+                require(part, schema["properties"][key], f"{where}.{key}")
+        elif isinstance(value, dict):
+            for part in value.values():
+                require(part, schema["additionalProperties"], f"{where}.*")
+        elif isinstance(value, list):
+            for part in value:
+                require(part, schema["items"], f"{where}[]")
+
+    schema = Statistics.model_json_schema()
+    definitions = schema["$defs"]
+    require(shift.progress(), schema["properties"]["progress"], "progress")
+    # what a script may rely on
+    assert {
+        "progress.days[].day",
+        "progress.days[].person",
+        "progress.days[].boxes",
+        "progress.days[].hours",
+        "progress.pace.groups[].seconds_a_box",
+        "progress.pace.latest.actions_a_box",
+        "progress.proposals.by_class.*.iou_proposal_to_final",
+        "progress.proposals.by_range[].from_m",
+        "progress.proposals.by_class_and_range.*[].iou_proposal_to_final",
+        "progress.forecast.hours_left.low",
+        "progress.forecast.hours_left.expected",
+        "progress.forecast.days_left.high",
+    } <= keys
+
+
+def test_a_damaged_box_is_reported(shift: Shift) -> None:
+    label(shift, 1)
+    with shift.project.store.write() as connection:
+        connection.execute(text("UPDATE labels SET box = '{' WHERE id = 1"))
+    with pytest.raises(ProjectError, match="damaged: one of its rows cannot be read"):
+        shift.project.statistics()

@@ -1,0 +1,162 @@
+"""The dialog of classes and attributes, and the fields of attributes in Label."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from browser_page import sign_in
+from label_bench import FRAME, Bench
+from review_desk import Desk
+
+from annotator.project import Project
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, ClassStyle
+
+if TYPE_CHECKING:
+    from conftest import Shop
+    from playwright.sync_api import Locator, Page
+
+expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
+
+
+def put(project: Project, **fields: object) -> None:
+    project.change_classes(lambda config: edit.put_attribute(config, Attribute.model_validate(fields)), "Cleo")
+
+
+def row(page: Page, name: str) -> Locator:
+    return page.locator(f'[data-testid="class-row"][data-name="{name}"]')
+
+
+def test_classes_are_changed_in_a_dialog_of_the_start_page(shared_page: Page, shop: Shop, room: Project) -> None:
+    page, name = shared_page, room.path.name
+    sign_in(page, shop.live.url)
+    page.goto("/#/")
+    page.get_by_test_id(f"edit-classes-{name}").click()
+    page.get_by_test_id("new-class").fill("dog")
+    page.keyboard.press("Enter")
+    row(page, "dog").get_by_label("Key of dog").fill("d")
+    page.keyboard.press("Enter")
+    row(page, "dog").get_by_label("Colour of dog").fill("#3366ff")
+    expect(row(page, "dog").get_by_role("button", name="Default colour for dog")).to_be_visible()
+    row(page, "dog").get_by_role("button", name="Move dog up").click()
+    expect(page.get_by_test_id("class-row").first).to_have_attribute("data-name", "dog")
+    assert room.config.class_styles == {"dog": ClassStyle(colour="#3366ff", key="d")}
+
+    row(page, "person").get_by_label("Key of person").fill("d")
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("classes-problem")).to_contain_text("two classes or attributes have the key 'd'")
+    row(page, "person").get_by_role("button", name="Rename").click()
+    page.get_by_test_id("ask-name").fill("human")
+    page.get_by_test_id("dialog-apply").click()
+    row(page, "human").get_by_role("button", name="Remove").click()
+    expect(page.get_by_test_id("ask-classes")).to_contain_text("No box is of this class")
+    page.get_by_test_id("dialog-cancel").click()
+    row(page, "human").get_by_role("button", name="Merge").click()
+    expect(page.get_by_test_id("ask-classes")).to_contain_text("Undo does not bring this back")
+    page.get_by_test_id("dialog-apply").click()
+    expect(page.get_by_test_id("class-row")).to_have_count(1)
+    assert room.config.classes == ("dog",)
+    page.get_by_test_id("dialog-done").click()
+    expect(page.get_by_test_id(f"project-{name}").locator(".chip")).to_have_text(["dog"])
+
+
+def test_attributes_are_defined_in_label_and_set_there_with_one_key(bench: Bench, wait_for) -> None:
+    page, project = bench.page, bench.project
+    page.get_by_test_id("edit-classes").click()
+
+    def define(name: str, kind: str, key: str, of: str = "box", choices: str = "") -> None:
+        page.get_by_test_id("add-attribute").click()
+        form = page.get_by_test_id("attribute-dialog")
+        form.get_by_test_id("attribute-name").fill(name)
+        form.get_by_test_id("attribute-kind").select_option(kind)
+        form.get_by_test_id("attribute-of").select_option(of)
+        if choices:
+            form.get_by_test_id("attribute-choices").fill(choices)
+        form.get_by_test_id("attribute-key").fill(key)
+        form.get_by_test_id("dialog-save").click()
+        expect(page.locator(f'[data-testid="attribute-row"][data-name="{name}"]')).to_be_visible()
+
+    define("pose", "choice", "o", choices="sitting\nstanding")
+    define("rain", "boolean", "r", of="frame")
+    define("mass", "number", "m")
+    page.get_by_test_id("classes-dialog").get_by_test_id("dialog-done").click()
+    assert [each.name for each in project.config.attributes] == ["pose", "rain", "mass"]
+
+    fields = page.get_by_test_id("attributes")
+    expect(fields.locator("select, input")).to_have_count(1)
+    page.keyboard.press("Alt+r")
+    wait_for(lambda: project.frames.attributes() == {FRAME: {"rain": True}})
+    bench.draw_object(0)
+    expect(fields.locator("select, input")).to_have_count(3)
+    page.keyboard.press("Alt+o")
+    wait_for(lambda: dict(bench.labels[0].attributes) == {"pose": "sitting"})
+    page.keyboard.press("Alt+m")
+    page.keyboard.type("70")
+    page.keyboard.press("Enter")
+    wait_for(lambda: dict(bench.labels[0].attributes) == {"pose": "sitting", "mass": 70.0})
+    bench.saved()
+    page.keyboard.press("Tab")
+    page.keyboard.press("Control+z")
+    wait_for(lambda: dict(bench.labels[0].attributes) == {"pose": "sitting"})
+
+    # a value that is in the way of a narrower definition is removed only if that is wanted
+    page.get_by_test_id("edit-classes").click()
+    page.locator('[data-testid="attribute-row"][data-name="pose"]').get_by_role("button", name="Edit").click()
+    form = page.get_by_test_id("attribute-dialog")
+    form.get_by_test_id("attribute-choices").fill("lying")
+    form.get_by_test_id("dialog-save").click()
+    expect(form.get_by_role("alert")).to_contain_text("1 stored values of pose would not fit")
+    form.get_by_test_id("attribute-drop").check()
+    form.get_by_test_id("dialog-save").click()
+    expect(form).to_have_count(0)
+    assert dict(bench.labels[0].attributes) == {}
+
+
+def test_a_value_in_label_is_set_beside_another_operators_change(bench: Bench, wait_for) -> None:
+    put(bench.project, name="rain", kind="boolean", of="frame", key="r")
+    expect(bench.page.get_by_test_id("attribute-rain")).to_be_visible()
+    bench.page.route("**/api/events*", lambda route: route.abort())
+    bench.other_saves(bench.scene.image_box(1))
+    bench.page.keyboard.press("Alt+r")
+    wait_for(lambda: bench.project.frames.attributes() == {FRAME: {"rain": True}})
+    bench.saved()
+    assert len(bench.image_boxes) == 1
+    expect(bench.page.get_by_test_id("object")).to_have_count(1)
+
+
+def test_open_pages_show_changed_classes_and_keep_unsaved_work(desk: Desk, wait_for) -> None:
+    page, project, uid = desk.page, desk.project, desk.uid
+    # typed, but not saved yet
+    page.get_by_test_id("field-yaw").fill("12")
+    expect(page.get_by_test_id("label-state")).to_have_text("not saved")
+    project.change_classes(lambda config: edit.rename_class(config, "person", "human"), "Cleo")
+    put(project, name="pose", kind="choice", choices=["sitting", "standing"], key="o")
+    expect(page.get_by_test_id("field-class").locator("option")).to_have_text(["human"])
+    expect(page.get_by_test_id("queue-attribute")).to_be_visible()
+    expect(page.get_by_test_id("queue-item").first).to_contain_text("human")
+    expect(page.get_by_test_id("label-state")).to_have_text("not saved")
+    page.keyboard.press("Enter")
+    wait_for(lambda: desk.label.state == "edited")
+    assert (desk.uid, desk.label.label) == (uid, "human")
+    desk.settled()
+    # without a box, only attributes of the frame are shown
+    page.get_by_test_id("field-yaw").blur()
+    desk.press("Escape")
+    expect(page.get_by_test_id("attribute-pose")).to_have_count(0)
+
+
+def test_label_draws_on_after_a_class_was_renamed(bench: Bench, wait_for) -> None:
+    first = bench.draw_on_image(0)
+    bench.project.change_classes(lambda config: edit.rename_class(config, "person", "human"), "Cleo")
+    bench.project.change_classes(lambda config: edit.style_class(config, "human", ClassStyle(colour="#123456")), "Cleo")
+    expect(bench.page.get_by_test_id("class-human")).to_have_attribute("aria-checked", "true")
+    swatch = bench.page.get_by_test_id("class-human").locator(".swatch")
+    wait_for(lambda: swatch.evaluate("one => getComputedStyle(one).backgroundColor") == "rgb(18, 52, 86)")
+    expect(bench.page.get_by_test_id("object")).to_contain_text("human")
+    # the object that was being drawn is still open
+    bench.wait_for_view(0, first["steps"][0]["views"][0])
+    bench.page.keyboard.press("Escape")
+    bench.drag_on_image(1)
+    bench.saved()
+    wait_for(lambda: [box["label"] for box in bench.image_boxes] == ["human", "human"])

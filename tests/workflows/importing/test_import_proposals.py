@@ -1,0 +1,159 @@
+"""3D boxes of other software become proposals, in every format, onto frames with labels as well."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annotator.project import NewLabel, Project, WriteContext
+from annotator.types import OrientedBox, ReviewState, Source
+from annotator.types.errors import ConfigError
+from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
+from annotator.workflows.importing import BoxFormat, format_of, import_proposals, read_labels
+from annotator.workflows.workbench.review_queue import Order, queue
+
+
+def box(x: float) -> OrientedBox:
+    return OrientedBox.from_parts(np.array([x, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
+
+
+def boxes_file(path: Path, frames: dict[str, list[tuple[str, float, float | None]]]) -> Path:
+    """A `boxes.json` with class, x and score of each box."""
+    entry = {"size": [0.5, 0.4, 1.8], "rotation": np.eye(3).tolist()}
+    content = {
+        key: [
+            entry | {"label": label, "center": [x, 0.2, 3.0]} | ({} if score is None else {"score": score})
+            for label, x, score in boxes
+        ]
+        for key, boxes in frames.items()
+    }
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture
+def people(make_project: Callable[..., Project], generated: Path) -> Project:
+    return make_project(generated / "people")
+
+
+@pytest.mark.parametrize("format", BoxFormat)
+def test_boxes_of_every_format_become_proposals_onto_labelled_frames(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, format: BoxFormat
+) -> None:
+    frame = people.frames.of()[1]
+    people.labels.create(frame.id, [NewLabel("person", box(0.0), 0.7)], WriteContext(0, "me"))
+    if format is BoxFormat.BOXES:
+        path = boxes_file(tmp_path / "theirs.json", {frame.key: [("person", 0.0, 0.7)]})
+    else:
+        path = tmp_path / "theirs"
+        export_project(people, path, ExportFormat(format))
+    other = make_project(generated / "people")
+    mine = other.labels.create(other.frames.of()[1].id, [NewLabel("person", box(5.0))], WriteContext(0, "me")).uids
+    assert format_of(path) is format
+    done = import_proposals(other, read_labels(format, path))
+    assert (done.source, done.frames, done.proposals) == ("theirs", 1, {"person": 1})
+    accepted, proposed = other.labels.select()
+    assert (accepted.label.uid, accepted.label.state) == (mine[0], ReviewState.ACCEPTED)
+    assert (proposed.label.state, proposed.label.source) == (ReviewState.PROPOSED, Source.IMPORTED)
+    assert [(each.source, each.score) for each in proposed.said] == [("theirs", proposed.label.score)]
+    # some formats hold upright boxes only
+    np.testing.assert_allclose(proposed.label.box.center_m, box(0.0).center_m, atol=0.01)
+
+
+def test_proposals_of_an_rcv_export_come_in_and_rejected_boxes_do_not(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    frame = people.frames.of()[1]
+    theirs = boxes_file(tmp_path / "b", {frame.key: [("person", 0.0, 0.4)]})
+    import_proposals(people, read_labels(BoxFormat.BOXES, theirs))
+    revision = people.frames.get(frame.id).revision
+    rejected = NewLabel("person", box(3.0), state=ReviewState.REJECTED)
+    people.labels.create(frame.id, [rejected], WriteContext(revision, "me"))
+    every = ExportFilter(states=tuple(ReviewState))
+    for format in (ExportFormat.RCV, ExportFormat.OPENLABEL):
+        export_project(people, tmp_path / format, format, choose=every)
+        other = make_project(generated / "people")
+        done = import_proposals(other, read_labels(format_of(tmp_path / format), tmp_path / format))  # type: ignore[arg-type]
+        assert done.proposals == {"person": 1}
+        assert [entry.label.score for entry in other.labels.select()] == [0.4]
+
+
+def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first(
+    people: Project, tmp_path: Path
+) -> None:
+    first, second, third = people.frames.of()[:3]
+    one = boxes_file(
+        tmp_path / "one.json",
+        {first.key: [("Car", 0.0, 0.9), ("dog", 2.0, 0.9)], second.key: [("person", 0.0, 0.05), ("person", 3.0, 0.6)]},
+    )
+    two = boxes_file(
+        tmp_path / "two.json", {first.key: [("person", 0.05, 3.5)], third.key: [("person", 0.0, -1.0)], "gone": []}
+    )
+    done = import_proposals(people, read_labels(BoxFormat.BOXES, one), min_score=0.1, names={"Car": "person"})
+    assert (done.frames, done.proposals, done.unsure, done.other_classes) == (2, {"person": 2}, 1, {"dog": 1})
+    done = import_proposals(people, read_labels(BoxFormat.BOXES, two), "second detector")
+    assert (done.source, done.merged, done.unmatched) == ("second detector", 1, ("gone",))
+    assert done.scaled is not None and (done.scaled.low, done.scaled.high) == (-1.0, 3.5)
+    items = queue(people, Order.WORST).items
+    assert [(item.frame.key, round(item.doubt or 0.0, 2)) for item in items] == [
+        (third.key, 0.7),
+        (second.key, 0.28),
+        (first.key, 0.0),
+    ]
+    (merged,) = [people.labels.get(item.uid or "") for item in items if item.frame.key == first.key]
+    assert [(each.source, each.score) for each in merged.said] == [("second detector", 1.0), ("one", 0.9)]
+    # the second import of a source replaces the first, and a finalised frame stays as it is
+    people.frames.finalise(second.id, WriteContext(people.frames.get(second.id).revision, "me"))
+    again = boxes_file(tmp_path / "one.json", {first.key: [], second.key: [], third.key: []})
+    done = import_proposals(people, read_labels(BoxFormat.BOXES, again))
+    assert (done.frames, done.finalised) == (2, 1)
+    assert [[each.source for each in entry.said] for entry in people.labels.select()] == [
+        ["second detector"],
+        ["one"],
+        ["second detector"],
+    ]
+
+
+def test_track_ids_stay_unless_other_labels_of_the_recording_use_them(people: Project, tmp_path: Path) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [NewLabel("person", box(0.0), track_id=3)], WriteContext(0, "me"))
+    entry = {"label": "person", "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
+    rows = [entry | {"center": [4.0 * n, 0.2, 3.0], "track": track} for n, track in enumerate((3, 8), 1)]
+    path = tmp_path / "tracks.json"
+    path.write_text(json.dumps({first.key: rows, second.key: rows}))
+    for _ in range(2):
+        import_proposals(people, read_labels(BoxFormat.BOXES, path))
+        ids = [(entry.frame_id, entry.label.track_id) for entry in people.labels.select(states=[ReviewState.PROPOSED])]
+        assert ids == [(first.id, 4), (first.id, 8), (second.id, 4), (second.id, 8)]
+
+
+@pytest.mark.parametrize("source", ["", " ", "annotator", "x" * 201])
+def test_a_source_needs_a_name(people: Project, tmp_path: Path, source: str) -> None:
+    path = boxes_file(tmp_path / "b.json", {people.frames.of()[0].key: []})
+    with pytest.raises(ConfigError, match="cannot name a source of boxes"):
+        import_proposals(people, read_labels(BoxFormat.BOXES, path), source)
+
+
+def test_a_track_that_needs_another_id_does_not_get_one_of_the_same_file(people: Project, tmp_path: Path) -> None:
+    first, second = people.frames.of()[:2]
+    mine = NewLabel("person", box(5.0), track_id=1)
+    people.labels.create(first.id, [mine], WriteContext(0, "me"))
+    entry = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": np.eye(3).tolist(), "score": 0.9}
+    # track 1 becomes 2, or 3: the file uses 2 for another object
+    tracks = {first.key: [(0.0, 1), (10.0, 2)], second.key: [(0.0, 1), (10.0, 2), (20.0, 3)]}
+    for name in ("one", "one", "two"):
+        content = {
+            key: [entry | {"center": [x, 0.2, 3.0], "track": track} for x, track in boxes]
+            for key, boxes in tracks.items()
+        }
+        path = tmp_path / f"{name}.json"
+        path.write_text(json.dumps(content))
+        import_proposals(people, read_labels(BoxFormat.BOXES, path))
+        found = [stored.label for stored in people.labels.select(states=[ReviewState.PROPOSED])]
+        by_object = {x: {each.track_id for each in found if each.box.center_m[0] == x} for x in (0.0, 10.0, 20.0)}
+        ids = [track for tracks in by_object.values() for track in tracks]
+        assert len(ids) == len(set(ids)) == 3 and 1 not in ids

@@ -1,0 +1,106 @@
+"""Results of nuScenes' detection and tracking tasks become proposals on the frames of their samples."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from nuscenes_samples import CAMERAS, real, small
+
+from annotator.geometry.oriented_box import box_corners
+from annotator.project import Project
+from annotator.recordings import ReaderOptions, Recording, open_recording
+from annotator.types.errors import FormatError
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
+from annotator.workflows.recorded.labelled_frames import labels_from
+from annotator.workflows.recorded.reading import load_truth
+
+
+def results(path: Path, tables: Path, task: str = "detection", **more: Any) -> Path:
+    """The annotations of a dataset as the results of a detector, the scores of a sample's boxes rising from 0."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in json.loads((tables / "sample_annotation.json").read_text()):
+        boxes = found.setdefault(row["sample_token"], [])
+        box = {key: row[key] for key in ("sample_token", "translation", "size", "rotation")}
+        named = {f"{task}_name": row.get("instance_class", "car"), f"{task}_score": len(boxes) / 100}
+        boxes.append(box | {"velocity": [0.0, 0.1]} | named | more)
+    path.write_text(json.dumps({"meta": {"use_lidar": True}, "results": found | {"elsewhere": []}}))
+    return path
+
+
+def added(project: Project, path: Path, **options: str) -> Recording:
+    chosen = ReaderOptions(**options)
+    register_recording(project, open_recording(path, chosen), options=chosen)
+    return open_recording(path, chosen)
+
+
+@pytest.mark.shared
+def test_results_of_the_real_sample_are_its_boxes_in_every_camera(
+    make_project: Callable[..., Project], shared: Path, tmp_path: Path
+) -> None:
+    names = real(shared / "data" / "nuscenes_frame", tmp_path / "set")["sample"]["images"]
+    classes = sorted(
+        {row["instance_class"] for row in json.loads((tmp_path / "set/v1.0-mini/sample_annotation.json").read_text())}
+    )
+    project = make_project(classes=classes)
+    recordings = [added(project, tmp_path / "set", camera=name) for name in names]
+    path = results(tmp_path / "results.json", tmp_path / "set" / "v1.0-mini", attribute_name="vehicle.moving")
+    assert format_of(path) is BoxFormat.NUSCENES
+    done = import_proposals(project, read_labels(BoxFormat.NUSCENES, path), min_score=0.1)
+    assert (done.source, done.frames, done.unmatched) == ("results", 6, ("elsewhere",))
+    assert done.unsure > 0 and done.proposals.total() > 50
+    proposed = {}
+    for frame, recording in zip(project.frames.of(), recordings, strict=True):
+        truths = load_truth(recording, 0, recording.frame(0))
+        labels = project.labels.of_frame(frame.id)
+        proposed[recording.name] = len(labels)
+        for label in labels:
+            near = [np.abs(box_corners(each.box) - box_corners(label.box)).max() for each in truths]
+            best = truths[int(np.argmin(near))]
+            assert min(near) < 1e-6 and best.label == label.label and label.score is not None and label.score >= 0.1
+    assert sum(proposed.values()) == done.proposals.total()
+
+
+@pytest.mark.parametrize("task", ["detection", "tracking"])
+def test_results_find_their_frames_and_trackers_their_tracks(
+    make_project: Callable[..., Project], tmp_path: Path, task: str
+) -> None:
+    data = small(tmp_path / "set")
+    project = make_project(classes=("car",))
+    tables = next(data.glob("v1.0-*"))
+    path = results(tmp_path / "theirs.json", tables, task, **({"tracking_id": "a7"} if task == "tracking" else {}))
+    with pytest.raises(FormatError, match=r"none of its \d samples; add their scenes"):
+        import_proposals(project, read_labels(BoxFormat.NUSCENES, path))
+    added(project, data, scene="scene-0000", camera=CAMERAS[0])
+    done = import_proposals(project, read_labels(BoxFormat.NUSCENES, path))
+    # two samples of the six frames; the box of the other camera is not in its image
+    assert (done.frames, done.proposals) == (2, {"car": 2})
+    stored = project.labels.select()
+    assert {each.label.track_id for each in stored} == ({0} if task == "tracking" else {None})
+    # as labels, on frames without any, and as 2D boxes
+    labelled = make_project(classes=("car",))
+    added(labelled, data, scene="scene-0000", camera=CAMERAS[1])
+    assert len(labels_from(labelled, read_labels(BoxFormat.NUSCENES, path)).frames) == 2
+    assert import_labels(labelled, read_labels(BoxFormat.NUSCENES, path)).labels == {"car": 2}
+
+
+@pytest.mark.parametrize(
+    ("results", "problem"),
+    [
+        ({"a": 1}, "results.a: must be a list of boxes"),
+        ({"a": [{"size": [1, 2, 3]}]}, "results.a.0.translation: Field required"),
+        ({"a": [{"size": [1, 2, 3], "translation": [0, 0, 0], "rotation": [0, 0, 0, 0]}]}, "detection_name"),
+        ([], "must be a JSON object"),
+    ],
+)
+def test_damaged_results_are_refused_with_their_place(tmp_path: Path, results: Any, problem: str) -> None:
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps({"results": results}))
+    with pytest.raises(FormatError, match=r"results\.json") as raised:
+        read_labels(BoxFormat.NUSCENES, path)
+    assert problem in str(raised.value)

@@ -1,0 +1,167 @@
+/** The attributes of the selected box, of its track and of the frame: a field for each, and the keys for them. */
+
+import { h } from "./dom.js";
+
+/** An integer attribute with more values is typed, not chosen. */
+const MOST_STEPS = 20;
+
+/**
+ * The values that a key goes through; null for an attribute that is typed.
+ *
+ * @param {Attribute} attribute
+ * @returns {(string | number | boolean)[] | null}
+ */
+export function steps({ kind, choices, minimum, maximum }) {
+  if (kind === "choice") return choices ?? [];
+  if (kind === "boolean") return [true, false];
+  if (kind !== "integer" || minimum === undefined || maximum === undefined || maximum - minimum >= MOST_STEPS)
+    return null;
+  const first = Math.ceil(minimum);
+  return Array.from({ length: Math.floor(maximum) - first + 1 }, (_, n) => first + n);
+}
+
+/**
+ * @param {App} app
+ * @returns {Attribute[]}
+ */
+export const schemaOf = (app) =>
+  /** @type {Attribute[]} */ (/** @type {unknown} */ (app.state.project?.attributes ?? []));
+
+/** @param {string | number | boolean} value */
+const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
+
+/**
+ * @param {HTMLElement} host
+ * @param {ModeApp} app
+ * @param {object} target what has the values.
+ * @param {() => AttributeOwner | null} target.shown the selected box.
+ * @param {(uid: string | null, values: Record<string, string | number | boolean | null>) => unknown} target.set sets
+ *     values of a box, or (null) of the frame.
+ * @param {(name: string) => unknown} target.setClass false if there is nothing to give the class to.
+ * @param {() => boolean} [target.isReadonly]
+ */
+export function createAttributes(host, app, target) {
+  /** @type {Map<string, HTMLSelectElement | HTMLInputElement>} */
+  const fields = new Map();
+  let shown = "";
+
+  /** The attributes of the selected box and of the frame. */
+  function present() {
+    const label = target.shown();
+    return schemaOf(app).filter(({ of, classes }) =>
+      of === "frame"
+        ? app.state.frame !== null
+        : label !== null && !label.isNew && (!classes?.length || classes.includes(label.label)),
+    );
+  }
+
+  /** @param {Attribute} attribute */
+  function current({ name, of, default: usual }) {
+    if (of !== "frame") return target.shown()?.attributes?.[name];
+    return app.state.frame?.frame.attributes[name] ?? usual;
+  }
+
+  /**
+   * @param {Attribute} attribute
+   * @param {string | number | boolean | null} value
+   */
+  const set = ({ name, of }, value) =>
+    target.set(of === "frame" ? null : (target.shown()?.uid ?? null), { [name]: value });
+
+  /** @param {Attribute} attribute */
+  function field(attribute) {
+    const { name, kind, key, of, required, minimum, maximum } = attribute;
+    const values = steps(attribute);
+    const common = {
+      "aria-label": name,
+      "data-testid": `attribute-${name}`,
+      title: `${name}${of && of !== "box" ? ` of the ${of}` : ""}${required ? ", required" : ""}`,
+    };
+    /** @type {HTMLSelectElement | HTMLInputElement} */
+    let input;
+    if (values) {
+      input = h(
+        "select",
+        {
+          ...common,
+          onchange: () => {
+            const index = Number(input.value);
+            input.blur();
+            void set(attribute, input.value === "" ? null : values[index]);
+          },
+        },
+        h("option", { value: "" }, "–"),
+        values.map((value, index) => h("option", { value: String(index) }, nameOf(value))),
+      );
+    } else {
+      const isText = kind === "text";
+      /** @type {HTMLInputElement} */
+      const typed = h("input", {
+        ...common,
+        type: isText ? "text" : "number",
+        step: kind === "integer" ? 1 : "any",
+        min: minimum,
+        max: maximum,
+        maxlength: isText ? 1000 : undefined,
+        onchange: () => {
+          const value = isText ? typed.value : typed.valueAsNumber;
+          void set(attribute, value === "" || Number.isNaN(value) ? null : value);
+        },
+      });
+      input = typed;
+    }
+    fields.set(name, input);
+    return h(
+      "label",
+      { class: "number-field" },
+      h("span", {}, name, required ? " *" : "", key ? " " : "", key ? h("kbd", {}, `Alt ${key.toUpperCase()}`) : ""),
+      input,
+    );
+  }
+
+  return {
+    show() {
+      const attributes = present();
+      const signature = JSON.stringify(attributes);
+      if (signature !== shown) {
+        shown = signature;
+        fields.clear();
+        host.replaceChildren(h("legend", {}, "Attributes"), ...attributes.map(field));
+        host.hidden = attributes.length === 0;
+      }
+      for (const attribute of attributes) {
+        const input = fields.get(attribute.name);
+        if (!input || input === document.activeElement) continue;
+        input.disabled = Boolean(target.isReadonly?.());
+        const value = current(attribute);
+        const values = steps(attribute);
+        if (value === undefined) input.value = "";
+        else input.value = String(values ? values.indexOf(value) : value);
+      }
+    },
+
+    /**
+     * Sets the next value of the attribute whose key it is, or the class; false if no attribute or class has the key.
+     *
+     * @param {string} name of the key, with Alt
+     */
+    press(name) {
+      if (target.isReadonly?.()) return false;
+      const key = name.replace(/^Alt\+/, "").toLowerCase();
+      const attribute = present().find((each) => each.key === key);
+      if (!attribute) {
+        const styles = /** @type {Record<string, { key?: string }>} */ (app.state.project.class_styles);
+        const label = Object.keys(styles).find((each) => styles[each].key === key);
+        return label !== undefined && target.setClass(label) !== false;
+      }
+      const values = steps(attribute);
+      if (!values) {
+        fields.get(attribute.name)?.focus();
+        return true;
+      }
+      const value = current(attribute);
+      void set(attribute, values[((value === undefined ? -1 : values.indexOf(value)) + 1) % values.length]);
+      return true;
+    },
+  };
+}

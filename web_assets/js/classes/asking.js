@@ -1,0 +1,159 @@
+/** The questions before a class or an attribute is renamed, merged or removed: they say what happens to the boxes. */
+
+import { openDialog } from "../dialogs.js";
+import { count, h } from "../dom.js";
+
+const ONLY_BACKUP =
+  "Undo does not bring this back. The project is backed up before; only that backup (annotator project restore) does.";
+
+/**
+ * The boxes of a class in words.
+ *
+ * @param {Api.ClassRow} row
+ */
+export function boxesOf({ labels, boxes_2d }) {
+  const known = [labels && count(labels, "3D label"), boxes_2d && count(boxes_2d, "2D box", "2D boxes")];
+  return known.filter(Boolean).join(" and ") || "no boxes";
+}
+
+/**
+ * @param {object} question
+ * @param {string} question.title
+ * @param {Node[]} question.content
+ * @param {string} question.action
+ * @param {string} [question.kind]
+ * @param {() => Promise<unknown>} done
+ */
+function ask({ title, content, action, kind }, done) {
+  return openDialog({
+    title,
+    content,
+    testid: "ask-classes",
+    actions: [
+      { label: "Cancel", value: "cancel" },
+      { label: action, value: "apply", kind },
+    ],
+    async submit(value) {
+      if (value === "apply") await done();
+      return value;
+    },
+  });
+}
+
+/**
+ * @param {string} text
+ * @param {string[]} names
+ */
+function choice(text, names) {
+  const select = h(
+    "select",
+    { "data-testid": "ask-into" },
+    names.map((name) => h("option", { value: name }, name)),
+  );
+  return { select, root: h("label", { class: "field" }, h("span", {}, text), select) };
+}
+
+/**
+ * Renames a class, an attribute, or one of its choices.
+ *
+ * @param {Api.ClassRow | (Attribute & { values: number })} what
+ * @param {ChangeClasses} change
+ */
+export function askRename(what, change) {
+  const isClass = "labels" in what;
+  const { name } = what;
+  const choices = isClass ? [] : (what.choices ?? []);
+  /** @type {HTMLSelectElement} */
+  const part = h(
+    "select",
+    { "data-testid": "ask-part", onchange: () => Object.assign(input, { value: part.value || name }) },
+    h("option", { value: "" }, "the attribute"),
+    choices.map((each) => h("option", { value: each }, `the choice ${each}`)),
+  );
+  const input = h("input", { value: name, maxlength: 64, autofocus: true, "data-testid": "ask-name" });
+  const follow = isClass
+    ? `Follows: ${boxesOf(what)}, and what detectors find`
+    : `Follows: ${count(what.values, "value")}`;
+  return ask(
+    {
+      title: `Rename ${name}`,
+      content: [
+        choices.length ? h("label", { class: "field" }, h("span", {}, "What"), part) : null,
+        h("label", { class: "field" }, h("span", {}, "New name"), input),
+        h("p", { class: "help" }, `${follow}. To take it back, rename it back.`),
+        choices.length ? h("p", { class: "help" }, `The name of another choice merges both. ${ONLY_BACKUP}`) : null,
+      ].filter((node) => node !== null),
+      action: "Rename",
+    },
+    () => {
+      const fresh = input.value.trim();
+      if (!fresh) throw new Error("Please give it a name.");
+      if (isClass) return change({ do: "rename", name, new: fresh });
+      return change({ do: "rename_attribute", name, new: fresh, choice: part.value || null });
+    },
+  );
+}
+
+/**
+ * @param {Api.ClassRow} row
+ * @param {string[]} names
+ * @param {ChangeClasses} change
+ */
+export function askMerge(row, names, change) {
+  const into = choice(
+    `Give its boxes to`,
+    names.filter((name) => name !== row.name),
+  );
+  return ask(
+    {
+      title: `Merge ${row.name}`,
+      content: [
+        into.root,
+        h("p", {}, `The other class gets ${boxesOf(row)}, and ${row.name} is removed.`),
+        h("p", { class: "help" }, ONLY_BACKUP),
+      ],
+      action: "Merge",
+    },
+    () => change({ do: "merge", names: [row.name], into: into.select.value }),
+  );
+}
+
+/**
+ * Removes a class; one with boxes only with these.
+ *
+ * @param {Api.ClassRow} row
+ * @param {ChangeClasses} change
+ */
+export function askRemove(row, change) {
+  const isUsed = row.labels + row.boxes_2d > 0;
+  const text = isUsed
+    ? `Deletes ${boxesOf(row)}, too. "Merge" gives them to another class instead.`
+    : "No box is of this class. To take it back, add it again.";
+  return ask(
+    {
+      title: `Remove ${row.name}`,
+      content: [h("p", {}, text), ...(isUsed ? [h("p", { class: "help" }, ONLY_BACKUP)] : [])],
+      action: isUsed ? `Remove it with ${boxesOf(row)}` : "Remove",
+      kind: "danger",
+    },
+    () => change({ do: "remove", name: row.name, with_boxes: isUsed }),
+  );
+}
+
+/**
+ * @param {Attribute} attribute
+ * @param {number} values
+ * @param {ChangeClasses} change
+ */
+export function askRemoveAttribute({ name }, values, change) {
+  const text = values ? `${count(values, "value")} of it go, too.` : "No box and no frame has a value of it.";
+  return ask(
+    {
+      title: `Remove ${name}`,
+      content: [h("p", {}, text), h("p", { class: "help" }, ONLY_BACKUP)],
+      action: "Remove",
+      kind: "danger",
+    },
+    () => change({ do: "remove_attribute", name }),
+  );
+}

@@ -1,0 +1,184 @@
+/** The form of one attribute: its kind, what has it, its values, and its key. */
+
+import { openDialog } from "../dialogs.js";
+import { h } from "../dom.js";
+
+/** @type {[Attribute["kind"], string][]} */
+const KINDS = [
+  ["choice", "One of some choices"],
+  ["boolean", "Yes or no"],
+  ["integer", "Whole number"],
+  ["number", "Number"],
+  ["text", "Free text"],
+];
+
+/** @type {[NonNullable<Attribute["of"]>, string][]} */
+const OWNERS = [
+  ["box", "Each box"],
+  ["track", "Each object: the same value in all its frames"],
+  ["frame", "Each frame"],
+];
+
+/**
+ * An attribute in words, such as "whole number 0 to 3, of each track, required, key O".
+ *
+ * @param {Attribute} attribute
+ */
+export function describe({ kind, of, choices, minimum, maximum, classes, required, default: usual, key }) {
+  const range = [minimum === undefined ? "" : `from ${minimum}`, maximum === undefined ? "" : `to ${maximum}`];
+  const values =
+    kind === "choice"
+      ? `one of ${(choices ?? []).join(", ")}`
+      : KINDS.find(([name]) => name === kind)?.[1].toLowerCase();
+  return [
+    [values, ...range].filter(Boolean).join(" "),
+    `of each ${of ?? "box"}`,
+    classes?.length ? `only ${classes.join(", ")}` : "",
+    required ? "required" : "",
+    usual === undefined ? "" : `default ${textOf(usual)}`,
+    key ? `Alt+${key.toUpperCase()}` : "",
+  ]
+    .filter(Boolean)
+    .join(", ");
+}
+
+/** @param {string | number | boolean | undefined} value */
+const textOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value ?? ""));
+
+/**
+ * A default as typed; what cannot be read is left to the server, whose error says what the attribute takes.
+ *
+ * @param {string} kind
+ * @param {string} text
+ */
+function readValue(kind, text) {
+  if (text === "") return undefined;
+  if (kind === "boolean" && /^(yes|no|true|false)$/i.test(text)) return /^(yes|true)$/i.test(text);
+  return (kind === "integer" || kind === "number") && Number.isFinite(Number(text)) ? Number(text) : text;
+}
+
+/**
+ * Asks for an attribute, a new one or another definition of a known one, and saves it.
+ *
+ * @param {object} options
+ * @param {Attribute} [options.attribute]
+ * @param {string[]} options.classes of the project.
+ * @param {Attribute[]} options.attributes of the project.
+ * @param {ChangeClasses} options.change
+ */
+export function attributeForm({ attribute, classes, attributes, change }) {
+  const known = attribute;
+  /**
+   * @param {string} testid
+   * @param {Attributes} [more]
+   */
+  const input = (testid, more = {}) => h("input", { "data-testid": testid, autocomplete: "off", ...more });
+  /**
+   * @param {string} testid
+   * @param {[string, string][]} options
+   * @param {string | undefined} value
+   */
+  const select = (testid, options, value) =>
+    h(
+      "select",
+      { "data-testid": testid, value: value ?? options[0][0], onchange: show },
+      options.map(([name, text]) => h("option", { value: name, selected: name === value }, text)),
+    );
+  const name = input("attribute-name", { value: known?.name ?? "", disabled: Boolean(known), maxlength: 64 });
+  if (!known) name.autofocus = true;
+  const kind = select("attribute-kind", KINDS, known?.kind);
+  const of = select("attribute-of", OWNERS, known?.of);
+  const choices = h("textarea", { rows: 4, "data-testid": "attribute-choices" });
+  choices.value = (known?.choices ?? []).join("\n");
+  const least = input("attribute-minimum", { type: "number", step: "any", value: textOf(known?.minimum) });
+  const most = input("attribute-maximum", { type: "number", step: "any", value: textOf(known?.maximum) });
+  const usual = input("attribute-default", { value: textOf(known?.default), placeholder: "none" });
+  const key = input("attribute-key", { class: "key", value: known?.key ?? "", maxlength: 1, placeholder: "–" });
+  const required = input("attribute-required", { type: "checkbox", checked: Boolean(known?.required) });
+  const drop = input("attribute-drop", { type: "checkbox" });
+  const boxes = classes.map((label) =>
+    input(`attribute-class-${label}`, { type: "checkbox", value: label, checked: known?.classes?.includes(label) }),
+  );
+  const ofChoices = field("Choices, one in each line", choices);
+  const limits = h("div", { class: "row" }, field("Smallest", least), field("Greatest", most));
+  const ofClasses = h(
+    "fieldset",
+    { class: "plain" },
+    h("legend", { class: "field-label" }, "Only of these classes (none: of all)"),
+    h("div", { class: "row" }, ...boxes.map((box) => h("label", { class: "row" }, box, box.value))),
+  );
+  const dropping = h("label", { class: "row", hidden: true }, drop, "Remove the values that do not fit");
+
+  function show() {
+    ofChoices.hidden = kind.value !== "choice";
+    limits.hidden = kind.value !== "integer" && kind.value !== "number";
+    ofClasses.hidden = of.value === "frame" || classes.length < 2;
+  }
+
+  function read() {
+    const only = boxes.filter((box) => box.checked).map((box) => box.value);
+    const made = {
+      name: name.value.trim(),
+      kind: kind.value,
+      of: of.value,
+      choices: lines(ofChoices.hidden ? "" : choices.value),
+      minimum: limits.hidden ? undefined : readValue("number", least.value),
+      maximum: limits.hidden ? undefined : readValue("number", most.value),
+      classes: ofClasses.hidden ? [] : only,
+      required: required.checked,
+      default: readValue(kind.value, usual.value.trim()),
+      key: key.value.trim().toLowerCase() || undefined,
+    };
+    if (!made.name) throw new Error("Please give the attribute a name.");
+    if (!known && attributes.some((other) => other.name === made.name))
+      throw new Error(`There is an attribute ${made.name} already. Close this form, and edit that one.`);
+    return made;
+  }
+
+  show();
+  return openDialog({
+    title: known ? `Attribute ${known.name}` : "New attribute",
+    testid: "attribute-dialog",
+    content: [
+      field("Name", name),
+      field("Of", of),
+      field("Values", kind),
+      ofChoices,
+      limits,
+      ofClasses,
+      h("div", { class: "row" }, field("Default", usual), field("Key, with Alt", key)),
+      h("label", { class: "row" }, required, "Required: Checks list what has no value"),
+      h("p", { class: "help" }, "Boxes without a value get the default, those that are there already as well."),
+      dropping,
+    ],
+    actions: [
+      { label: "Cancel", value: "cancel" },
+      { label: "Save", value: "save" },
+    ],
+    async submit(value) {
+      if (value !== "save") return value;
+      try {
+        await change({ do: "attribute", attribute: read(), drop: drop.checked });
+      } catch (error) {
+        if (/would not fit/.test(String(error))) dropping.hidden = false;
+        throw error;
+      }
+      return value;
+    },
+  });
+}
+
+/** @param {string} text */
+const lines = (text) =>
+  text
+    .split("\n")
+    .map((line) => line.trim())
+    .filter(Boolean);
+
+/**
+ * @param {string} text
+ * @param {HTMLElement} control
+ */
+function field(text, control) {
+  return h("label", { class: "field" }, h("span", {}, text), control);
+}

@@ -1,0 +1,227 @@
+/** The dialog of a project's classes and attributes. Each change is saved at once, for everybody. */
+
+import { projectPath } from "../api.js";
+import { classColor } from "../colors.js";
+import { openDialog } from "../dialogs.js";
+import { count, h, iconButton } from "../dom.js";
+import { messageOf } from "../errors.js";
+import { askMerge, askRemove, askRemoveAttribute, askRename, boxesOf } from "./asking.js";
+import { attributeForm, describe } from "./attribute_form.js";
+
+/**
+ * Shows the classes and attributes of a project until it is closed.
+ *
+ * @param {App} app
+ * @param {string} project
+ */
+export async function editClasses(app, project) {
+  const path = projectPath(project, "classes");
+  const problem = h("p", { class: "error-box", role: "alert", hidden: true, "data-testid": "classes-problem" });
+  const classes = h("div", { class: "class-rows", "data-testid": "class-rows" });
+  const attributes = h("div", { class: "attribute-rows", "data-testid": "attribute-rows" });
+  const name = h("input", {
+    "aria-label": "New class",
+    placeholder: "New class",
+    maxlength: 64,
+    autocomplete: "off",
+    "data-testid": "new-class",
+    onkeydown: onEnter(() => void add()),
+  });
+  /** @type {Api.ClassList} */
+  let listed;
+
+  async function refresh() {
+    listed = await app.api.get(path);
+    const focused = document.activeElement?.getAttribute("aria-label");
+    const names = listed.classes.map((row) => row.name);
+    classes.replaceChildren(
+      ...listed.classes.map((row, index) => classRow(row, index, names)),
+      ...listed.unknown.map((row) => unknownRow(row, names)),
+    );
+    attributes.replaceChildren(...schema().map((attribute) => attributeRow(attribute, names)));
+    if (!schema().length) attributes.append(h("p", { class: "muted" }, "None yet."));
+    const again = focused ? classes.querySelector(`[aria-label="${CSS.escape(focused)}"]`) : null;
+    if (again instanceof HTMLElement) again.focus();
+  }
+
+  const schema = () => /** @type {Attribute[]} */ (/** @type {unknown} */ (listed.attributes));
+
+  /** @param {Parameters<ChangeClasses>[0]} body */
+  async function change(body) {
+    await app.api.post(path, { change: body });
+    problem.hidden = true;
+    await refresh();
+    if (app.state.route.project === project) await app.refreshProject();
+  }
+
+  /**
+   * Makes a change of this dialog's own fields; a problem is shown, and the fields show what is stored.
+   *
+   * @param {Parameters<ChangeClasses>[0]} body
+   */
+  async function put(body) {
+    problem.hidden = true;
+    try {
+      await change(body);
+      return true;
+    } catch (error) {
+      problem.textContent = messageOf(error);
+      problem.hidden = false;
+      await refresh();
+      return false;
+    }
+  }
+
+  async function add() {
+    const label = name.value.trim();
+    if (!label) name.focus();
+    else if (await put({ do: "add", name: label })) name.value = "";
+  }
+
+  /**
+   * @param {Api.ClassRow} row
+   * @param {number} index
+   * @param {string[]} names
+   */
+  function classRow(row, index, names) {
+    const { name: label, colour, key } = row;
+    const shown = classColor({ classes: names, class_styles: { [label]: colour ? { colour } : {} } }, label);
+    /** @param {{ colour?: string | null, key?: string | null }} changes */
+    const style = (changes) => put({ do: "style", name: label, style: changes });
+    /** @param {number} to */
+    const move = (to) => put({ do: "order", names: names.toSpliced(index, 1).toSpliced(to, 0, label) });
+    /** @type {HTMLInputElement} */
+    const picked = h("input", {
+      type: "color",
+      value: shown,
+      title: "Colour",
+      "aria-label": `Colour of ${label}`,
+      onchange: () => style({ colour: picked.value }),
+    });
+    /** @type {HTMLInputElement} */
+    const typed = h("input", {
+      class: "key",
+      value: key ?? "",
+      maxlength: 1,
+      placeholder: "–",
+      title: "Key, pressed with Alt: 0 to 9, a to z",
+      "aria-label": `Key of ${label}`,
+      onkeydown: onEnter(() => typed.blur()),
+      onchange: () => style({ key: typed.value.trim().toLowerCase() || null }),
+    });
+    return h(
+      "div",
+      { class: "class-row", "data-testid": "class-row", "data-name": label },
+      h("span", { class: "row" }, index < 9 ? h("kbd", {}, String(index + 1)) : null),
+      picked,
+      colour ? iconButton("close", `Default colour for ${label}`, () => style({ colour: null })) : h("span", {}),
+      h("strong", { class: "ellipsis", title: label }, label),
+      h("label", { class: "row muted" }, "Alt", typed),
+      h("span", { class: "muted number", "data-testid": "class-counts" }, boxesOf(row)),
+      h(
+        "span",
+        { class: "row" },
+        iconButton("up", `Move ${label} up`, () => move(index - 1), { disabled: index === 0 }),
+        iconButton("down", `Move ${label} down`, () => move(index + 1), { disabled: index === names.length - 1 }),
+        button("Rename", () => askRename(row, change)),
+        button("Merge", () => askMerge(row, names, change), names.length < 2),
+        button("Remove", () => askRemove(row, change), names.length < 2),
+      ),
+    );
+  }
+
+  /**
+   * @param {Api.ClassRow} row
+   * @param {string[]} names
+   */
+  function unknownRow(row, names) {
+    return h(
+      "p",
+      { class: "row", "data-testid": "unknown-class" },
+      h("span", { class: "grow bad" }, `No class of the project, but of ${boxesOf(row)}: ${row.name}`),
+      button("Merge", () => askMerge(row, names, change)),
+    );
+  }
+
+  /**
+   * @param {Attribute} attribute
+   * @param {string[]} names
+   */
+  function attributeRow(attribute, names) {
+    const values = listed.values[attribute.name] ?? 0;
+    return h(
+      "div",
+      { class: "attribute-row", "data-testid": "attribute-row", "data-name": attribute.name },
+      h("span", { class: "grow" }, h("strong", {}, attribute.name), ` ${describe(attribute)}`),
+      h("span", { class: "muted number" }, count(values, "value")),
+      h(
+        "span",
+        { class: "row" },
+        button("Edit", () => attributeForm({ attribute, classes: names, attributes: schema(), change })),
+        button("Rename", () => askRename({ ...attribute, values }, change)),
+        button("Remove", () => askRemoveAttribute(attribute, values, change)),
+      ),
+    );
+  }
+
+  const stop = app.events.on("classes", refresh);
+  try {
+    await refresh();
+    await openDialog({
+      title: `Classes of ${project}`,
+      testid: "classes-dialog",
+      wide: true,
+      content: [
+        h(
+          "p",
+          { class: "help" },
+          "Each change is saved at once, for everybody. Undo (Ctrl+Z) leaves classes as they are.",
+        ),
+        problem,
+        classes,
+        h("div", { class: "row" }, name, button("Add", add, false, "add-class")),
+        h("h3", {}, "Attributes"),
+        h("p", { class: "help" }, "What is noted of each box, of each object along its track, or of each frame."),
+        attributes,
+        h(
+          "div",
+          { class: "row" },
+          button(
+            "Add attribute",
+            () => attributeForm({ classes: listed.classes.map((row) => row.name), attributes: schema(), change }),
+            false,
+            "add-attribute",
+          ),
+        ),
+      ],
+      actions: [{ label: "Done", value: "done" }],
+    });
+  } finally {
+    stop();
+  }
+}
+
+/**
+ * @param {string} text
+ * @param {() => unknown} onclick
+ * @param {boolean} [disabled]
+ * @param {string} [testid]
+ */
+function button(text, onclick, disabled = false, testid = undefined) {
+  return h("button", { type: "button", disabled, onclick, "data-testid": testid }, text);
+}
+
+/**
+ * Enter in a field would close the dialog.
+ *
+ * @param {() => void} fn
+ * @returns {(event: KeyboardEvent) => void}
+ */
+function onEnter(fn) {
+  return (event) => {
+    if (event.key !== "Enter") return;
+    event.preventDefault();
+    event.stopPropagation();
+    fn();
+  };
+}
