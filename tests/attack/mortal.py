@@ -100,12 +100,14 @@ def main() -> None:
 
 def _load(recording: Path) -> None:
     from annotator.detection.perfect import PerfectDetector, Scene
+    from annotator.detection.ultralytics_api import api
     from annotator.recordings import open_recording
     from annotator.types import BoxKind
     from annotator.workflows.detectors import Detectors
     from annotator.workflows.proposing.engines.sources import GivenDetectors
     from annotator.workflows.recorded.reading import load_truth
 
+    api()  # imported by its own name, ultralytics would write to the standard output on a new machine
     for name in LIBRARIES:
         import_module(name)
     commands = {name: import_module(f"annotator.cli.{name}") for name in LOADED}
