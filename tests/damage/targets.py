@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import sys
@@ -45,6 +46,7 @@ from annotator.formats.kitti.tracklets import read_tracklets  # noqa: E402
 from annotator.formats.labelcloud import read_labelcloud, write_labelcloud  # noqa: E402
 from annotator.formats.losses import Losses  # noqa: E402
 from annotator.formats.nuscenes import write_nuscenes  # noqa: E402
+from annotator.formats.nuscenes.results import read_results  # noqa: E402
 from annotator.formats.openlabel import write_openlabel  # noqa: E402
 from annotator.formats.rcv import RcvInfo, export_rcv  # noqa: E402
 from annotator.formats.sunrgbd.folder import write_sunrgbd  # noqa: E402
@@ -241,6 +243,19 @@ def label_file(name: str) -> Target:
 
 
 CLASSES = ("hand",)
+RESULTS = {
+    "meta": {"use_lidar": True},
+    "results": {
+        "3e8750f331d7499e9b5123e9eb70f2e2": [
+            {"translation": [1.5, -2.0, 0.8], "size": [1.9, 4.5, 1.6], "rotation": [0.6, 0.0, 0.0, 0.8],
+             "velocity": [0.1, 0.0], "detection_name": "car", "detection_score": 0.75,
+             "attribute_name": "vehicle.moving"},
+            {"translation": [7, 3, 1], "size": [0.6, 0.7, 1.8], "rotation": [1, 0, 0, 0], "velocity": [0, 0],
+             "tracking_name": "pedestrian", "tracking_score": 0.5, "tracking_id": "17"},
+        ],
+        "empty": [],
+    },
+}  # fmt: skip
 BUILT = {build.__name__: build for build in small.BUILDERS}
 TARGETS: list[Target] = [
     *(Target(name, build, read_frame) for name, build in BUILT.items() if name not in ("record3d", "sunrgbd_scene")),
@@ -285,6 +300,8 @@ TARGETS: list[Target] = [
            lambda folder: read_labelcloud(folder) and None),
     Target("export_nuscenes", written_by(lambda out, items: write_nuscenes(out, items, CLASSES, Losses())),
            lambda folder: read_labels(BoxFormat.NUSCENES, folder) and None),
+    Target("nuscenes_results", lambda folder: (folder / "results.json").write_text(json.dumps(RESULTS)),
+           lambda folder: list(read_results(folder / "results.json")) and None),
     Target("export_sustechpoints", written_by(lambda out, items: write_sustechpoints(out, items, Losses())),
            lambda folder: read_labels(BoxFormat.SUSTECHPOINTS, folder) and None),
     Target("export_boxes",
