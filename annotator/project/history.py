@@ -3,13 +3,17 @@
 The log is append-only: an undo appends events that restore the state before an action, and is an action itself. So a
 redo is the undo of an undo. The order of an operator's actions determines both stacks: a new action empties the redo
 stack. Automatic passes, and imports by programs, are not actions and cannot be undone.
+
+An action may change several recordings. While one of them is removed from the project, undo and redo revert the part in
+the others. The part in the removed one keeps its place in its stack, and is offered when the recording is back. So the
+parts of such an action are undone, and redone, one after the other from then on.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 from sqlalchemy import Connection, select, true
@@ -75,12 +79,12 @@ class Step:
     Attributes:
         action: the action to revert: the original one, or its latest undo or redo.
         original: the operator's original action.
-        recording: id of the recording that it changed.
+        recordings: ids of the recordings in which it is to be reverted.
     """
 
     action: str
     original: str
-    recording: int
+    recordings: frozenset[int]
 
 
 @dataclass(frozen=True)
@@ -107,27 +111,46 @@ class _Stacks:
     """An operator's stacks after the event `last`.
 
     Attributes:
-        known: all actions so far.
+        known: the recordings of all actions so far.
     """
 
     last: int = 0
-    known: set[str] = field(default_factory=set)
+    known: dict[str, set[int]] = field(default_factory=dict)
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
 
     def add(self, action: str, undoes: str | None, recording: int) -> None:
-        """Updates both stacks with the operator's next action."""
+        """Updates both stacks with what the operator's latest action has changed in one more recording."""
+        is_new = action not in self.known
+        self.known.setdefault(action, set()).add(recording)
         if undoes is None:
-            self.undo.append(Step(action, action, recording))
-            self.redo.clear()
+            if is_new:
+                self.redo.clear()
+            _put(self.undo, Step(action, action, frozenset({recording})), is_new)
             return
         for source, target in ((self.undo, self.redo), (self.redo, self.undo)):
-            index = next((n for n in reversed(range(len(source))) if source[n].action == undoes), None)
+            index = _place(source, undoes)
             if index is not None:
-                target.append(Step(action, source[index].original, recording))
-                # the entries above were skipped, because other authors have changed their targets
-                del source[index:]
+                _put(target, Step(action, source[index].original, frozenset({recording})), is_new)
+                # the entries above were skipped: in this recording because others have changed their targets, in
+                # others perhaps because these are removed
+                above = (replace(step, recordings=step.recordings - {recording}) for step in source[index:])
+                source[index:] = [step for step in above if step.recordings]
                 return
+
+
+def _place(steps: Sequence[Step], action: str) -> int | None:
+    """The index of an action in a stack."""
+    return next((n for n in reversed(range(len(steps))) if steps[n].action == action), None)
+
+
+def _put(steps: list[Step], step: Step, is_new: bool) -> None:
+    """Adds a step on top, or, unless it is new, its recordings to the step of the same action."""
+    index = None if is_new else _place(steps, step.action)
+    if index is None:
+        steps.append(step)
+    else:
+        steps[index] = replace(step, recordings=steps[index].recordings | step.recordings)
 
 
 class History:
@@ -137,7 +160,8 @@ class History:
         self._writer = writer
         self._lock = threading.Lock()
         self._stacks_by_author: dict[str, _Stacks] = {}
-        self._words: dict[str, str] = {}
+        # by original action, then by the recordings in which it would be reverted
+        self._words: dict[str, dict[frozenset[int], str]] = {}
 
     def next(self, author: str) -> tuple[str | None, str | None]:
         """Descriptions of the operator's next undo and redo; None where the stack is empty."""
@@ -169,7 +193,7 @@ class History:
             if not steps:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
             for step in reversed(steps):
-                rows = _changes_of(connection, step.action)
+                rows = _changes_of(connection, step.action, step.recordings)
                 since = Since(connection)
                 payloads_by_frame = self._restoring_by_frame(connection, rows, since)
                 if not payloads_by_frame:
@@ -219,7 +243,7 @@ class History:
         return f"the class {gone[0]!r} was removed" if gone else None
 
     def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
-        """Both stacks as of the transaction; only events since the last call are read."""
+        """Both stacks as of the transaction, without removed recordings; only events since the last call are read."""
         with self._lock:
             stacks = self._stacks_by_author.setdefault(author, _Stacks())
             query = (
@@ -230,25 +254,26 @@ class History:
             )
             for row in connection.execute(query):
                 stacks.last = row.id
-                if row.action not in stacks.known:
-                    stacks.known.add(row.action)
+                # an action that is written in several calls has its place since the first
+                self._words.pop(row.action, None)
+                if row.recording_id not in stacks.known.get(row.action, ()):
                     stacks.add(row.action, row.undoes, row.recording_id)
-                else:
-                    # an action that is written in several calls has its place since the first
-                    self._words.pop(row.action, None)
             removed = removed_recordings(connection)
             undo, redo = (
-                [step for step in stack if step.recording not in removed] for stack in (stacks.undo, stacks.redo)
+                [replace(step, recordings=step.recordings - removed) for step in stack if step.recordings - removed]
+                for stack in (stacks.undo, stacks.redo)
             )
             return undo, redo
 
     def _description(self, connection: Connection, step: Step) -> str:
-        if step.original not in self._words:
-            self._words[step.original] = _action_words(connection, _changes_of(connection, step.original))
-        return self._words[step.original]
+        known = self._words.setdefault(step.original, {})
+        if step.recordings not in known:
+            known[step.recordings] = _action_words(connection, _changes_of(connection, step.original, step.recordings))
+        return known[step.recordings]
 
 
-def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
+def _changes_of(connection: Connection, action: str, recordings: Collection[int]) -> list[AnyRow]:
+    """What an action has changed in some recordings."""
     query = (
         select(
             events.c.id,
@@ -260,7 +285,8 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
             revertible.c.after,
         )
         .join(revertible, revertible.c.event_id == events.c.id)
-        .where(events.c.action == action)
+        .join(frames, frames.c.id == events.c.frame_id)
+        .where(events.c.action == action, frames.c.recording_id.in_(recordings))
         .order_by(events.c.id)
     )
     return list(connection.execute(query).all())
