@@ -34,6 +34,7 @@ from annotator.project.undo_state import (
     SOURCE,
     VALUES,
     VIEW,
+    AllowedValues,
     Since,
     present_state,
     read_state,
@@ -94,7 +95,8 @@ class Reverted:
     Attributes:
         frame_id: the frame; for several frames, the first one of the action.
         receipt: of that frame.
-        words: description of the action, such as "accept person (frame 000012)".
+        words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
+            could not be restored, because the project no longer allows these.
         original: the operator's original action.
         others: the other changed frames, each with its receipt.
     """
@@ -192,13 +194,15 @@ class History:
             steps = self._stacks(connection, author)[0 if is_undo else 1]
             if not steps:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
+            config = read_config(self._writer.folder)
             for step in reversed(steps):
                 rows = _changes_of(connection, step.action, step.recordings)
-                since = Since(connection)
-                payloads_by_frame = self._restoring_by_frame(connection, rows, since)
+                since, allowed = Since(connection), AllowedValues(config.attributes)
+                payloads_by_frame = _restoring_by_frame(connection, rows, since, config, allowed)
+                left_out = sorted(allowed.left_out)
                 if not payloads_by_frame:
                     continue
-                conflict = self._removed_class(payloads_by_frame) or _conflict(connection, rows, since)
+                conflict = _removed_class(payloads_by_frame, config) or _conflict(connection, rows, since, allowed)
                 if conflict is None:
                     break
                 if not skip:
@@ -223,24 +227,9 @@ class History:
             receipts = self._writer.to_frames_in(connection, parts)
             others = tuple(zip(list(payloads_by_frame)[1:], receipts[1:], strict=True))
             words = self._description(connection, step)
+            if left_out:
+                words += f"; without values that the project no longer allows: {', '.join(left_out)}"
             return Reverted(parts[0].frame_id, receipts[0], words, step.original, others)
-
-    def _restoring_by_frame(
-        self, connection: Connection, rows: Sequence[AnyRow], since: Since
-    ) -> dict[int, list[Payload]]:
-        """The events that revert an action, by frame in its order; frames with nothing to restore are omitted."""
-        by_frame: dict[int, list[AnyRow]] = {}
-        for row in rows:
-            by_frame.setdefault(row.frame_id, []).append(row)
-        config = read_config(self._writer.folder)
-        payloads = {id: _restoring(connection, part, since, config) for id, part in by_frame.items()}
-        return {frame_id: part for frame_id, part in payloads.items() if part}
-
-    def _removed_class(self, payloads_by_frame: dict[int, list[Payload]]) -> str | None:
-        """Says which class would be needed that the project no longer has, if any."""
-        used = {name for payloads in payloads_by_frame.values() for payload in payloads for name in payload.classes()}
-        gone = sorted(used - set(read_config(self._writer.folder).classes)) if used else []
-        return f"the class {gone[0]!r} was removed" if gone else None
 
     def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
         """Both stacks as of the transaction, without removed recordings; only events since the last call are read."""
@@ -292,12 +281,31 @@ def _changes_of(connection: Connection, action: str, recordings: Collection[int]
     return list(connection.execute(query).all())
 
 
-def _conflict(connection: Connection, rows: Sequence[AnyRow], since: Since) -> str | None:
+def _restoring_by_frame(
+    connection: Connection, rows: Sequence[AnyRow], since: Since, config: ProjectConfig, allowed: AllowedValues
+) -> dict[int, list[Payload]]:
+    """The events that revert an action, by frame in its order; frames with nothing to restore are omitted."""
+    by_frame: dict[int, list[AnyRow]] = {}
+    for row in rows:
+        by_frame.setdefault(row.frame_id, []).append(row)
+    payloads = {id: _restoring(connection, part, since, config, allowed) for id, part in by_frame.items()}
+    return {frame_id: part for frame_id, part in payloads.items() if part}
+
+
+def _removed_class(payloads_by_frame: dict[int, list[Payload]], config: ProjectConfig) -> str | None:
+    """Says which class would be needed that the project no longer has, if any."""
+    used = {name for payloads in payloads_by_frame.values() for payload in payloads for name in payload.classes()}
+    gone = sorted(used - set(config.classes))
+    return f"the class {gone[0]!r} was removed" if gone else None
+
+
+def _conflict(connection: Connection, rows: Sequence[AnyRow], since: Since, allowed: AllowedValues) -> str | None:
     """Describes a target that has changed since the action, and by whom; None if all are unchanged."""
     last_rows = {(row.frame_id, row.target): row for row in rows}
     for row in last_rows.values():
         present = read_state(connection, row.frame_id, row.target)
         after = present_state(since, row.frame_id, row.target, row.after, row.id)
+        present, after = (allowed.state(row.target, state) for state in (present, after))
         if not same_state(row.target, present, after):
             author, when = _last_change(connection, row)
             return f"{_target_name(row.target, row.after or row.before)} was changed by {author} since{when}"
@@ -329,7 +337,9 @@ def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
     return change.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
 
 
-def _restoring(connection: Connection, rows: Sequence[AnyRow], since: Since, config: ProjectConfig) -> list[Payload]:
+def _restoring(
+    connection: Connection, rows: Sequence[AnyRow], since: Since, config: ProjectConfig, allowed: AllowedValues
+) -> list[Payload]:
     """The events that restore each target of an action to its state before the action, the last target first.
 
     Targets that the action itself has restored, such as a label that it created and deleted, need no event.
@@ -340,7 +350,7 @@ def _restoring(connection: Connection, rows: Sequence[AnyRow], since: Since, con
     for target, row in first.items():
         if row.before == last[target].after and (row.before is None or target == FRAME):
             continue
-        state = present_state(since, row.frame_id, target, row.before, row.id)
+        state = allowed.state(target, present_state(since, row.frame_id, target, row.before, row.id))
         kind, _, name = target.partition(":")
         is_said = kind == SOURCE
         payloads.append(
