@@ -127,6 +127,10 @@ class Attribute(_Sparse):
         """Whether the boxes of a class have it."""
         return self.of is not AttributeOf.FRAME and (not self.classes or label in self.classes)
 
+    def has_same_values(self, other: Attribute | None) -> bool:
+        """Whether both differ at most in their keys, and in whether they are required."""
+        return other is not None and self == other.model_copy(update={"key": self.key, "required": self.required})
+
     def checked(self, value: AttributeValue) -> AttributeValue:
         """The value as it is stored.
 
