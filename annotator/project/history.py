@@ -19,6 +19,7 @@ from datetime import UTC, datetime
 from sqlalchemy import Connection, select, true
 
 from annotator.project.adjusting.adjustment import adjustment_of
+from annotator.project.classes.applying import made_changes
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import LabelState, Payload
 from annotator.project.events import Effort
@@ -331,10 +332,11 @@ def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
             events.c.frame_id == row.frame_id, events.c.id > row.id, events.c.action.is_(None), kinds
         )
         change = connection.execute(of_passes.order_by(events.c.id.desc()).limit(1)).first()
-    if change is None:
+    found = change or next(iter(made_changes(connection, row.id)[-1:]), None)
+    if found is None:
         return "another author", ""
-    moment = datetime.fromtimestamp(change.time_ns / 1e9, UTC)
-    return change.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
+    moment = datetime.fromtimestamp(found.time_ns / 1e9, UTC)
+    return found.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
 
 
 def _restoring(
