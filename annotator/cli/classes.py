@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import ValidationError
@@ -10,7 +13,7 @@ from tyro.conf import arg
 
 from annotator.cli.options import AsJson, ProjectName, Projects
 from annotator.cli.output import print_facts, print_json, print_line
-from annotator.cli.projects import open_named
+from annotator.cli.projects import open_named, projects_root
 from annotator.project import ProjectConfig
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
@@ -80,7 +83,9 @@ def rename(project: ProjectName, old: str, new: str, /, *, projects: Projects = 
 
 
 def merge(project: ProjectName, old: tuple[str, ...], /, *, into: str, projects: Projects = None) -> None:
-    """Give all boxes of some classes to another class, and remove these classes. A backup is made before.
+    """Give all boxes of some classes to another class, and remove these classes.
+
+    Undo does not take this back. A backup is made before.
 
     Args:
         old: names of the classes, or of boxes whose class was removed from project.json by hand.
@@ -235,9 +240,21 @@ def _change(
         print_line(line)
     if changed.backup is not None:
         print_line(f"backed up before: {changed.backup}")
+        command = _restoring(name, changed.backup, projects)
+        print_line(
+            f"undo does not take this back; to have the boxes and values of before in a second project: {command}"
+        )
     if show_classes:
         print_line(f"{name}: {', '.join(config.classes)}")
     return config
+
+
+def _restoring(name: str, backup: Path, projects: Path | None) -> str:
+    """The command that makes a second project of a backup."""
+    root = projects_root(projects)
+    other = next(free for n in count(1) if not (root / (free := f"{name[:40]}-before-{n}")).exists())
+    where = [] if projects is None else ["--projects", str(projects)]
+    return shlex.join(["annotator", "project", "restore", str(backup), other, *where])
 
 
 def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str) -> Iterator[str]:

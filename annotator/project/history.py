@@ -3,18 +3,23 @@
 The log is append-only: an undo appends events that restore the state before an action, and is an action itself. So a
 redo is the undo of an undo. The order of an operator's actions determines both stacks: a new action empties the redo
 stack. Automatic passes, and imports by programs, are not actions and cannot be undone.
+
+An action may change several recordings. While one of them is removed from the project, undo and redo revert the part in
+the others. The part in the removed one keeps its place in its stack, and is offered when the recording is back. So the
+parts of such an action are undone, and redone, one after the other from then on.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 from sqlalchemy import Connection, select, true
 
 from annotator.project.adjusting.adjustment import adjustment_of
+from annotator.project.classes.applying import made_changes
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import LabelState, Payload
 from annotator.project.events import Effort
@@ -30,6 +35,7 @@ from annotator.project.undo_state import (
     SOURCE,
     VALUES,
     VIEW,
+    AllowedValues,
     Since,
     present_state,
     read_state,
@@ -75,12 +81,12 @@ class Step:
     Attributes:
         action: the action to revert: the original one, or its latest undo or redo.
         original: the operator's original action.
-        recording: id of the recording that it changed.
+        recordings: ids of the recordings in which it is to be reverted.
     """
 
     action: str
     original: str
-    recording: int
+    recordings: frozenset[int]
 
 
 @dataclass(frozen=True)
@@ -90,7 +96,8 @@ class Reverted:
     Attributes:
         frame_id: the frame; for several frames, the first one of the action.
         receipt: of that frame.
-        words: description of the action, such as "accept person (frame 000012)".
+        words: description of the action, such as "accept person (frame 000012)", and the attributes of which values
+            could not be restored, because the project no longer allows these.
         original: the operator's original action.
         others: the other changed frames, each with its receipt.
     """
@@ -107,27 +114,46 @@ class _Stacks:
     """An operator's stacks after the event `last`.
 
     Attributes:
-        known: all actions so far.
+        known: the recordings of all actions so far.
     """
 
     last: int = 0
-    known: set[str] = field(default_factory=set)
+    known: dict[str, set[int]] = field(default_factory=dict)
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
 
     def add(self, action: str, undoes: str | None, recording: int) -> None:
-        """Updates both stacks with the operator's next action."""
+        """Updates both stacks with what the operator's latest action has changed in one more recording."""
+        is_new = action not in self.known
+        self.known.setdefault(action, set()).add(recording)
         if undoes is None:
-            self.undo.append(Step(action, action, recording))
-            self.redo.clear()
+            if is_new:
+                self.redo.clear()
+            _put(self.undo, Step(action, action, frozenset({recording})), is_new)
             return
         for source, target in ((self.undo, self.redo), (self.redo, self.undo)):
-            index = next((n for n in reversed(range(len(source))) if source[n].action == undoes), None)
+            index = _place(source, undoes)
             if index is not None:
-                target.append(Step(action, source[index].original, recording))
-                # the entries above were skipped, because other authors have changed their targets
-                del source[index:]
+                _put(target, Step(action, source[index].original, frozenset({recording})), is_new)
+                # the entries above were skipped: in this recording because others have changed their targets, in
+                # others perhaps because these are removed
+                above = (replace(step, recordings=step.recordings - {recording}) for step in source[index:])
+                source[index:] = [step for step in above if step.recordings]
                 return
+
+
+def _place(steps: Sequence[Step], action: str) -> int | None:
+    """The index of an action in a stack."""
+    return next((n for n in reversed(range(len(steps))) if steps[n].action == action), None)
+
+
+def _put(steps: list[Step], step: Step, is_new: bool) -> None:
+    """Adds a step on top, or, unless it is new, its recordings to the step of the same action."""
+    index = None if is_new else _place(steps, step.action)
+    if index is None:
+        steps.append(step)
+    else:
+        steps[index] = replace(step, recordings=steps[index].recordings | step.recordings)
 
 
 class History:
@@ -137,7 +163,8 @@ class History:
         self._writer = writer
         self._lock = threading.Lock()
         self._stacks_by_author: dict[str, _Stacks] = {}
-        self._words: dict[str, str] = {}
+        # by original action, then by the recordings in which it would be reverted
+        self._words: dict[str, dict[frozenset[int], str]] = {}
 
     def next(self, author: str) -> tuple[str | None, str | None]:
         """Descriptions of the operator's next undo and redo; None where the stack is empty."""
@@ -168,13 +195,15 @@ class History:
             steps = self._stacks(connection, author)[0 if is_undo else 1]
             if not steps:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
+            config = read_config(self._writer.folder)
             for step in reversed(steps):
-                rows = _changes_of(connection, step.action)
-                since = Since(connection)
-                payloads_by_frame = self._restoring_by_frame(connection, rows, since)
+                rows = _changes_of(connection, step.action, step.recordings)
+                since, allowed = Since(connection), AllowedValues(config.attributes)
+                payloads_by_frame = _restoring_by_frame(connection, rows, since, config, allowed)
+                left_out = sorted(allowed.left_out)
                 if not payloads_by_frame:
                     continue
-                conflict = self._removed_class(payloads_by_frame) or _conflict(connection, rows, since)
+                conflict = _removed_class(payloads_by_frame, config) or _conflict(connection, rows, since, allowed)
                 if conflict is None:
                     break
                 if not skip:
@@ -199,27 +228,12 @@ class History:
             receipts = self._writer.to_frames_in(connection, parts)
             others = tuple(zip(list(payloads_by_frame)[1:], receipts[1:], strict=True))
             words = self._description(connection, step)
+            if left_out:
+                words += f"; without values that the project no longer allows: {', '.join(left_out)}"
             return Reverted(parts[0].frame_id, receipts[0], words, step.original, others)
 
-    def _restoring_by_frame(
-        self, connection: Connection, rows: Sequence[AnyRow], since: Since
-    ) -> dict[int, list[Payload]]:
-        """The events that revert an action, by frame in its order; frames with nothing to restore are omitted."""
-        by_frame: dict[int, list[AnyRow]] = {}
-        for row in rows:
-            by_frame.setdefault(row.frame_id, []).append(row)
-        config = read_config(self._writer.folder)
-        payloads = {id: _restoring(connection, part, since, config) for id, part in by_frame.items()}
-        return {frame_id: part for frame_id, part in payloads.items() if part}
-
-    def _removed_class(self, payloads_by_frame: dict[int, list[Payload]]) -> str | None:
-        """Says which class would be needed that the project no longer has, if any."""
-        used = {name for payloads in payloads_by_frame.values() for payload in payloads for name in payload.classes()}
-        gone = sorted(used - set(read_config(self._writer.folder).classes)) if used else []
-        return f"the class {gone[0]!r} was removed" if gone else None
-
     def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
-        """Both stacks as of the transaction; only events since the last call are read."""
+        """Both stacks as of the transaction, without removed recordings; only events since the last call are read."""
         with self._lock:
             stacks = self._stacks_by_author.setdefault(author, _Stacks())
             query = (
@@ -230,25 +244,26 @@ class History:
             )
             for row in connection.execute(query):
                 stacks.last = row.id
-                if row.action not in stacks.known:
-                    stacks.known.add(row.action)
+                # an action that is written in several calls has its place since the first
+                self._words.pop(row.action, None)
+                if row.recording_id not in stacks.known.get(row.action, ()):
                     stacks.add(row.action, row.undoes, row.recording_id)
-                else:
-                    # an action that is written in several calls has its place since the first
-                    self._words.pop(row.action, None)
             removed = removed_recordings(connection)
             undo, redo = (
-                [step for step in stack if step.recording not in removed] for stack in (stacks.undo, stacks.redo)
+                [replace(step, recordings=step.recordings - removed) for step in stack if step.recordings - removed]
+                for stack in (stacks.undo, stacks.redo)
             )
             return undo, redo
 
     def _description(self, connection: Connection, step: Step) -> str:
-        if step.original not in self._words:
-            self._words[step.original] = _action_words(connection, _changes_of(connection, step.original))
-        return self._words[step.original]
+        known = self._words.setdefault(step.original, {})
+        if step.recordings not in known:
+            known[step.recordings] = _action_words(connection, _changes_of(connection, step.original, step.recordings))
+        return known[step.recordings]
 
 
-def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
+def _changes_of(connection: Connection, action: str, recordings: Collection[int]) -> list[AnyRow]:
+    """What an action has changed in some recordings."""
     query = (
         select(
             events.c.id,
@@ -260,18 +275,38 @@ def _changes_of(connection: Connection, action: str) -> list[AnyRow]:
             revertible.c.after,
         )
         .join(revertible, revertible.c.event_id == events.c.id)
-        .where(events.c.action == action)
+        .join(frames, frames.c.id == events.c.frame_id)
+        .where(events.c.action == action, frames.c.recording_id.in_(recordings))
         .order_by(events.c.id)
     )
     return list(connection.execute(query).all())
 
 
-def _conflict(connection: Connection, rows: Sequence[AnyRow], since: Since) -> str | None:
+def _restoring_by_frame(
+    connection: Connection, rows: Sequence[AnyRow], since: Since, config: ProjectConfig, allowed: AllowedValues
+) -> dict[int, list[Payload]]:
+    """The events that revert an action, by frame in its order; frames with nothing to restore are omitted."""
+    by_frame: dict[int, list[AnyRow]] = {}
+    for row in rows:
+        by_frame.setdefault(row.frame_id, []).append(row)
+    payloads = {id: _restoring(connection, part, since, config, allowed) for id, part in by_frame.items()}
+    return {frame_id: part for frame_id, part in payloads.items() if part}
+
+
+def _removed_class(payloads_by_frame: dict[int, list[Payload]], config: ProjectConfig) -> str | None:
+    """Says which class would be needed that the project no longer has, if any."""
+    used = {name for payloads in payloads_by_frame.values() for payload in payloads for name in payload.classes()}
+    gone = sorted(used - set(config.classes))
+    return f"the class {gone[0]!r} was removed" if gone else None
+
+
+def _conflict(connection: Connection, rows: Sequence[AnyRow], since: Since, allowed: AllowedValues) -> str | None:
     """Describes a target that has changed since the action, and by whom; None if all are unchanged."""
     last_rows = {(row.frame_id, row.target): row for row in rows}
     for row in last_rows.values():
         present = read_state(connection, row.frame_id, row.target)
         after = present_state(since, row.frame_id, row.target, row.after, row.id)
+        present, after = (allowed.state(row.target, state) for state in (present, after))
         if not same_state(row.target, present, after):
             author, when = _last_change(connection, row)
             return f"{_target_name(row.target, row.after or row.before)} was changed by {author} since{when}"
@@ -297,13 +332,16 @@ def _last_change(connection: Connection, row: AnyRow) -> tuple[str, str]:
             events.c.frame_id == row.frame_id, events.c.id > row.id, events.c.action.is_(None), kinds
         )
         change = connection.execute(of_passes.order_by(events.c.id.desc()).limit(1)).first()
-    if change is None:
+    found = change or next(iter(made_changes(connection, row.id)[-1:]), None)
+    if found is None:
         return "another author", ""
-    moment = datetime.fromtimestamp(change.time_ns / 1e9, UTC)
-    return change.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
+    moment = datetime.fromtimestamp(found.time_ns / 1e9, UTC)
+    return found.author, f" ({moment:%Y-%m-%d %H:%M:%S} UTC)"
 
 
-def _restoring(connection: Connection, rows: Sequence[AnyRow], since: Since, config: ProjectConfig) -> list[Payload]:
+def _restoring(
+    connection: Connection, rows: Sequence[AnyRow], since: Since, config: ProjectConfig, allowed: AllowedValues
+) -> list[Payload]:
     """The events that restore each target of an action to its state before the action, the last target first.
 
     Targets that the action itself has restored, such as a label that it created and deleted, need no event.
@@ -314,7 +352,7 @@ def _restoring(connection: Connection, rows: Sequence[AnyRow], since: Since, con
     for target, row in first.items():
         if row.before == last[target].after and (row.before is None or target == FRAME):
             continue
-        state = present_state(since, row.frame_id, target, row.before, row.id)
+        state = allowed.state(target, present_state(since, row.frame_id, target, row.before, row.id))
         kind, _, name = target.partition(":")
         is_said = kind == SOURCE
         payloads.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -159,7 +159,7 @@ class Project:
         payload = ClassesChanged(
             names=new.classes, styles=new.class_styles, attributes=new.attributes, change=made.change
         )
-        with with_removed(connection):
+        with with_removed(connection) if _concerns_labels(old, made) else nullcontext():
             self._writer.to_classes_in(connection, payload, author)
             if removed := sorted(set(class_counts(connection)) & set(old.classes) - set(new.classes)):
                 raise ProjectError(
@@ -215,6 +215,16 @@ class Project:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _concerns_labels(old: ProjectConfig, made: ClassEdit) -> bool:
+    """Whether a change needs the stored labels: it changes them, or requires that they fit it."""
+    before = {each.name: each for each in old.attributes}
+    return (
+        made.change != Relabelling()
+        or not set(old.classes) <= set(made.config.classes)
+        or not all(each.has_same_values(before.get(each.name)) for each in made.config.attributes)
+    )
 
 
 def create_project(

@@ -17,7 +17,7 @@ from annotator.geometry.oriented_box import same_box
 from annotator.project.adjusting.adjustment import adjustment_json, adjustment_of, read_adjustment
 from annotator.project.adjusting.moving import Moves, moved_label, moved_said, moved_view
 from annotator.project.classes.applying import ClassChanges, frame_values, values_of
-from annotator.project.classes.attributes import values_json
+from annotator.project.classes.attributes import Attribute, AttributeOf, fitting, values_json
 from annotator.project.event_types import (
     ClassesChanged,
     FrameAttributesSet,
@@ -54,7 +54,9 @@ from annotator.project.records import (
 from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
+from annotator.types.label import AttributeValue
 
+Values = dict[str, AttributeValue]
 LABEL, IMAGE, VIEW, FRAME, RECORDING = "label", "image", "view", "frame", "recording"
 VALUES, SOURCE = "values", "source"
 FINALISED = "finalised"
@@ -178,6 +180,41 @@ def present_state(since: Since, frame_id: int | None, target: str, state: str | 
     if kind == SOURCE:
         return said_json(moved_said(said_of(state), T))
     return moved_label(state, T) if kind == LABEL else moved_view(state, T)
+
+
+class AllowedValues:
+    """The values that the attributes of a project allow now; older states may have others.
+
+    Attributes:
+        left_out: names of the attributes of which `state` has left out values.
+    """
+
+    def __init__(self, attributes: Sequence[Attribute]) -> None:
+        self._attributes = attributes
+        self.left_out = set[str]()
+
+    def state(self, target: str, state: str | None) -> str | None:
+        """A state, as `present_state` returns it, with these values only."""
+        kind = target.partition(":")[0]
+        if state is None or kind not in (LABEL, VALUES, SOURCE):
+            return state
+        if kind == VALUES:
+            values = self._of([each for each in self._attributes if each.of is AttributeOf.FRAME], values_of(state))
+            return values_json(values) if values else None
+        if kind == SOURCE:
+            said = said_of(state)
+            return said_json(tuple(each.model_copy(update=self._of_label(each)) for each in said))
+        label = parsed(LabelState.model_validate_json, state)
+        return label.model_copy(update=self._of_label(label)).model_dump_json()
+
+    def _of_label(self, label: LabelState | SaidRecord) -> dict[str, Values]:
+        of_label = [each for each in self._attributes if each.is_of(label.label)]
+        return {"attributes": self._of(of_label, label.attributes)}
+
+    def _of(self, attributes: Sequence[Attribute], values: Values) -> Values:
+        kept = fitting(attributes, values)
+        self.left_out |= values.keys() - kept.keys()
+        return kept
 
 
 def same_state(target: str, a: str | None, b: str | None) -> bool:

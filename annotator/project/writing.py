@@ -11,7 +11,7 @@ from sqlalchemy import Connection, func, select
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project.classes.attributes import Attribute
-from annotator.project.classes.completing import completed
+from annotator.project.classes.completing import completed, restored
 from annotator.project.config import read_config
 from annotator.project.derived import apply_event
 from annotator.project.event_types import (
@@ -201,8 +201,10 @@ class Writer:
         appended: list[Event] = []
         for revision, payload in enumerate(payloads, context.revision + 1):
             whole = _completed(connection, payload)
-            if context.undoes is None:  # a state that is restored keeps its values
+            if context.undoes is None:
                 whole = completed(connection, attributes, frame_id, whole)
+            else:
+                whole = restored(attributes, whole)
             content, stored = _encoded(where, whole)
             event = insert_event(
                 connection,

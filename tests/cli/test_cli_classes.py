@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -101,3 +102,17 @@ def test_what_cannot_be_done_is_refused_with_the_way_out(
     assert main(["classes", *words.split()]) == 2
     assert problem in capsys.readouterr().err
     assert (cars / "project.json").read_text() == before
+
+
+@pytest.mark.parametrize("words", ["merge cars car --into van", "remove cars car --with-boxes"])
+def test_the_printed_command_brings_back_what_was_merged_or_removed(
+    cars: Path, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("ANNOTATOR_PROJECTS")
+    (cars.parent / "cars-before-1").mkdir()
+    assert main(["classes", *words.split(), "--projects", str(cars.parent)]) == 0
+    told = next(line for line in capsys.readouterr().out.splitlines() if "undo does not take this back" in line)
+    assert main(shlex.split(told.partition(": annotator ")[2])) == 0
+    with open_project(cars.parent / "cars-before-2") as project:
+        assert project.config.classes == ("car", "van")
+        assert [label.label for label in project.labels.of_frame(1)] == ["car"]

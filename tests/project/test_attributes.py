@@ -245,13 +245,13 @@ def test_a_class_in_use_is_removed_only_with_its_boxes(project: Project, frame: 
     with pytest.raises(ProjectError, match="'person' cannot be removed while boxes use it"):
         project.configure(classes=["hand"])
     assert set(labels(project)) == {kept, removed}
-    project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
+    project.change_classes(lambda config: edit.remove_class(config, "person"), "bea")
     assert set(labels(project)) == {kept}
     before = state_of(project)
     project.log.rebuild()
     assert state_of(project) == before
     project.history.undo("ann")
-    with pytest.raises(HistoryError, match="the person label was changed"):
+    with pytest.raises(HistoryError, match="the person label was changed by bea since"):
         project.history.undo("ann")
 
 

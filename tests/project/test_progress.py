@@ -283,3 +283,26 @@ def test_a_damaged_box_is_reported(shift: Shift) -> None:
         connection.execute(text("UPDATE labels SET box = '{' WHERE id = 1"))
     with pytest.raises(ProjectError, match="damaged: one of its rows cannot be read"):
         shift.project.statistics()
+
+
+def test_the_statistics_follow_frames_that_are_exchanged_for_as_many_others(tmp_path: Path) -> None:
+    shift = Shift(tmp_path, frames=3)
+
+    def frames() -> tuple[int, int]:
+        forecast = shift.progress()["forecast"]
+        return forecast["frames_done"], forecast["frames_left"]
+
+    with shift.project as project:
+        take, other_keys = project.recordings.all()[0], ["a", "b", "c"]
+        project.labels.create(shift.frames[0], [NewLabel("hand", box_at())], shift.by(shift.frames[0]))
+        other = project.recordings.add(tmp_path / "other", "rgbd", "other", other_keys, True)
+        project.recordings.remove(other.id, "bea")
+        assert frames() == (1, 2)
+        project.recordings.rescan(other.id, other_keys)
+        project.recordings.remove(take.id, "bea")
+        assert frames() == (0, 3)
+        project.recordings.rescan(take.id, ["000", "001", "002"])
+        project.recordings.remove(other.id, "bea")
+        assert frames() == (1, 2)
+        project.recordings.rescan(take.id, ["001", "002", "003"])
+        assert frames() == (0, 3)

@@ -11,6 +11,8 @@ from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind, ClassStyle
+from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import list_frames, read_page
 from annotator.types import BoxKind, Correction
 from annotator.types.errors import NotFoundError, ProjectError
@@ -108,6 +110,40 @@ def test_labels_of_a_removed_recording_follow_a_changed_class(
     assert verify(project.path, deep=True).problems == ()
     project.recordings.rescan(recording.id, KEYS)
     assert [entry.label.label for entry in project.labels.select()] == ["palm", "palm", "person"]
+    assert verify(project.path, deep=True).problems == ()
+
+
+def test_a_change_of_looks_leaves_what_is_hidden_alone(
+    project: Project, recording: StoredRecording, other: StoredRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = Attribute(name="size", kind=AttributeKind.INTEGER, default=1)
+    project.change_classes(lambda config: edit.put_attribute(config, size), "ann")
+    last = project.frames.of()[-1]
+    (label,) = project.labels.of_frame(last.id)
+    project.labels.set_attributes(last.id, label.uid, {"size": None}, by_hand(last.revision))
+    project.recordings.remove(recording.id, "ann")
+    looks = (
+        lambda config: edit.style_class(config, "hand", ClassStyle(colour="#3366ff", key="h")),
+        lambda config: edit.put_attribute(config, size.model_copy(update={"key": "s", "required": True})),
+        lambda config: edit.add_class(config, "foot"),
+    )
+    others = (
+        lambda config: edit.put_attribute(config, size.model_copy(update={"default": 2})),
+        lambda config: edit.put_attribute(config, size.model_copy(update={"maximum": 0.0, "default": None})),
+        lambda config: ClassEdit(edit.with_classes(config, ["person"])),
+    )
+    with monkeypatch.context() as patched:
+        patched.setattr("annotator.project.tidying.removed.show_again", lambda *_: pytest.fail("rows were moved"))
+        for change in looks:
+            project.change_classes(change, "ann")
+        # no value comes back
+        assert project.labels.get(label.uid).label.attributes == {}
+        for change in others:
+            with pytest.raises(pytest.fail.Exception):
+                project.change_classes(change, "ann")
+    for change in others[1:]:
+        with pytest.raises(ProjectError, match=r"would not fit|cannot be removed"):
+            project.change_classes(change, "ann")
     assert verify(project.path, deep=True).problems == ()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from typing import Annotated, Any
 
@@ -127,6 +127,10 @@ class Attribute(_Sparse):
         """Whether the boxes of a class have it."""
         return self.of is not AttributeOf.FRAME and (not self.classes or label in self.classes)
 
+    def has_same_values(self, other: Attribute | None) -> bool:
+        """Whether both differ at most in their keys, and in whether they are required."""
+        return other is not None and self == other.model_copy(update={"key": self.key, "required": self.required})
+
     def checked(self, value: AttributeValue) -> AttributeValue:
         """The value as it is stored.
 
@@ -195,6 +199,12 @@ class Attribute(_Sparse):
     def _is_within(self, value: int | float) -> bool:
         above = self.minimum is None or value >= self.minimum
         return above and (self.maximum is None or value <= self.maximum)
+
+
+def fitting(attributes: Iterable[Attribute], values: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
+    """The values, which may be older than the schema, that still fit."""
+    known = {each.name: each for each in attributes}
+    return {name: value for name, value in values.items() if name in known and known[name].fits(value)}
 
 
 def values_json(values: Mapping[str, AttributeValue]) -> str:

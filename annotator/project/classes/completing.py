@@ -8,8 +8,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, select
 
-from annotator.project.classes.applying import values_of
-from annotator.project.classes.attributes import Attribute, AttributeOf
+from annotator.project.classes.applying import frame_values, values_of
+from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
 from annotator.project.event_types import (
     FrameAttributesSet,
     LabelAttributesSet,
@@ -48,7 +48,11 @@ def completed(
     match payload:
         case FrameAttributesSet():
             of_frames = [each for each in attributes if each.of is AttributeOf.FRAME]
-            return payload.model_copy(update={"attributes": _checked(of_frames, payload.attributes, "a frame")})
+            # values that stay as they are may be older than the schema
+            present = frame_values(connection, frame_id)
+            new = {key: value for key, value in payload.attributes.items() if not _is_same(value, present.get(key))}
+            checked = _checked(of_frames, new, "a frame")
+            return payload.model_copy(update={"attributes": payload.attributes | checked})
         case LabelAttributesSet():
             name = _present(connection, payload.uid).label
             new = {key: value for key, value in payload.attributes.items() if value is not None}
@@ -58,7 +62,7 @@ def completed(
             of_label = [each for each in attributes if each.is_of(payload.label)]
             given: Values
             if isinstance(payload, LabelProposed) or payload.origin is Origin.COPIED:
-                given = _fitting(of_label, payload.attributes)
+                given = fitting(of_label, payload.attributes)
             else:
                 given = _checked(of_label, payload.attributes, payload.label)
             of_track = _of_tracks(connection, attributes, frame_id, [payload.track_id])
@@ -87,13 +91,27 @@ def completed(
             groups = []
             for (shown, *others), track_id in zip(payload.objects, ids, strict=True):
                 of_label = [each for each in attributes if each.is_of(shown.label)]
-                given = _fitting(of_label, shown.attributes)
+                given = fitting(of_label, shown.attributes)
                 values = _new_values(of_label, tracks.get(track_id, {}), given)
                 groups.append((shown.model_copy(update={"attributes": values}), *others))
             return payload.model_copy(update={"objects": tuple(groups)})
         case LabelEdited() | LabelTracked() if attributes:
             return payload.model_copy(update={"attributes": _after_edit(connection, attributes, frame_id, payload)})
     return payload
+
+
+def restored(attributes: Sequence[Attribute], payload: Payload) -> Payload:
+    """An event of an undo: proposals that it shows again have no values that the schema no longer allows.
+
+    Other states that undo restores are without these already (`undo_state.AllowedValues`).
+    """
+    if not isinstance(payload, ProposalsImported):
+        return payload
+    groups = []
+    for shown, *others in payload.objects:
+        values = fitting([each for each in attributes if each.is_of(shown.label)], shown.attributes)
+        groups.append((shown.model_copy(update={"attributes": values}), *others))
+    return payload.model_copy(update={"objects": tuple(groups)})
 
 
 class ValueReader:
@@ -127,12 +145,6 @@ class ValueReader:
             except ValueError as error:
                 self.left_out[str(error)] += 1
         return read
-
-
-def _fitting(of_label: Sequence[Attribute], values: Mapping[str, AttributeValue]) -> Values:
-    """The values carried from another label, which may be older than the schema, that still fit."""
-    known = {each.name: each for each in of_label}
-    return {name: value for name, value in values.items() if name in known and known[name].fits(value)}
 
 
 def _after_edit(
@@ -178,6 +190,11 @@ def _checked(attributes: Iterable[Attribute], values: Mapping[str, AttributeValu
         return {name: known[name].checked(value) for name, value in values.items()}
     except ValueError as error:
         raise ProjectError(f"{what}: {error}") from error
+
+
+def _is_same(a: AttributeValue, b: AttributeValue | None) -> bool:
+    """Whether values are equal, and of the same type: true is not 1."""
+    return type(a) is type(b) and a == b
 
 
 def _present(connection: Connection, uid: str) -> AnyRow:

@@ -52,7 +52,7 @@ def require_fitting(connection: Connection, before: Sequence[Attribute], after: 
         ProjectError: the message names an attribute, and how many of its values do not fit.
     """
     for attribute in after:
-        if attribute in before:
+        if any(attribute.has_same_values(each) for each in before):
             continue
         wrong = list(_misfits(connection, attribute))
         if wrong:

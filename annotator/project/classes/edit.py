@@ -116,7 +116,9 @@ def remove_class(config: ProjectConfig, name: str) -> ClassEdit:
 
 
 def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = False) -> ClassEdit:
-    """Adds an attribute, or changes the one of this name; boxes without a value get its default.
+    """Adds an attribute, or changes the one of this name.
+
+    Boxes without a value get its default, unless only its key changes, or whether it is required.
 
     Args:
         drop: remove stored values that do not fit.
@@ -131,8 +133,9 @@ def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = F
             f"attribute {attribute.name} belongs to a {before.of}; its values cannot move to a {attribute.of}; remove "
             "it first, or choose another name"
         )
-    of_boxes = attribute.of is not AttributeOf.FRAME
-    filled = () if attribute.default is None or not of_boxes else (_filled(attribute),)
+    is_other_look = before not in (None, attribute) and attribute.has_same_values(before)
+    fills = attribute.default is not None and attribute.of is not AttributeOf.FRAME and not is_other_look
+    filled = (_filled(attribute),) if fills else ()
     change = Relabelling(filled=filled, fitted=(attribute,) if drop else ())
     return ClassEdit(_with(config, attributes=tuple((known | {attribute.name: attribute}).values())), change)
 

@@ -18,6 +18,7 @@ from annotator.project.progress.pace import Pace, pace_of
 from annotator.project.progress.quality import ProposalQuality, quality_of
 from annotator.project.progress.reviewed import read_reviewed
 from annotator.project.schema import events, frame_results, frames
+from annotator.project.tidying.removed import removed_recordings
 
 
 class Progress(BaseModel):
@@ -61,7 +62,7 @@ class ReviewReader:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._known: tuple[tuple[int | None, ...], Review] | None = None
+        self._known: tuple[tuple[object, ...], Review] | None = None
 
     def read(self, connection: Connection) -> Review:
         """The results of the transaction's moment.
@@ -69,10 +70,11 @@ class ReviewReader:
         Raises:
             ProjectError: a row is damaged.
         """
-        # labels and finalised frames change with events only; scans change the frames, passes the results
-        present = select(func.count()).where(frames.c.position.is_not(None))
+        # labels and finalised frames change with events and removed recordings; scans change the frames, passes the
+        # results
+        present = select(func.group_concat(frames.c.id)).where(frames.c.position.is_not(None))
         newest = [select(func.max(table.c.id)) for table in (events, frame_results)]
-        key = tuple(connection.execute(query).scalar() for query in (*newest, present))
+        key = (*(connection.execute(query).scalar() for query in (*newest, present)), removed_recordings(connection))
         with self._lock:
             if self._known is None or self._known[0] != key:
                 self._known = (key, _read(connection))

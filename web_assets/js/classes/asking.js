@@ -4,7 +4,8 @@ import { openDialog } from "../dialogs.js";
 import { count, h } from "../dom.js";
 
 const ONLY_BACKUP =
-  "Undo does not bring this back. The project is backed up before; only that backup (annotator project restore) does.";
+  "Undo does not bring this back. The server makes a backup just before: .backups/PROJECT/TIME-before-classes.zip " +
+  "in the folder of projects. `annotator project restore FILE OTHER` makes a second project of it.";
 
 /**
  * The boxes of a class in words.
