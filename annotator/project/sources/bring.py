@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Collection, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, exists, func, select
@@ -127,6 +128,32 @@ def said_again(
     present = {each.uid for content in staying for each in said_of(content)}
     known = [each for each in said if each.label in config.classes and each.uid not in present]
     return _Open.of(connection, frame_id, config.classes, kept).after(source, known, [])
+
+
+def without_classes(
+    connection: Connection, removed: Collection[str], config: ProjectConfig
+) -> Iterator[tuple[int, ProposalsImported]]:
+    """Yields the event that shows other sources' boxes where one of a class that is about to be removed is shown.
+
+    Args:
+        config: of the project, before the change.
+
+    Yields:
+        Frame id and event.
+    """
+    staying = [name for name in config.classes if name not in removed]
+    gone = (labels.c.state == ReviewState.PROPOSED.value) & labels.c.label.in_(removed)
+    query = select(labels.c.frame_id, labels.c.uid, labels.c.said).where(gone, labels.c.said.is_not(None))
+    shown: dict[int, set[str]] = defaultdict(set)
+    for frame_id, uid, content in connection.execute(query.order_by(labels.c.frame_id)):
+        if any(each.label in staying for each in said_of(content)):
+            shown[frame_id].add(uid)
+    for frame_id, uids in shown.items():
+        kept = kept_proposals(connection, config.attributes, frame_id) - uids
+        proposed = _Open.of(connection, frame_id, staying, kept)
+        ours = [each for each in proposed.ours if each.label not in removed]
+        hidden = [each for each in proposed.others if each.source == OWN]
+        yield frame_id, _Open(proposed.others, ours, kept).after(OWN, hidden, [])
 
 
 def _staying(connection: Connection, frame_id: int, kept: Collection[str]) -> list[Label]:
