@@ -15,7 +15,7 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import Importer, match_frames, within_range
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.importing.label_set import FoundInProject, ProposalSet, ScoreRange
+from annotator.workflows.importing.label_set import FoundInProject, HasUnseen, ProposalSet, ScoreRange
 
 # Longest name of a source, characters.
 MOST_NAME = 200
@@ -34,9 +34,10 @@ class ImportedProposals:
         merged: number of these that other sources see as well, or our own proposals.
         covered: boxes that reviewed labels cover already.
         unsure: boxes with a score below the minimum.
+        rejected: boxes left out because somebody has rejected them.
         other_classes: boxes left out because the project has no such class, by class of the file.
         finalised: number of frames left unchanged because they are finalised.
-        unmatched, unreadable, renamed, values: as in `ImportedLabels`.
+        unmatched, unreadable, renamed, values, unseen: as in `ImportedLabels`.
         scaled: the range of the scores if they are not confidences; it was scaled to 0..1.
     """
 
@@ -46,6 +47,7 @@ class ImportedProposals:
     merged: int = 0
     covered: int = 0
     unsure: int = 0
+    rejected: int = 0
     other_classes: Counter[str] = field(default_factory=Counter)
     finalised: int = 0
     unmatched: tuple[str, ...] = ()
@@ -53,6 +55,7 @@ class ImportedProposals:
     renamed: Renamed | None = None
     scaled: ScoreRange | None = None
     values: Counter[str] = field(default_factory=Counter)
+    unseen: int = 0
 
 
 def import_proposals(
@@ -97,6 +100,7 @@ def import_proposals(
         if progress is not None:
             progress(number, len(frames.matched))
     reader.store()
+    done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
     return done
 
 
@@ -137,6 +141,7 @@ class _Importer:
         except FrameError as error:
             self._done.unreadable.append(f"{stored.key}: {error}")
             return
+        self._done.rejected += self._dataset.left_out_of(name).rejected
         self._waiting[stored.id] = self._chosen(truths, stored.recording_id)
         if len(self._waiting) >= MOST_FRAMES or sum(map(len, self._waiting.values())) >= MOST_BOXES:
             self.store()

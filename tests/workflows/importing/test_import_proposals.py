@@ -77,8 +77,10 @@ def test_proposals_of_an_rcv_export_come_in_and_rejected_boxes_do_not(
     for format in (ExportFormat.RCV, ExportFormat.OPENLABEL):
         export_project(people, tmp_path / format, format, choose=every)
         other = make_project(generated / "people")
-        done = import_proposals(other, read_labels(format_of(tmp_path / format), tmp_path / format))  # type: ignore[arg-type]
-        assert done.proposals == {"person": 1}
+        dataset = read_labels(format_of(tmp_path / format), tmp_path / format)  # type: ignore[arg-type]
+        done = import_proposals(other, dataset)
+        assert (done.proposals, done.rejected) == ({"person": 1}, 1)
+        assert dataset.classes(dataset.frames[0]) == ["person"]
         assert [entry.label.score for entry in other.labels.select()] == [0.4]
 
 
