@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from annotator.project import NewLabel, Project, StoredFrame
 from annotator.project.classes.completing import ValueReader
 from annotator.project.records import OWN
+from annotator.project.sources.bring import SourceTracks
 from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource
@@ -166,17 +167,18 @@ class _Importer:
         self._done.other_classes.update(
             before.label for before, after in zip(sure, named, strict=True) if after.label not in self._classes
         )
-        return [
-            NewLabel(
-                each.label,
-                each.box,
-                None if self._scores is None else self._scores.confidence(each.score),
-                self._track(recording_id, each.track_id),
-                box_kind=each.box_kind,
-                attributes=self._values.of_label(each.label, each.attributes),
-            )
-            for _, each in known
-        ]
+        return [self._label(each, self._track(recording_id, each.track_id)) for _, each in known]
+
+    def _label(self, truth: Truth, track_id: int | None) -> NewLabel:
+        return NewLabel(
+            truth.label,
+            truth.box,
+            None if self._scores is None else self._scores.confidence(truth.score),
+            track_id,
+            box_kind=truth.box_kind,
+            attributes=self._values.of_label(truth.label, truth.attributes),
+            file_track_id=None if truth.track_id == track_id else truth.track_id,
+        )
 
     def _is_unsure(self, truth: Truth) -> bool:
         return self._min_score is not None and truth.score is not None and truth.score < self._min_score
@@ -185,17 +187,20 @@ class _Importer:
         if track_id is None:
             return None
         if recording_id not in self._tracks:
-            self._tracks[recording_id] = _Tracks(self._project.proposals.used_tracks(recording_id, self._source))
+            self._tracks[recording_id] = _Tracks(self._project.proposals.source_tracks(recording_id, self._source))
         return self._tracks[recording_id].of(track_id)
 
 
 class _Tracks:
-    """Track ids of a source in a recording: as in its file, unless other labels or tracks of the file use them."""
+    """Track ids of a source in a recording: as in its file, unless other labels or tracks of the file use them.
 
-    def __init__(self, used: frozenset[int]) -> None:
-        self._used = set(used)
-        self._next = max(used, default=0) + 1
-        self._given: dict[int, int] = {}
+    A later file of the source gets the same ids for the same tracks.
+    """
+
+    def __init__(self, known: SourceTracks) -> None:
+        self._used = set(known.used)
+        self._next = max(known.used, default=0) + 1
+        self._given = dict(known.given)
 
     def of(self, track_id: int) -> int:
         if track_id not in self._given:
