@@ -6,14 +6,15 @@
 A simulated operator (`review_operator`) does what the Review page offers, and a keystroke-level model (`keystrokes`)
 says how long that takes. Of a recording, ten frames teach both detectors, and the others are reviewed. Of a project,
 the frames without reviewed boxes are. The rows are
-- `proposals`: what the project's detectors propose,
+- `proposals`: what the project's detectors propose. With few reviewed objects on held-out frames, its training leaves
+  the base detector in use, and the row equals the next one,
 - `base_detector`: the same with the base detector in place of the project's view detector,
 - `from_nothing`: no proposals and no taught detector: each object is drawn, and followed,
 - `peers`: boxes drawn with other tools, walked through (`review_peers`).
 
 Each row is reviewed frame by frame, and with contact sheets of tracks; the cheaper way gives the row's figures. An
 object without a right box at the end counts as missed, a reviewed box that is right for no object as wrong. Waiting is
-measured on this computer, and is part of the seconds.
+measured on this computer, and is part of the seconds. `view_detectors` names what measured the boxes of a row.
 """
 
 from __future__ import annotations
@@ -34,12 +35,13 @@ from annotator.detection.progress import TrainingProgress
 from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError
+from annotator.workflows.detectors import view_model
 from benchmarks.keystrokes import Bill
 from benchmarks.report import Table, finish, guarded
 from benchmarks.review_moves import shaky
 from benchmarks.review_operator import Operator
 from benchmarks.review_peers import peers
-from benchmarks.review_projects import copied, is_project, propose, teach, without_labels
+from benchmarks.review_projects import copied, is_project, measured_by, propose, teach, without_labels
 
 PARTS = ("proposals", "base_detector", "from_nothing", "peers")
 # Whether contact sheets are used, by name.
@@ -115,12 +117,12 @@ def _row(args: Arguments, part: str, project: Path, folder: Path) -> dict[str, A
     if part == "peers":
         return _peers(args, project, folder)
     ways: dict[str, dict[str, Any]] = {}
-    with _prepared(part, project, folder) as prepared:
+    with _prepared(part, project, folder) as (prepared, detectors):
         for way in WAYS:
             with copied(prepared, folder, f"{part}-{way}") as copy:
                 ways[way] = _reviewed(args, copy, way)
     best = min(ways, key=lambda way: ways[way]["seconds_per_box"])
-    return {"way": best, **ways[best], "ways": ways}
+    return {"view_detectors": detectors, "way": best, **ways[best], "ways": ways}
 
 
 def _peers(args: Arguments, path: Path, folder: Path) -> dict[str, Any]:
@@ -133,14 +135,15 @@ def _peers(args: Arguments, path: Path, folder: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _prepared(part: str, path: Path, folder: Path) -> Iterator[Path]:
-    """A project with what is to be reviewed."""
+def _prepared(part: str, path: Path, folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """A project with what is to be reviewed, and the names of the view detectors that measure it."""
     with copied(path, folder, part) as project:
         if part == "from_nothing":
             without_labels(project)
         elif part == "base_detector" or not project.labels.count([ReviewState.PROPOSED]):
             propose(project, with_base=part == "base_detector")
-    yield folder / part
+        detectors = [view_model(project).described] if part == "from_nothing" else measured_by(project)
+    yield folder / part, detectors
 
 
 def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
@@ -193,17 +196,17 @@ def _effort(bill: Bill) -> dict[str, float]:
 def main() -> None:
     args = tyro.cli(Arguments, description=__doc__, config=(tyro.conf.EnumChoicesFromValues,))
     result = run(args)
-    table = Table("row", "way", "boxes", "actions a box", "s a box", "of it waiting", "failures")
+    table = Table("row", "measured by", "way", "boxes", "actions a box", "s a box", "of it waiting", "failures")
     kinds = Table("row", "way", "what was done", "times")
     tracks = Table("row", "way", "class", "track", "boxes", "actions", "seconds")
     for part, row in result.items():
         if part == "peers":
             for name, figures in row.items():
-                table.add(name, "drawn", "", figures["actions_per_box"], figures["seconds_per_box"], "", "")
+                table.add(name, "", "drawn", "", figures["actions_per_box"], figures["seconds_per_box"], "", "")
             continue
         for way, figures in row["ways"].items():
             numbers = ("boxes", "actions_per_box", "seconds_per_box", "waiting_per_box", "failures")
-            table.add(part, way, *(figures[name] for name in numbers))
+            table.add(part, ", ".join(row["view_detectors"]), way, *(figures[name] for name in numbers))
             for kind, times in figures["by_kind"].items():
                 kinds.add(part, way, kind, times)
             for track in figures["tracks"]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from annotator.detection.base_detector import NAME
 from annotator.project import (
     BoxRotation,
     NewLabel,
@@ -17,10 +18,18 @@ from annotator.project import (
     open_project,
 )
 from annotator.recordings import open_recording
-from annotator.types import DetectorKind
+from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.detectors import Detectors, active_model, base_model, load_detector, view_model
+from annotator.workflows.detectors import (
+    Detectors,
+    active_model,
+    base_model,
+    base_titles,
+    load_detector,
+    own_model,
+    view_model,
+)
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.reading import load_truth
@@ -110,6 +119,14 @@ def propose(project: Project, *, with_base: bool) -> None:
     )
     annotate(project, detectors, rcv_config(project))
     link_tracks(project)
+
+
+def measured_by(project: Project) -> list[str]:
+    """Names the view detectors that measured the open proposals, for people."""
+    own = {model.fingerprint: own_model(project, model).described for model in project.models.all(DetectorKind.VIEW)}
+    base = base_titles(project)
+    used = {each.run_id for each in project.labels.select(states=[ReviewState.PROPOSED])}
+    return sorted({NAME if run.id in base else own[run.view_detector] for run in project.jobs.all() if run.id in used})
 
 
 def without_labels(project: Project) -> None:

@@ -260,7 +260,8 @@ def _restoring(name: str, backup: Path, projects: Path | None) -> str:
 def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str) -> Iterator[str]:
     for name in names:
         count = before.get(name, ClassCounts())
-        yield f"{verb}: {count.labels} labels and {count.boxes_2d} 2D boxes of {name}"
+        said = f", and {count.said} further 3D boxes of sources" if count.said else ""
+        yield f"{verb}: {count.labels} labels and {count.boxes_2d} 2D boxes of {name}{said}"
 
 
 def _style(before: ClassStyle, colour: str | None, key: str | None) -> ClassStyle:
@@ -272,7 +273,8 @@ def _style(before: ClassStyle, colour: str | None, key: str | None) -> ClassStyl
 
 
 def _described(row: ClassRow) -> str:
-    more = [f"colour {row.colour}" if row.colour else "", f"key {row.key}" if row.key else ""]
+    said = f"{row.said} further 3D boxes of sources" if row.said else ""
+    more = [said, f"colour {row.colour}" if row.colour else "", f"key {row.key}" if row.key else ""]
     return ", ".join(filter(None, [f"{row.labels} labels", f"{row.boxes_2d} 2D boxes", *more]))
 
 

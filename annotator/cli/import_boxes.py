@@ -37,6 +37,7 @@ from annotator.workflows.importing.new_attributes import FoundValues, values_of_
 
 FLAT = tuple(FlatFormat)
 ADVICE = "`annotator classes attribute` gives a project attributes, `annotator import --add-attributes` those of a file"
+OUTSIDE = "skipped: {} boxes outside the images of these frames"
 # One enumeration of all formats, so that tyro lists them in the help.
 Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
 
@@ -197,6 +198,8 @@ def _proposals(
         (done.merged, "merged: {} boxes with proposals of other sources"),
         (done.covered, "skipped: {} boxes of objects that have been reviewed"),
         (done.unsure, "skipped: {} boxes with a lower score"),
+        (done.rejected, "skipped: {} boxes that were rejected"),
+        (done.unseen, OUTSIDE),
         (done.finalised, "unchanged: {} finalised frames"),
     ):
         if number:
@@ -229,6 +232,8 @@ def _boxes(
         )
     if done.not_reviewed:
         print_line(f"skipped: {done.not_reviewed} boxes that are not accepted")
+    if done.unseen:
+        print_line(OUTSIDE.format(done.unseen))
     if done.scores:
         print_line(f"dropped: {done.scores} scores outside 0..1")
     for line in done.unreadable:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from annotator.types import Box2D, BoxKind, OrientedBox, Truth
-from annotator.types.label import AttributeValue
+from annotator.types.label import AttributeValue, Said
 
 # The pose, as the upper three rows of its matrix, and the size.
 POSE, SIZE = 12, 3
@@ -31,16 +31,20 @@ class PackedTruths(Mapping[str, tuple[Truth, ...]]):
         self._scores = array("d")
         self._others: list[_Others] = []
         self._places: dict[str, range] = {}
-        known: dict[_Others, _Others] = {}
+        self._said: dict[int, tuple[Said, ...]] = {}
+        known: dict[tuple[_Others, str], _Others] = {}
         for name, truths in frames:
             self._places[name] = range(len(self._others), len(self._others) + len(truths))
             for truth in truths:
                 self._numbers.extend(truth.box.T_camera_box.as_matrix()[:3].ravel().tolist())
                 self._numbers.extend(truth.box.size_m.tolist())
                 self._scores.append(np.nan if truth.score is None else truth.score)
+                if truth.said:
+                    self._said[len(self._others)] = truth.said
                 values = tuple(truth.attributes.items())
                 others = (truth.label, truth.track_id, truth.image_box, truth.box_kind, values)
-                self._others.append(known.setdefault(others, others))
+                # True, 1 and 1.0 are equal, but different values
+                self._others.append(known.setdefault((others, repr(values)), others))
 
     @property
     def scores(self) -> Iterator[float]:
@@ -67,4 +71,5 @@ class PackedTruths(Mapping[str, tuple[Truth, ...]]):
         box = OrientedBox(RigidTransform(matrix, normalize=False), numbers[POSE:])
         score = self._scores[place]
         label, track_id, image_box, kind, values = self._others[place]
-        return Truth(label, box, track_id, None if score != score else score, image_box, kind, dict(values))
+        said = self._said.get(place, ())
+        return Truth(label, box, track_id, None if score != score else score, image_box, kind, dict(values), said)

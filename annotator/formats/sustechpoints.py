@@ -20,6 +20,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -100,6 +101,16 @@ class SceneCamera:
 
 
 @dataclass(frozen=True, eq=False)
+class _LabelFile:
+    """A label file, with the cameras of its scene; `is_export` as in `SustechFrame`."""
+
+    file: Path
+    objects: tuple[_Object, ...]
+    cameras: tuple[SceneCamera, ...]
+    is_export: bool
+
+
+@dataclass(frozen=True, eq=False)
 class SustechFrame:
     """The boxes of one cloud.
 
@@ -117,23 +128,30 @@ class SustechFrame:
 def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
     """Returns the labels of a data folder, one scene, or a folder `label`, by frame name.
 
-    Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file.
+    Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file. Ids that are no whole
+    numbers become track ids that the labels do not use.
 
     Raises:
         FormatError: no labels, a file that does not follow the format, or two scenes with a frame of the same name.
     """
-    frames: dict[str, SustechFrame] = {}
+    files: dict[str, _LabelFile] = {}
     for folder in _label_folders(path):
         scene = folder.parent
         origins = next((found for up in (path, scene, *scene.parents[:2]) if (found := read_frames(up))), {})
         cameras = tuple(_camera(file) for file in sorted((scene / CALIBRATIONS).glob("*.json")))
         for file in sorted(folder.glob("*.json")):
             name = origins[file.stem].name if file.stem in origins else file.stem
-            if name in frames:
+            if name in files:
                 raise FormatError(file, f"the frame {name} has labels in two scenes; import one scene")
-            objects = tuple(_truth(each, file) for each in read_model(file, _Labels).root)
-            frames[name] = SustechFrame(objects, cameras, file.stem in origins and len(cameras) == 1)
-    return frames
+            is_export = file.stem in origins and len(cameras) == 1
+            files[name] = _LabelFile(file, read_model(file, _Labels).root, cameras, is_export)
+    tracks = _Tracks(each.obj_id for labels in files.values() for each in labels.objects)
+    return {
+        name: SustechFrame(
+            tuple(_truth(each, labels.file, tracks) for each in labels.objects), labels.cameras, labels.is_export
+        )
+        for name, labels in files.items()
+    }
 
 
 def _label_folders(path: Path) -> Iterator[Path]:
@@ -145,7 +163,7 @@ def _label_folders(path: Path) -> Iterator[Path]:
     yield from found[:-1] if len(found) > 1 and found[-1] == path else found
 
 
-def _truth(entry: _Object, file: Path) -> Truth:
+def _truth(entry: _Object, file: Path, tracks: _Tracks) -> Truth:
     psr = entry.psr
     angles = [psr.rotation.x, psr.rotation.y, psr.rotation.z]
     center = np.array([psr.position.x, psr.position.y, psr.position.z])
@@ -156,12 +174,30 @@ def _truth(entry: _Object, file: Path) -> Truth:
         )
     except ValueError as error:
         raise FormatError(file, f"{entry.obj_type}: {error}") from error
-    return Truth(entry.obj_type, box, _track(entry.obj_id), attributes=from_joined(entry.obj_attr or ""))
+    return Truth(entry.obj_type, box, tracks.of(file, entry.obj_id), attributes=from_joined(entry.obj_attr or ""))
 
 
-def _track(obj_id: str | int | None) -> int | None:
-    """An id is any text; only whole numbers are track ids."""
-    text = str(obj_id)
+class _Tracks:
+    """The track ids of objects, whose ids are any texts: whole numbers stay, others get unused numbers in a scene."""
+
+    def __init__(self, ids: Iterable[str | int | None]) -> None:
+        used = {_number(each) for each in ids}
+        self._unused = (number for number in count(1) if number not in used)
+        self._given: dict[tuple[Path, str], int] = {}
+
+    def of(self, file: Path, obj_id: str | int | None) -> int | None:
+        """Returns the track id of an object in a label file; None for an object without an id."""
+        number, text = _number(obj_id), "" if obj_id is None else str(obj_id).strip()
+        if number is not None or not text:
+            return number
+        key = (file.parent, text)
+        if key not in self._given:
+            self._given[key] = next(self._unused)
+        return self._given[key]
+
+
+def _number(obj_id: str | int | None) -> int | None:
+    text = str(obj_id).strip()
     number = int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None
     return None if number is None or number > MOST_TRACK else number
 

@@ -51,6 +51,7 @@ class NewLabel:
         box_kind: what the box encloses.
         attributes: values by name; those of its track and defaults are added.
         said: what sources of boxes said of the object before.
+        file_track_id: as in `SaidRecord`, of a box that `Proposals.bring` gets.
 
     Raises ProjectError for a track id beyond `MOST_TRACK`.
     """
@@ -66,6 +67,7 @@ class NewLabel:
     box_kind: BoxKind = BoxKind.BOX
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
     said: tuple[Said, ...] = ()
+    file_track_id: int | None = None
 
     def __post_init__(self) -> None:
         # the limit of the database and of exported files

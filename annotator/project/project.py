@@ -41,6 +41,7 @@ from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
+from annotator.project.sources.bring import without_classes
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.project.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.tidying.in_use import mark_in_use
@@ -160,12 +161,13 @@ class Project:
             names=new.classes, styles=new.class_styles, attributes=new.attributes, change=made.change
         )
         with with_removed(connection) if _concerns_labels(old, made) else nullcontext():
-            self._writer.to_classes_in(connection, payload, author)
+            shown = without_classes(connection, made.change.removed, old) if made.change.removed else ()
+            self._writer.to_classes_in(connection, payload, author, shown)
             if removed := sorted(set(class_counts(connection)) & set(old.classes) - set(new.classes)):
                 raise ProjectError(
                     f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed while boxes use it; merge "
-                    "it into another class, or delete or relabel these boxes first, also those of recordings that "
-                    "were removed"
+                    "it into another class, remove it with its boxes, or delete or relabel these boxes first, also "
+                    "those of recordings that were removed"
                 )
             require_fitting(connection, old.attributes, new.attributes)
         return True

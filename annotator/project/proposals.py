@@ -19,7 +19,7 @@ from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import NewLabel, read_labels
 from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
 from annotator.project.schema import events, frames, labels
-from annotator.project.sources.bring import Brought, beside_new_pass, bring, used_tracks
+from annotator.project.sources.bring import Brought, SourceTracks, beside_new_pass, bring, source_tracks
 from annotator.project.sources.covering import covered_by
 from annotator.project.writing import Receipt, WriteContext, Writer, require_writable
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
@@ -172,9 +172,9 @@ class Proposals:
         """Makes boxes of other software the proposals of some frames, as `sources.bring.bring`."""
         return bring(self.writer, source, boxes, author, action)
 
-    def used_tracks(self, recording_id: int, source: str) -> frozenset[int]:
-        """Track ids of a recording, without those that the labels of this source have."""
-        return used_tracks(self.writer, recording_id, source)
+    def source_tracks(self, recording_id: int, source: str) -> SourceTracks:
+        """The track ids of a recording, and those of this source among them."""
+        return source_tracks(self.writer, recording_id, source)
 
     def boxes(self, recording_id: int) -> dict[str, OrientedBox]:
         """Label uid -> box as first proposed, of a recording's open proposals; their traces are not parsed."""

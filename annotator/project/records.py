@@ -153,6 +153,7 @@ class SaidRecord(BaseModel):
         source: name of the detector, person or file; `OWN` for annotator's own proposals.
         score: certainty in 0..1, if known.
         track_id: the object's id over the recording, if known.
+        file_track_id: its id in the source's file, if other labels of the recording use that one.
         box_kind: what the box encloses.
         attributes: values by name.
         own: further columns of a hidden proposal of ours.
@@ -169,6 +170,7 @@ class SaidRecord(BaseModel):
     box_kind: BoxKind
     attributes: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
     own: OwnColumns | None = None
+    file_track_id: int | None = None
 
     @classmethod
     def of(cls, said: Said) -> SaidRecord:
@@ -185,9 +187,9 @@ class SaidRecord(BaseModel):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # as in projects from before these had attributes, or columns of ours
+        # as in projects from before these had attributes, columns of ours, or ids of files
         content = handler(self)
-        empty = {name for name in ("attributes", "own") if not getattr(self, name)}
+        empty = {name for name in ("attributes", "own", "file_track_id") if getattr(self, name) in (None, {})}
         return {name: value for name, value in content.items() if name not in empty}
 
     def said(self) -> Said:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from annotator.project.event_types import (
     LabelEdited,
     LabelTracked,
     Payload,
+    ProposalsImported,
     ProposalsReplaced,
     RecordingAdjusted,
     TracksLinked,
@@ -175,12 +176,25 @@ class Writer:
                 raise StaleRevisionError(where, context.revision, revision)
             return self._append(connection, None, where, (payload,), context)
 
-    def to_classes_in(self, connection: Connection, payload: ClassesChanged, author: str) -> None:
+    def to_classes_in(
+        self,
+        connection: Connection,
+        payload: ClassesChanged,
+        author: str,
+        before: Iterable[tuple[int, ProposalsImported]] = (),
+    ) -> None:
         """Appends a change of the classes, within the caller's write transaction.
+
+        Args:
+            before: what goes before it, by frame id; the frame may be finalised, or of a removed recording.
 
         Raises:
             ProjectError: the author has no name.
         """
+        for frame_id, shown in before:
+            revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
+            context = WriteContext(revision, author, Source.IMPORTED)
+            self._append(connection, frame_id, f"frame with id {frame_id}", (shown,), context)
         query = select(func.max(events.c.revision)).where(events.c.view_id == CLASSES)
         context = WriteContext(connection.execute(query).scalar() or 0, author)
         self._append(connection, None, "the classes", (payload,), context)

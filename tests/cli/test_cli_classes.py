@@ -46,8 +46,8 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
         assert main(["classes", *words.split()]) == 0, words
     content = listed(capsys)
     assert content["classes"] == [
-        {"name": "bus", "labels": 0, "boxes_2d": 0, "colour": "#3366ff", "key": "b"},
-        {"name": "auto", "labels": 1, "boxes_2d": 0, "colour": None, "key": "a"},
+        {"name": "bus", "labels": 0, "boxes_2d": 0, "said": 0, "colour": "#3366ff", "key": "b"},
+        {"name": "auto", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": "a"},
     ]
     assert content["attributes"] == [
         {

@@ -34,7 +34,7 @@ def test_labels_of_its_own_page_are_read(tmp_path: Path) -> None:
     (folder / "000950.json").write_text(json.dumps(objects))
     for path in (tmp_path / "data", tmp_path / "data" / "example", folder):
         frame = read_sustechpoints(path)["000950"]
-        assert [(each.label, each.track_id) for each in frame.objects] == [("Car", 8), ("Bus", None)]
+        assert [(each.label, each.track_id) for each in frame.objects] == [("Car", 8), ("Bus", 1)]
         values = {"door open": True, "occluded": True, "lane": "left"}
         assert [each.attributes for each in frame.objects] == [values, {}]
         box = frame.objects[0].box
@@ -44,6 +44,16 @@ def test_labels_of_its_own_page_are_read(tmp_path: Path) -> None:
         np.testing.assert_allclose(box.rotation, x @ y @ z, atol=1e-12)
         assert (box.center_m.tolist(), box.size_m.tolist()) == ([4.1, -49.7, 1.8], [4.5, 1.7, 1.6])
         assert (frame.cameras, frame.is_export) == ((), False)
+
+
+def test_ids_of_any_text_are_tracks_of_their_scene(tmp_path: Path) -> None:
+    ids = {"one/label/1": ["2", "a-1", "b", "", None], "one/label/2": ["b", " 1 ", 7], "two/label/3": ["b", str(2**60)]}
+    for name, of_frame in ids.items():
+        file = tmp_path / f"{name}.json"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps([{"psr": PSR, "obj_type": "Car", "obj_id": each} for each in of_frame]))
+    tracks = {name: [each.track_id for each in frame.objects] for name, frame in read_sustechpoints(tmp_path).items()}
+    assert tracks == {"1": [2, 3, 4, None, None], "2": [4, 1, 7], "3": [5, 6]}
 
 
 @pytest.mark.parametrize(

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import pytest
 from sqlalchemy import select
 from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
-from annotator.project import NewLabel, Project, new_action
+from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
+from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind
+from annotator.project.classes.counting import ClassCounts
+from annotator.project.classes.edit import ClassEdit
 from annotator.project.labels import StoredLabel
 from annotator.project.review.waiting import By
 from annotator.project.schema import labels
 from annotator.types import Correction, ReviewState, Source
-from annotator.types.errors import HistoryError
+from annotator.types.errors import HistoryError, ProjectError
 from annotator.workflows.workbench.review_priority import FORMULA
 
 
@@ -217,3 +222,101 @@ def test_our_proposal_is_as_before_when_the_box_that_hides_it_goes(
     state = state_of(project)
     project.log.rebuild()
     assert state_of(project) == state
+
+
+COLOUR = Attribute(name="colour", kind=AttributeKind.CHOICE, choices=("red", "blue"))
+
+
+def with_colour(project: Project, frame: int) -> None:
+    """Two sources of one object; the hidden one says that it is blue."""
+    project.change_classes(lambda config: edit.put_attribute(config, COLOUR), "ann")
+    project.proposals.bring("one", {frame: [NewLabel("hand", box_at(), 0.9, attributes={"colour": "red"})]})
+    blue = NewLabel("hand", box_at(0.02), 0.5, attributes={"colour": "blue"})
+    project.proposals.bring("two", {frame: [blue]}, "ann", new_action())
+
+
+@pytest.mark.parametrize(
+    ("change", "after"),
+    [
+        (lambda config: edit.rename_attribute(config, "colour", "paint"), {"paint": "blue"}),
+        (lambda config: edit.rename_choice(config, "colour", "blue", "navy"), {"colour": "navy"}),
+        (lambda config: edit.remove_attribute(config, "colour"), {}),
+    ],
+)
+def test_values_that_sources_gave_follow_their_attributes(
+    project: Project, frame: int, change: Callable[[ProjectConfig], ClassEdit], after: dict[str, str]
+) -> None:
+    def of(source: str) -> dict[str, object]:
+        (stored,) = project.labels.select()
+        return next(each.attributes for each in stored.said if each.source == source)
+
+    with_colour(project, frame)
+    uid = project.labels.select()[0].label.uid
+    project.labels.delete(frame, uid, by_hand(project.frames.get(frame).revision))
+    project.change_classes(change, "ann")
+    # a label that is restored, what a source says again, and the tables
+    project.history.undo("ann")
+    assert of("two") == after
+    project.history.undo("ann")
+    assert [each.source for each in project.labels.select()[0].said] == ["one"]
+    project.history.redo("ann")
+    assert of("two") == after
+    bring(project, frame, "one")
+    assert project.labels.select()[0].label.attributes == after
+    assert verify(project.path, deep=True).problems == ()
+
+
+def test_values_follow_where_only_the_attributes_change(project: Project, frame: int) -> None:
+    with_colour(project, frame)
+    project.change_classes(lambda config: edit.rename_attribute(config, "colour", "paint"), "ann")
+    assert [each.attributes for each in project.labels.select()[0].said] == [{"paint": "red"}, {"paint": "blue"}]
+    assert verify(project.path, deep=True).problems == ()
+
+
+def test_where_the_class_of_the_shown_box_is_removed_another_source_is_shown(
+    project: Project, frame: int, recording: StoredRecording
+) -> None:
+    project.proposals.replace(frame, [proposal_at(0.0, "person", 0.9), proposal_at(5.0, score=0.3)], by_machine())
+    bring(project, frame, "one", box(0.02, 0.5), box(5.02, 0.8, "person"), box(10.0, 0.4, "person"))
+    bring(project, frame, "two", box(0.04, 0.3), box(15.0, 0.6, "person"))
+    other = project.frames.of([recording.id])[3].id
+    bring(project, other, "one", box(0.0, 0.9, "person"))
+    bring(project, other, "two", box(0.1, 0.5))
+    (stored,) = [each for each in project.labels.select() if each.frame_id == other]
+    project.labels.accept(other, stored.label.uid, by_hand(project.frames.get(other).revision))
+    assert shown(project) == [
+        ("one", 5.02, ["annotator"]),
+        ("one", 10.0, []),
+        ("ours", 0.0, ["one", "two"]),
+        ("two", 15.0, []),
+    ]
+    assert project.class_counts() == {"hand": ClassCounts(0, 0, 4), "person": ClassCounts(5, 0, 0)}
+    project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
+    # the reviewed label goes, and an automatic pass's values are as before
+    assert shown(project) == [("one", 0.02, ["two"]), ("ours", 5.0, [])]
+    assert project.class_counts() == {"hand": ClassCounts(2, 0, 1)}
+    assert len(project.labels.select()) == 2
+    assert verify(project.path, deep=True).problems == ()
+    bring(project, frame, "one")
+    assert shown(project) == [("ours", 5.0, []), ("two", 0.04, [])]
+
+
+def test_another_source_is_shown_in_finalised_frames_and_removed_recordings(
+    project: Project, frame: int, recording: StoredRecording
+) -> None:
+    bring(project, frame, "one", box(0.0, 0.9, "person"))
+    bring(project, frame, "two", box(0.1, 0.5))
+    project.frames.finalise(frame, by_hand(project.frames.get(frame).revision))
+    project.recordings.remove(recording.id, "ann")
+    project.change_classes(lambda config: edit.remove_class(config, "person"), "ann")
+    assert verify(project.path, deep=True).problems == ()
+    project.recordings.rescan(recording.id, [str(n) for n in range(5)])
+    assert shown(project) == [("two", 0.1, [])]
+    assert verify(project.path, deep=True).problems == ()
+
+
+def test_a_class_that_only_hidden_boxes_have_counts_as_used(project: Project, frame: int) -> None:
+    bring(project, frame, "one", box(0.0, 0.9))
+    bring(project, frame, "two", box(0.1, 0.5, "person"))
+    with pytest.raises(ProjectError, match="'person' cannot be removed while boxes use it"):
+        project.configure(classes=["hand"])

@@ -82,7 +82,7 @@ def test_the_list_counts_boxes_and_values_and_pages_hear_of_changes(live: Live, 
     assert message == {"type": "classes", "project": "room", "renamed": {"person": "human"}, "operator": "Cleo"}
     listed = live.client.get(f"{ROOM}/classes").json()
     (row,) = [row for row in listed["classes"] if row["name"] == "human"]
-    assert row == {"name": "human", "labels": 1, "boxes_2d": 0, "colour": None, "key": None}
+    assert row == {"name": "human", "labels": 1, "boxes_2d": 0, "said": 0, "colour": None, "key": None}
     assert (listed["attributes"], listed["values"], listed["unknown"]) == ([POSE, RAIN], {"pose": 1}, [])
 
 

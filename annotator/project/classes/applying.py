@@ -41,6 +41,8 @@ def relabel(connection: Connection, change: Relabelling) -> None:
     Frames of which anything changes get a new revision, so that changes which are based on the earlier classes are
     refused.
     """
+    if change == Relabelling():
+        return
     changed = {*_labels(connection, change), *_frames(connection, change)}
     if change.changes_boxes:
         changed |= {*_images(connection, change), *_views(connection, change)}
@@ -177,7 +179,7 @@ def _labels(connection: Connection, change: Relabelling) -> set[int]:
             continue
         values = values_json(change.values_of(name, values_of(row.attributes)))
         image_box = box_2d_json(change.box(box_2d_of(row.image_box))) if change.changes_boxes else row.image_box
-        said = said_json(_said(change, said_of(row.said))) if change.changes_boxes else row.said
+        said = None if row.said is None else said_json(_said(change, said_of(row.said)))
         if (name, values, image_box, said) != (row.label, row.attributes, row.image_box, row.said):
             changed.append({"row": row.id, "name": name, "values": values, "drawn": image_box, "sources": said})
             frames_changed.add(row.frame_id)
@@ -197,7 +199,11 @@ def _labels(connection: Connection, change: Relabelling) -> set[int]:
 def _said(change: Relabelling, said: Iterable[SaidRecord]) -> tuple[SaidRecord, ...]:
     """What sources say of an object; nothing of removed classes."""
     named = ((each, change.label(each.label)) for each in said)
-    return tuple(each.model_copy(update={"label": name}) for each, name in named if name is not None)
+    return tuple(
+        each.model_copy(update={"label": name, "attributes": change.values_of(name, each.attributes)})
+        for each, name in named
+        if name is not None
+    )
 
 
 def _frames(connection: Connection, change: Relabelling) -> set[int]:

@@ -14,13 +14,26 @@ from annotator.project.schema import frame_attributes, labels
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
 
+# the shown box is a source's, too
+_SAID = """
+    SELECT json_extract(said.value, '$.label') AS name, count(*) FROM labels, json_each(labels.said) AS said
+    WHERE json_extract(said.value, '$.uid') != labels.uid OR name != labels.label GROUP BY name
+"""
+
 
 @dataclass(frozen=True)
 class ClassCounts:
-    """Numbers of 3D labels and of 2D boxes on images and views."""
+    """Numbers of boxes of a class.
+
+    Attributes:
+        labels: 3D labels.
+        boxes_2d: 2D boxes on images and views.
+        said: what sources say of objects, apart from the boxes that are shown.
+    """
 
     labels: int = 0
     boxes_2d: int = 0
+    said: int = 0
 
 
 def class_counts(connection: Connection) -> dict[str, ClassCounts]:
@@ -33,7 +46,9 @@ def class_counts(connection: Connection) -> dict[str, ClassCounts]:
         of_boxes = f"{table}, json_each({table}.boxes) AS box"
         query = f"SELECT json_extract(box.value, '$.label'), count(*) FROM {of_boxes} GROUP BY 1"
         in_2d.update({row[0]: row[1] for row in connection.exec_driver_sql(query)})
-    return {name: ClassCounts(in_3d.get(name, 0), in_2d[name]) for name in sorted({*in_3d, *in_2d})}
+    said = {row[0]: row[1] for row in connection.exec_driver_sql(_SAID)}
+    names = sorted({*in_3d, *in_2d, *said})
+    return {name: ClassCounts(in_3d.get(name, 0), in_2d[name], said.get(name, 0)) for name in names}
 
 
 def value_counts(connection: Connection) -> dict[str, dict[str, int]]:

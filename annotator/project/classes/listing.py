@@ -12,13 +12,14 @@ from annotator.project.project import Project
 
 
 class ClassRow(BaseModel):
-    """A class as JSON; `boxes_2d` are those on images and pseudo-views."""
+    """A class as JSON; the counts as in `ClassCounts`."""
 
     model_config = ConfigDict(frozen=True)
 
     name: str
     labels: int
     boxes_2d: int
+    said: int
     colour: str | None
     key: str | None
 
@@ -52,4 +53,5 @@ def list_classes(project: Project) -> ClassList:
 
 def _row(name: str, counts: Mapping[str, ClassCounts], styles: Mapping[str, ClassStyle]) -> ClassRow:
     count, style = counts.get(name, ClassCounts()), styles.get(name, ClassStyle())
-    return ClassRow(name=name, labels=count.labels, boxes_2d=count.boxes_2d, colour=style.colour, key=style.key)
+    counted = {"labels": count.labels, "boxes_2d": count.boxes_2d, "said": count.said}
+    return ClassRow(name=name, **counted, colour=style.colour, key=style.key)

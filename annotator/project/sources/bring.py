@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Collection, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, exists, func, select
+from sqlalchemy import Connection, func, select, true
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.kept import kept_proposals
@@ -129,6 +130,32 @@ def said_again(
     return _Open.of(connection, frame_id, config.classes, kept).after(source, known, [])
 
 
+def without_classes(
+    connection: Connection, removed: Collection[str], config: ProjectConfig
+) -> Iterator[tuple[int, ProposalsImported]]:
+    """Yields the event that shows other sources' boxes where one of a class that is about to be removed is shown.
+
+    Args:
+        config: of the project, before the change.
+
+    Yields:
+        Frame id and event.
+    """
+    staying = [name for name in config.classes if name not in removed]
+    gone = (labels.c.state == ReviewState.PROPOSED.value) & labels.c.label.in_(removed)
+    query = select(labels.c.frame_id, labels.c.uid, labels.c.said).where(gone, labels.c.said.is_not(None))
+    shown: dict[int, set[str]] = defaultdict(set)
+    for frame_id, uid, content in connection.execute(query.order_by(labels.c.frame_id)):
+        if any(each.label in staying for each in said_of(content)):
+            shown[frame_id].add(uid)
+    for frame_id, uids in shown.items():
+        kept = kept_proposals(connection, config.attributes, frame_id) - uids
+        proposed = _Open.of(connection, frame_id, staying, kept)
+        ours = [each for each in proposed.ours if each.label not in removed]
+        hidden = [each for each in proposed.others if each.source == OWN]
+        yield frame_id, _Open(proposed.others, ours, kept).after(OWN, hidden, [])
+
+
 def _staying(connection: Connection, frame_id: int, kept: Collection[str]) -> list[Label]:
     stays = (labels.c.state != ReviewState.PROPOSED.value) | labels.c.uid.in_(kept)
     rows = connection.execute(select(labels).where(labels.c.frame_id == frame_id, stays).order_by(labels.c.id))
@@ -158,27 +185,47 @@ def beside_new_pass(
     return _Open(proposed.others, list(new), kept).after(OWN, [], [])
 
 
-def used_tracks(writer: Writer, recording_id: int, source: str) -> frozenset[int]:
-    """Track ids of a recording, without those that `source` itself has brought."""
-    said = func.json_each(func.coalesce(labels.c.said, "[]")).table_valued("value")
-    by_source = exists().select_from(said).where(func.json_extract(said.c.value, "$.source") == source)
-    query = (
-        select(labels.c.track_id)
-        .join(frames, frames.c.id == labels.c.frame_id)
-        .where(frames.c.recording_id == recording_id, labels.c.track_id.is_not(None), ~by_source)
-    )
+@dataclass(frozen=True)
+class SourceTracks:
+    """Track ids of a recording.
+
+    Attributes:
+        used: of all labels, also what hidden boxes of sources say.
+        given: id in the files of one source -> its track id.
+    """
+
+    used: frozenset[int]
+    given: Mapping[int, int]
+
+
+def source_tracks(writer: Writer, recording_id: int, source: str) -> SourceTracks:
+    """Returns the track ids of a recording, and those of `source` among them."""
+    said = func.json_each(labels.c.said).table_valued("value")
+    values = [func.json_extract(said.c.value, f"$.{name}") for name in ("track_id", "source", "file_track_id")]
+    of_recording = labels.join(frames, frames.c.id == labels.c.frame_id)
+    here = frames.c.recording_id == recording_id
+    of_labels = select(labels.c.track_id).select_from(of_recording).where(here, labels.c.track_id.is_not(None))
+    is_known = values[0].is_not(None)
+    of_sources = select(*values).select_from(of_recording.join(said, true())).where(here, is_known).distinct()
     with writer.store.read() as connection:
-        return frozenset(connection.execute(query.distinct()).scalars())
+        used, given = set(connection.execute(of_labels.distinct()).scalars()), dict[int, int]()
+        for track_id, name, file_track_id in connection.execute(of_sources):
+            used.add(track_id)
+            if name == source:
+                given[track_id if file_track_id is None else file_track_id] = track_id
+    return SourceTracks(frozenset(used), given)
 
 
 def _said(source: str, box: NewLabel, taken: Collection[int | None]) -> SaidRecord:
+    is_free = box.track_id not in taken
     return SaidRecord(
         uid=uuid.uuid4().hex,
         source=source,
         label=box.label,
         score=box.score,
         box=BoxRecord.of(box.box),
-        track_id=None if box.track_id in taken else box.track_id,
+        track_id=box.track_id if is_free else None,
+        file_track_id=box.file_track_id if is_free else None,
         box_kind=box.box_kind,
         attributes=dict(box.attributes),
     )

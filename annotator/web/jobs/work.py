@@ -242,6 +242,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
             f"{done.merged} of them are objects that others see as well" if done.merged else "",
             f"{done.covered} boxes of reviewed objects left out" if done.covered else "",
             f"{done.unsure} boxes with a lower score left out" if done.unsure else "",
+            f"{done.rejected} rejected boxes left out" if done.rejected else "",
             f"{done.finalised} finalised frames left as they are" if done.finalised else "",
         ]
     else:
@@ -256,6 +257,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
     parts += [
         f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
         f"{left_out} boxes of other classes left out ({', '.join(sorted(done.other_classes))})" if left_out else "",
+        f"{done.unseen} boxes outside the images of these frames left out" if done.unseen else "",
         f"{len(done.unmatched)} frames that the project does not have left out" if done.unmatched else "",
         f"{len(done.unreadable)} frames could not be read" if done.unreadable else "",
     ]

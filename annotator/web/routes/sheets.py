@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Annotated, Any
+from itertools import islice
+from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter
 from fastapi.responses import StreamingResponse
@@ -24,6 +27,11 @@ router = APIRouter(tags=["sheets"])
 
 # A sheet of so many boxes would be too long to look at.
 MOST_BOXES = 2000
+# One thread draws while the other one waits for the disk.
+THREADS = 2
+AHEAD = 2 * THREADS
+
+Entry = TypeVar("Entry")
 
 
 class TileJson(Schema):
@@ -80,24 +88,31 @@ def frame_sheet(ctx: Ctx, name: str, frame_id: RowId) -> StreamingResponse:
 def _tiles(ctx: Context, project: Project, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:
     shown = [(s, label) for s, label in boxes if s.index is not None and label.state is not ReviewState.REJECTED]
 
-    def tile(entry: tuple[StoredFrame, Label]) -> TileJson:
+    def line(entry: tuple[StoredFrame, Label]) -> str:
         stored, label = entry
         try:
             content = ctx.caches.sheets.get(project, stored, label.box)
         except AnnotatorError as error:
-            return TileJson(uid=label.uid, problem=ctx.public_message(str(error)))
-        return TileJson(uid=label.uid, png=base64.b64encode(content).decode())
+            tile = TileJson(uid=label.uid, problem=ctx.public_message(str(error)))
+        else:
+            tile = TileJson(uid=label.uid, png=base64.b64encode(content).decode())
+        return tile.model_dump_json() + "\n"
 
-    def lines() -> Iterator[str]:
-        # one thread draws while the other one waits for the disk
-        executor = ThreadPoolExecutor(2, "sheet")
-        try:
-            for drawn in executor.map(tile, shown):
-                yield drawn.model_dump_json() + "\n"
-        finally:
-            executor.shutdown(wait=False, cancel_futures=True)
+    return StreamingResponse(drawn_ahead(line, shown), media_type="application/x-ndjson")
 
-    return StreamingResponse(lines(), media_type="application/x-ndjson")
+
+async def drawn_ahead(draw: Callable[[Entry], str], entries: Sequence[Entry]) -> AsyncIterator[str]:
+    """Yields what `draw` returns, in order; no more than `AHEAD` are drawn before they are asked for."""
+    executor, waiting = ThreadPoolExecutor(THREADS, "sheet"), iter(entries)
+    try:
+        drawn = deque(executor.submit(draw, entry) for entry in islice(waiting, AHEAD))
+        while drawn:
+            line = await asyncio.wrap_future(drawn.popleft())
+            drawn.extend(executor.submit(draw, entry) for entry in islice(waiting, 1))
+            yield line
+    finally:
+        # also if the client has gone
+        executor.shutdown(wait=False, cancel_futures=True)
 
 
 @router.post("/api/projects/{name}/sheet/accept")

@@ -17,7 +17,7 @@ from annotator.types.label import AttributeValue, Said
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
-from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, LabelSet
+from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, HasUnseen, LabelSet
 
 AUTHOR = "import"
 
@@ -49,6 +49,7 @@ class ImportedLabels:
         unmatched: names of labelled frames that the project does not have.
         unreadable: frames that cannot be read, as `key: reason`.
         not_reviewed: number of boxes on `frames` left out because they are not accepted in the dataset.
+        unseen: number of boxes left out because they are outside the images of all frames that were read.
         scores: number of scores on `frames` left out because they are not confidences in 0..1.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         renamed: the dataset's only recording, if it was matched with one of another name.
@@ -61,6 +62,7 @@ class ImportedLabels:
     unmatched: tuple[str, ...] = ()
     unreadable: list[str] = field(default_factory=list)
     not_reviewed: int = 0
+    unseen: int = 0
     scores: int = 0
     values: Counter[str] = field(default_factory=Counter)
     renamed: Renamed | None = None
@@ -143,6 +145,7 @@ def import_labels(
         if progress is not None:
             progress(number, len(frames.matched))
     done.values = reader.left_out
+    done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
     return done
 
 

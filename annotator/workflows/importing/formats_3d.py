@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -69,7 +70,10 @@ class RcvLabels:
         return self.values.get(name, {})
 
     def left_out_of(self, name: str) -> LeftOut:
-        return LeftOut(not_reviewed=sum(label.state not in REVIEWED for label in self.labels[name]))
+        states = [label.state for label in self.labels[name]]
+        return LeftOut(
+            not_reviewed=sum(state not in REVIEWED for state in states), rejected=states.count(ReviewState.REJECTED)
+        )
 
     @property
     def scores(self) -> ScoreRange | None:
@@ -234,11 +238,13 @@ class OpenLabelLabels:
         return _with_confidences(truths, self.scores)
 
     def classes(self, name: str) -> list[str]:
-        return [each.label for each in self.by_frame[name].boxes]
+        return [each.label for each in self._suggested(name)]
 
     def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        boxes = [each for each in self.by_frame[name].boxes if each.state is not ReviewState.REJECTED]
-        return self._truths(name, boxes, read)
+        return self._truths(name, self._suggested(name), read)
+
+    def _suggested(self, name: str) -> list[OpenLabelBox]:
+        return [each for each in self.by_frame[name].boxes if each.state is not ReviewState.REJECTED]
 
     def _truths(self, name: str, boxes: Sequence[OpenLabelBox], read: Callable[[], Frame]) -> list[Truth]:
         T = None if self.by_frame[name].of_camera else read().T_camera_label
@@ -261,7 +267,8 @@ class OpenLabelLabels:
     def left_out_of(self, name: str) -> LeftOut:
         boxes = self.by_frame[name].boxes
         imported = [each for each in boxes if _is_imported(each)]
-        return LeftOut(len(boxes) - len(imported), _lost(imported, self.scores))
+        rejected = len(boxes) - len(self._suggested(name))
+        return LeftOut(len(boxes) - len(imported), rejected, _lost(imported, self.scores))
 
 
 def _is_imported(box: OpenLabelBox) -> bool:
@@ -363,6 +370,8 @@ class NuScenesResults:
     path: Path
     samples: PackedTruths
     places: Mapping[str, str] = field(default_factory=dict)
+    # the places of the boxes that are in an image, by sample
+    _seen: defaultdict[str, set[int]] = field(default_factory=lambda: defaultdict(set), init=False)
 
     @property
     def frames(self) -> Sequence[str]:
@@ -393,16 +402,25 @@ class NuScenesResults:
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return _with_confidences(self.suggested(name, lambda: frame), self.scores)
 
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.samples[self.places.get(name, name)]]
+
     def classes(self, name: str) -> list[str]:
         return [each.label for each in self.samples[self.places[name]]]
 
     def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
         frame = read()
         K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
-        truths = self.samples[self.places[name]]
+        sample = self.places[name]
+        truths = self.samples[sample]
         if (T := frame.T_camera_label) is not None:
             truths = tuple(replace(truth, box=truth.box.transformed(T)) for truth in truths)
-        return [truth for truth in truths if is_seen(truth.box, K, *size)]
+        seen = [place for place, truth in enumerate(truths) if is_seen(truth.box, K, *size)]
+        self._seen[sample].update(seen)
+        return [truths[place] for place in seen]
+
+    def unseen(self) -> int:
+        return sum(len(self.samples[sample]) - len(seen) for sample, seen in self._seen.items())
 
     def left_out_of(self, name: str) -> LeftOut:
         return LeftOut(scores=_lost(self.samples[self.places[name]], self.scores))

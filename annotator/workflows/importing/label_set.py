@@ -18,10 +18,12 @@ class LeftOut:
 
     Attributes:
         not_reviewed: number of proposed and rejected boxes.
+        rejected: number of the rejected ones, which `ProposalSet.suggested` leaves out, too.
         scores: number of scores that are not confidences in 0..1.
     """
 
     not_reviewed: int = 0
+    rejected: int = 0
     scores: int = 0
 
 
@@ -126,3 +128,11 @@ class HasBoxValues(Protocol):
 
     def values_of_boxes(self, name: str) -> Sequence[Mapping[str, AttributeValue]]:
         """Returns the values of each box of a frame."""
+
+
+@runtime_checkable
+class HasUnseen(Protocol):
+    """A `LabelSet` whose boxes belong to several images, and not all of them are in one."""
+
+    def unseen(self) -> int:
+        """Returns the number of boxes that are in none of the images whose frames have been read."""

@@ -9,13 +9,14 @@ from dataclasses import dataclass, field, replace
 from annotator.project import NewLabel, Project, StoredFrame
 from annotator.project.classes.completing import ValueReader
 from annotator.project.records import OWN
+from annotator.project.sources.bring import SourceTracks
 from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import Importer, match_frames, within_range
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.importing.label_set import FoundInProject, ProposalSet, ScoreRange
+from annotator.workflows.importing.label_set import FoundInProject, HasUnseen, ProposalSet, ScoreRange
 
 # Longest name of a source, characters.
 MOST_NAME = 200
@@ -34,9 +35,10 @@ class ImportedProposals:
         merged: number of these that other sources see as well, or our own proposals.
         covered: boxes that reviewed labels cover already.
         unsure: boxes with a score below the minimum.
+        rejected: boxes left out because somebody has rejected them.
         other_classes: boxes left out because the project has no such class, by class of the file.
         finalised: number of frames left unchanged because they are finalised.
-        unmatched, unreadable, renamed, values: as in `ImportedLabels`.
+        unmatched, unreadable, renamed, values, unseen: as in `ImportedLabels`.
         scaled: the range of the scores if they are not confidences; it was scaled to 0..1.
     """
 
@@ -46,6 +48,7 @@ class ImportedProposals:
     merged: int = 0
     covered: int = 0
     unsure: int = 0
+    rejected: int = 0
     other_classes: Counter[str] = field(default_factory=Counter)
     finalised: int = 0
     unmatched: tuple[str, ...] = ()
@@ -53,6 +56,7 @@ class ImportedProposals:
     renamed: Renamed | None = None
     scaled: ScoreRange | None = None
     values: Counter[str] = field(default_factory=Counter)
+    unseen: int = 0
 
 
 def import_proposals(
@@ -97,6 +101,7 @@ def import_proposals(
         if progress is not None:
             progress(number, len(frames.matched))
     reader.store()
+    done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
     return done
 
 
@@ -137,6 +142,7 @@ class _Importer:
         except FrameError as error:
             self._done.unreadable.append(f"{stored.key}: {error}")
             return
+        self._done.rejected += self._dataset.left_out_of(name).rejected
         self._waiting[stored.id] = self._chosen(truths, stored.recording_id)
         if len(self._waiting) >= MOST_FRAMES or sum(map(len, self._waiting.values())) >= MOST_BOXES:
             self.store()
@@ -161,17 +167,18 @@ class _Importer:
         self._done.other_classes.update(
             before.label for before, after in zip(sure, named, strict=True) if after.label not in self._classes
         )
-        return [
-            NewLabel(
-                each.label,
-                each.box,
-                None if self._scores is None else self._scores.confidence(each.score),
-                self._track(recording_id, each.track_id),
-                box_kind=each.box_kind,
-                attributes=self._values.of_label(each.label, each.attributes),
-            )
-            for _, each in known
-        ]
+        return [self._label(each, self._track(recording_id, each.track_id)) for _, each in known]
+
+    def _label(self, truth: Truth, track_id: int | None) -> NewLabel:
+        return NewLabel(
+            truth.label,
+            truth.box,
+            None if self._scores is None else self._scores.confidence(truth.score),
+            track_id,
+            box_kind=truth.box_kind,
+            attributes=self._values.of_label(truth.label, truth.attributes),
+            file_track_id=None if truth.track_id == track_id else truth.track_id,
+        )
 
     def _is_unsure(self, truth: Truth) -> bool:
         return self._min_score is not None and truth.score is not None and truth.score < self._min_score
@@ -180,17 +187,20 @@ class _Importer:
         if track_id is None:
             return None
         if recording_id not in self._tracks:
-            self._tracks[recording_id] = _Tracks(self._project.proposals.used_tracks(recording_id, self._source))
+            self._tracks[recording_id] = _Tracks(self._project.proposals.source_tracks(recording_id, self._source))
         return self._tracks[recording_id].of(track_id)
 
 
 class _Tracks:
-    """Track ids of a source in a recording: as in its file, unless other labels or tracks of the file use them."""
+    """Track ids of a source in a recording: as in its file, unless other labels or tracks of the file use them.
 
-    def __init__(self, used: frozenset[int]) -> None:
-        self._used = set(used)
-        self._next = max(used, default=0) + 1
-        self._given: dict[int, int] = {}
+    A later file of the source gets the same ids for the same tracks.
+    """
+
+    def __init__(self, known: SourceTracks) -> None:
+        self._used = set(known.used)
+        self._next = max(known.used, default=0) + 1
+        self._given = dict(known.given)
 
     def of(self, track_id: int) -> int:
         if track_id not in self._given:

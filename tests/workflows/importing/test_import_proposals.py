@@ -77,8 +77,10 @@ def test_proposals_of_an_rcv_export_come_in_and_rejected_boxes_do_not(
     for format in (ExportFormat.RCV, ExportFormat.OPENLABEL):
         export_project(people, tmp_path / format, format, choose=every)
         other = make_project(generated / "people")
-        done = import_proposals(other, read_labels(format_of(tmp_path / format), tmp_path / format))  # type: ignore[arg-type]
-        assert done.proposals == {"person": 1}
+        dataset = read_labels(format_of(tmp_path / format), tmp_path / format)  # type: ignore[arg-type]
+        done = import_proposals(other, dataset)
+        assert (done.proposals, done.rejected) == ({"person": 1}, 1)
+        assert dataset.classes(dataset.frames[0]) == ["person"]
         assert [entry.label.score for entry in other.labels.select()] == [0.4]
 
 
@@ -157,3 +159,83 @@ def test_a_track_that_needs_another_id_does_not_get_one_of_the_same_file(people:
         by_object = {x: {each.track_id for each in found if each.box.center_m[0] == x} for x in (0.0, 10.0, 20.0)}
         ids = [track for tracks in by_object.values() for track in tracks]
         assert len(ids) == len(set(ids)) == 3 and 1 not in ids
+
+
+def tracked(path: Path, frames: dict[str, list[tuple[float, int]]], score: float = 0.9) -> Path:
+    """A `boxes.json` with x and track id of each box."""
+    entry = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": np.eye(3).tolist(), "score": score}
+    content = {
+        key: [entry | {"center": [x, 0.2, 3.0], "track": track} for x, track in boxes] for key, boxes in frames.items()
+    }
+    path.write_text(json.dumps(content))
+    return path
+
+
+def tracks_by_place(project: Project) -> dict[float, set[int | None]]:
+    found: dict[float, set[int | None]] = {}
+    for stored in project.labels.select(states=[ReviewState.PROPOSED]):
+        found.setdefault(float(stored.label.box.center_m[0]), set()).add(stored.label.track_id)
+    return found
+
+
+def test_a_later_file_of_a_source_keeps_the_ids_that_its_tracks_got(people: Project, tmp_path: Path) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [NewLabel("person", box(20.0), track_id=1)], WriteContext(0, "me"))
+    path = tracked(tmp_path / "det.json", {first.key: [(0.0, 1)]})
+    import_proposals(people, read_labels(BoxFormat.BOXES, path))
+    assert tracks_by_place(people) == {0.0: {2}}
+    # the second half of the recording; the id that the first half's track got is another track's in the file
+    tracked(path, {second.key: [(5.0, 2), (0.0, 1)]})
+    import_proposals(people, read_labels(BoxFormat.BOXES, path))
+    assert tracks_by_place(people) == {0.0: {2}, 5.0: {3}}
+
+
+def test_ids_that_other_sources_use_are_not_used_again_although_both_see_the_object(
+    people: Project, tmp_path: Path
+) -> None:
+    first, second = people.frames.of()[:2]
+    one = tracked(tmp_path / "one.json", {first.key: [(0.0, 3)]})
+    two = tracked(tmp_path / "two.json", {first.key: [(0.0, 8)]}, 0.5)
+    three = tracked(tmp_path / "three.json", {second.key: [(9.0, 8)]})
+    for path in (one, two, three):
+        import_proposals(people, read_labels(BoxFormat.BOXES, path))
+    # the track of the hidden box is its source's
+    assert tracks_by_place(people) == {0.0: {3}, 9.0: {9}}
+    import_proposals(people, read_labels(BoxFormat.BOXES, tracked(two, {second.key: [(5.0, 3)]}, 0.5)))
+    assert tracks_by_place(people) == {0.0: {3}, 5.0: {10}, 9.0: {9}}
+    import_proposals(people, read_labels(BoxFormat.BOXES, tracked(one, {first.key: []})))
+    assert tracks_by_place(people) == {0.0: {8}, 5.0: {10}, 9.0: {9}}
+
+
+def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewed(
+    people: Project, tmp_path: Path
+) -> None:
+    first, second = people.frames.of()[:2]
+    boxes = {
+        first.key: [("person", 0.0, 0.9), ("person", 3.0, 0.4), ("person", 6.0, 0.6), ("person", 9.0, 0.7)],
+        second.key: [("person", 0.0, 0.55)],
+    }
+    dataset = read_labels(BoxFormat.BOXES, boxes_file(tmp_path / "det.json", boxes))
+
+    def proposed(min_score: float | None) -> list[tuple[str, float]]:
+        done = import_proposals(people, dataset, min_score=min_score)
+        assert done.frames == 2
+        open_ = people.labels.select(states=[ReviewState.PROPOSED])
+        keys = {each.id: each.key for each in (first, second)}
+        return sorted((keys[each.frame_id], float(each.label.box.center_m[0])) for each in open_)
+
+    assert proposed(0.5) == [(first.key, 0.0), (first.key, 6.0), (first.key, 9.0), (second.key, 0.0)]
+    uids = {float(each.box.center_m[0]): each.uid for each in people.labels.of_frame(first.id)}
+    for review, x in ((people.labels.accept, 0.0), (people.labels.reject, 6.0)):
+        review(first.id, uids[x], WriteContext(people.frames.get(first.id).revision, "me"))
+    reviewed = {ReviewState.ACCEPTED: 0.0, ReviewState.REJECTED: 6.0}
+    for min_score, expected in (
+        (0.3, [(first.key, 3.0), (first.key, 9.0), (second.key, 0.0)]),
+        (0.95, []),
+        (None, [(first.key, 3.0), (first.key, 9.0), (second.key, 0.0)]),
+        (0.5, [(first.key, 9.0), (second.key, 0.0)]),
+    ):
+        assert proposed(min_score) == expected
+        for state, x in reviewed.items():
+            (label,) = people.labels.select(states=[state])
+            assert (label.label.box.center_m[0], label.label.uid) == (x, uids[x])

@@ -17,6 +17,7 @@ from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types.errors import FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
+from annotator.workflows.importing.new_attributes import add_attributes, values_of_labels
 from annotator.workflows.recorded.labelled_frames import labels_from
 from annotator.workflows.recorded.reading import load_truth
 
@@ -82,11 +83,30 @@ def test_results_find_their_frames_and_trackers_their_tracks(
     assert (done.frames, done.proposals) == (2, {"car": 2})
     stored = project.labels.select()
     assert {each.label.track_id for each in stored} == ({0} if task == "tracking" else {None})
+    assert done.unseen == 2
     # as labels, on frames without any, and as 2D boxes
     labelled = make_project(classes=("car",))
     added(labelled, data, scene="scene-0000", camera=CAMERAS[1])
     assert len(labels_from(labelled, read_labels(BoxFormat.NUSCENES, path)).frames) == 2
-    assert import_labels(labelled, read_labels(BoxFormat.NUSCENES, path)).labels == {"car": 2}
+    imported = import_labels(labelled, read_labels(BoxFormat.NUSCENES, path))
+    assert (imported.labels, imported.unseen) == ({"car": 2}, 2)
+    # no box is outside both cameras
+    added(project, data, scene="scene-0000", camera=CAMERAS[1])
+    assert import_proposals(project, read_labels(BoxFormat.NUSCENES, path)).unseen == 0
+
+
+def test_attributes_of_results_can_be_added_to_the_project(
+    make_project: Callable[..., Project], tmp_path: Path
+) -> None:
+    data = small(tmp_path / "set")
+    project = make_project(classes=("car",))
+    added(project, data, scene="scene-0000", camera=CAMERAS[0])
+    path = results(tmp_path / "theirs.json", next(data.glob("v1.0-*")), attribute_name="vehicle.moving")
+    dataset = read_labels(BoxFormat.NUSCENES, path)
+    assert import_proposals(project, dataset).values == {"vehicle (not an attribute of the project)": 2}
+    assert [each.name for each in add_attributes(project, values_of_labels(dataset))] == ["vehicle"]
+    assert not import_proposals(project, dataset).values
+    assert {each.label.attributes["vehicle"] for each in project.labels.select()} == {"moving"}
 
 
 @pytest.mark.parametrize(

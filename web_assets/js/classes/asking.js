@@ -12,8 +12,12 @@ const ONLY_BACKUP =
  *
  * @param {Api.ClassRow} row
  */
-export function boxesOf({ labels, boxes_2d }) {
-  const known = [labels && count(labels, "3D label"), boxes_2d && count(boxes_2d, "2D box", "2D boxes")];
+export function boxesOf({ labels, boxes_2d, said }) {
+  const known = [
+    labels && count(labels, "3D label"),
+    boxes_2d && count(boxes_2d, "2D box", "2D boxes"),
+    said && count(said, "further 3D box of a source", "further 3D boxes of sources"),
+  ];
   return known.filter(Boolean).join(" and ") || "no boxes";
 }
 
@@ -126,7 +130,7 @@ export function askMerge(row, names, change) {
  * @param {ChangeClasses} change
  */
 export function askRemove(row, change) {
-  const isUsed = row.labels + row.boxes_2d > 0;
+  const isUsed = row.labels + row.boxes_2d + row.said > 0;
   const text = isUsed
     ? `Deletes ${boxesOf(row)}, too. "Merge" gives them to another class instead.`
     : "No box is of this class. To take it back, add it again.";
