@@ -27,8 +27,12 @@ export function steps({ kind, choices, minimum, maximum }) {
 export const schemaOf = (app) =>
   /** @type {Attribute[]} */ (/** @type {unknown} */ (app.state.project?.attributes ?? []));
 
-/** @param {string | number | boolean} value */
-const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
+/**
+ * A value as the operator reads it.
+ *
+ * @param {string | number | boolean} value
+ */
+export const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
 
 /**
  * @param {HTMLElement} host
