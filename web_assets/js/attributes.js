@@ -1,6 +1,6 @@
 /** The attributes of the selected box, of its track and of the frame: a field for each, and the keys for them. */
 
-import { h } from "./dom.js";
+import { h, leaveField } from "./dom.js";
 
 /** An integer attribute with more values is typed, not chosen. */
 const MOST_STEPS = 20;
@@ -27,8 +27,12 @@ export function steps({ kind, choices, minimum, maximum }) {
 export const schemaOf = (app) =>
   /** @type {Attribute[]} */ (/** @type {unknown} */ (app.state.project?.attributes ?? []));
 
-/** @param {string | number | boolean} value */
-const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
+/**
+ * A value as the operator reads it.
+ *
+ * @param {string | number | boolean} value
+ */
+export const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
 
 /**
  * @param {HTMLElement} host
@@ -44,6 +48,18 @@ export function createAttributes(host, app, target) {
   /** @type {Map<string, HTMLSelectElement | HTMLInputElement>} */
   const fields = new Map();
   let shown = "";
+  /**
+   * The uid of the box whose values are shown.
+   *
+   * @type {string | null}
+   */
+  let owner = null;
+  /**
+   * The field that is being typed in.
+   *
+   * @type {HTMLInputElement | null}
+   */
+  let typed = null;
 
   /** The attributes of the selected box and of the frame. */
   function present() {
@@ -65,8 +81,9 @@ export function createAttributes(host, app, target) {
    * @param {Attribute} attribute
    * @param {string | number | boolean | null} value
    */
-  const set = ({ name, of }, value) =>
-    target.set(of === "frame" ? null : (target.shown()?.uid ?? null), { [name]: value });
+  function set({ name, of }, value) {
+    if (of === "frame" || owner !== null) void target.set(of === "frame" ? null : owner, { [name]: value });
+  }
 
   /** @param {Attribute} attribute */
   function field(attribute) {
@@ -87,7 +104,7 @@ export function createAttributes(host, app, target) {
           onchange: () => {
             const index = Number(input.value);
             input.blur();
-            void set(attribute, input.value === "" ? null : values[index]);
+            set(attribute, input.value === "" ? null : values[index]);
           },
         },
         h("option", { value: "" }, "–"),
@@ -96,19 +113,32 @@ export function createAttributes(host, app, target) {
     } else {
       const isText = kind === "text";
       /** @type {HTMLInputElement} */
-      const typed = h("input", {
+      const own = h("input", {
         ...common,
         type: isText ? "text" : "number",
         step: kind === "integer" ? 1 : "any",
         min: minimum,
         max: maximum,
         maxlength: isText ? 1000 : undefined,
+        oninput: () => {
+          typed = own;
+        },
         onchange: () => {
-          const value = isText ? typed.value : typed.valueAsNumber;
-          void set(attribute, value === "" || Number.isNaN(value) ? null : value);
+          if (typed !== own) return;
+          typed = null;
+          // such as "1e"
+          if (own.validity.badInput) return show();
+          const value = isText ? own.value : own.valueAsNumber;
+          set(attribute, value === "" || Number.isNaN(value) ? null : value);
+        },
+        onkeydown: (event) => {
+          if (event.key !== "Escape") return;
+          event.preventDefault();
+          typed = null;
+          show();
         },
       });
-      input = typed;
+      input = own;
     }
     fields.set(name, input);
     return h(
@@ -119,26 +149,32 @@ export function createAttributes(host, app, target) {
     );
   }
 
+  function show() {
+    const attributes = present();
+    const uid = target.shown()?.uid ?? null;
+    const signature = JSON.stringify(attributes);
+    // what was typed belongs to the box that was shown
+    if (uid !== owner || signature !== shown) leaveField(host);
+    owner = uid;
+    if (signature !== shown) {
+      shown = signature;
+      fields.clear();
+      host.replaceChildren(h("legend", {}, "Attributes"), ...attributes.map(field));
+      host.hidden = attributes.length === 0;
+    }
+    for (const attribute of attributes) {
+      const input = fields.get(attribute.name);
+      if (!input || input === typed) continue;
+      input.disabled = Boolean(target.isReadonly?.());
+      const value = current(attribute);
+      const values = steps(attribute);
+      if (value === undefined) input.value = "";
+      else input.value = String(values ? values.indexOf(value) : value);
+    }
+  }
+
   return {
-    show() {
-      const attributes = present();
-      const signature = JSON.stringify(attributes);
-      if (signature !== shown) {
-        shown = signature;
-        fields.clear();
-        host.replaceChildren(h("legend", {}, "Attributes"), ...attributes.map(field));
-        host.hidden = attributes.length === 0;
-      }
-      for (const attribute of attributes) {
-        const input = fields.get(attribute.name);
-        if (!input || input === document.activeElement) continue;
-        input.disabled = Boolean(target.isReadonly?.());
-        const value = current(attribute);
-        const values = steps(attribute);
-        if (value === undefined) input.value = "";
-        else input.value = String(values ? values.indexOf(value) : value);
-      }
-    },
+    show,
 
     /**
      * Sets the next value of the attribute whose key it is, or the class; false if no attribute or class has the key.
@@ -160,7 +196,7 @@ export function createAttributes(host, app, target) {
         return true;
       }
       const value = current(attribute);
-      void set(attribute, values[((value === undefined ? -1 : values.indexOf(value)) + 1) % values.length]);
+      set(attribute, values[((value === undefined ? -1 : values.indexOf(value)) + 1) % values.length]);
       return true;
     },
   };

@@ -113,6 +113,17 @@ export function count(number, word, plural = `${word}s`) {
 }
 
 /**
+ * Leaves the text or number field within `host` that has the focus, which stores what was typed in it.
+ *
+ * @param {Element} [host]
+ */
+export function leaveField(host = document.body) {
+  const field = document.activeElement;
+  const isTyped = field instanceof HTMLInputElement || field instanceof HTMLTextAreaElement;
+  if (isTyped && host.contains(field)) field.blur();
+}
+
+/**
  * An element of index.html.
  *
  * @param {string} id

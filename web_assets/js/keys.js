@@ -3,11 +3,14 @@
  *
  * A row defines what a key does, and in which modes; modes register handlers by the row's id. While a row has no
  * handler, the browser (or the focused 2D editor) gets the key. The listener runs in the capture phase, also in the 3D
- * view's iframe, so that keys work wherever the focus is. Keys typed into a text field belong to the field.
+ * view's iframe, so that keys work wherever the focus is. Keys typed into a text field belong to the field. A key that
+ * does not belong to its field leaves it, so that what was typed is stored before the handler runs.
  *
  * A key's name has its modifiers in the order Ctrl+Alt+Shift (Cmd counts as Ctrl), then a letter in capitals, a digit,
  * another character as typed (`?`, `+`), or the name from KeyboardEvent.key. The space bar is "Space".
  */
+
+import { leaveField } from "./dom.js";
 
 /**
  * @typedef {object} KeyRow
@@ -322,6 +325,8 @@ export function createKeys() {
       (digit && !event.ctrlKey && !event.altKey && !event.metaKey && !event.shiftKey ? findRow(digit) : undefined);
     const handler = row && handlers.get(row.id)?.at(-1);
     if (!handler || isForField(event, name)) return;
+    // with Alt, a letter may be typed after all
+    if (row.id !== "attribute") leaveField();
     if (handler(event, digit && !row.keys.includes(name) ? digit : name) === false) return;
     event.preventDefault();
     event.stopImmediatePropagation();

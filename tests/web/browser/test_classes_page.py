@@ -57,8 +57,15 @@ def test_classes_are_changed_in_a_dialog_of_the_start_page(shared_page: Page, sh
     page.get_by_test_id("dialog-apply").click()
     expect(page.get_by_test_id("class-row")).to_have_count(1)
     assert room.config.classes == ("dog",)
+
+    # what was typed is added by Done, too, unless it is refused
+    page.get_by_test_id("new-class").fill("a/b")
     page.get_by_test_id("dialog-done").click()
-    expect(page.get_by_test_id(f"project-{name}").locator(".chip")).to_have_text(["dog"])
+    expect(page.get_by_test_id("classes-dialog").get_by_role("alert")).to_contain_text("a/b")
+    page.get_by_test_id("new-class").fill("cat")
+    page.get_by_test_id("dialog-done").click()
+    expect(page.get_by_test_id(f"project-{name}").locator(".chip")).to_have_text(["dog", "cat"])
+    assert room.config.classes == ("dog", "cat")
 
 
 def test_attributes_are_defined_in_label_and_set_there_with_one_key(bench: Bench, wait_for) -> None:

@@ -7,6 +7,7 @@ from review_desk import Desk
 
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, ClassStyle
+from annotator.types import ReviewState
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 
@@ -67,3 +68,123 @@ def test_fields_and_keys_set_values_and_the_queue_filters_by_them(desk: Desk, wa
     other = desk.uid
     desk.press("Alt+c")
     wait_for(lambda: project.labels.get(other).label.label == "chair")
+
+
+MASS = {"name": "mass", "kind": "number", "maximum": 100, "key": "m"}
+NOTE = {"name": "note", "kind": "text", "key": "t"}
+POSE = {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"], "key": "o"}
+
+
+def with_attributes(desk: Desk, *schema: dict[str, object]) -> None:
+    """Gives the project attributes, and opens it anew."""
+    for fields in schema:
+        desk.project.change_classes(
+            lambda config, fields=fields: edit.put_attribute(config, Attribute.model_validate(fields)), "Ada"
+        )
+    desk.page.reload()
+    desk.settled()
+
+
+def values_of(desk: Desk, uid: str) -> dict[str, object]:
+    return dict(desk.project.labels.get(uid).label.attributes)
+
+
+def test_space_stores_what_was_typed_on_its_box_and_goes_through_the_queue(desk: Desk) -> None:
+    with_attributes(desk, MASS)
+    page, typed = desk.page, {}
+    items = page.get_by_test_id("queue-item").count()
+    for left in range(items - 1, -1, -1):
+        desk.press("Alt+m")
+        expect(page.get_by_test_id("attribute-mass")).to_have_value("")
+        typed[desk.uid] = {"mass": left + 0.5}
+        page.keyboard.type(str(left + 0.5))
+        desk.press("Space")
+        expect(page.get_by_test_id("queue-item")).to_have_count(left)
+        desk.settled()
+    page.get_by_test_id("review-done").wait_for()
+    assert {uid: values_of(desk, uid) for uid in typed} == typed
+    assert {stored.label.state for stored in desk.project.labels.select()} == {ReviewState.ACCEPTED}
+    expect(page.locator("#toasts .toast-error")).to_have_count(0)
+
+
+@pytest.mark.parametrize("field", ["attribute-mass", "field-track"])
+@pytest.mark.parametrize(("key", "state"), [("x", ReviewState.REJECTED), ("p", ReviewState.PROPOSED)])
+def test_a_letter_stores_the_number_that_was_typed(
+    desk: Desk, wait_for, field: str, key: str, state: ReviewState
+) -> None:
+    with_attributes(desk, MASS)
+    page, project, uid, frame = desk.page, desk.project, desk.uid, desk.frame
+    page.get_by_test_id(field).focus()
+    page.keyboard.type("81")
+    desk.press(key)
+    if key == "p":
+        wait_for(lambda: desk.frame != frame)
+    page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
+    desk.settled()
+    stored = project.labels.get(uid).label
+    assert (stored.attributes.get("mass"), stored.track_id) == ((81.0, None) if "mass" in field else (None, 81))
+    assert stored.state is state
+    expect(page.get_by_test_id(field)).to_have_value("")
+    assert not values_of(desk, desk.uid)
+
+
+def test_a_text_is_stored_on_its_box_when_another_one_is_clicked(desk: Desk, wait_for) -> None:
+    with_attributes(desk, NOTE)
+    page, note = desk.page, desk.page.get_by_test_id("attribute-note")
+    typed = {}
+    frame = desk.frame
+    here = page.locator('[data-testid="frame-box"]:not([aria-current="true"])').first
+    elsewhere = page.get_by_test_id("queue-item").last
+    for other in (here, elsewhere):
+        expect(note).to_have_value("")
+        typed[desk.uid] = {"note": f"seen {len(typed)}"}
+        note.focus()
+        page.keyboard.type(f"seen {len(typed) - 1}")
+        uid = other.get_attribute("data-uid")
+        other.click()
+        page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
+        desk.settled()
+    assert desk.frame != frame
+    wait_for(lambda: {uid: values_of(desk, uid) for uid in typed} == typed)
+    expect(note).to_have_value("")
+    assert not values_of(desk, desk.uid)
+
+
+def test_leaving_a_frame_waits_for_what_is_set_while_another_value_is_being_saved(desk: Desk, wait_for) -> None:
+    with_attributes(desk, MASS, POSE)
+    page, uid, frame = desk.page, desk.uid, desk.frame
+    held: list = []
+    page.route("**/attributes", lambda route: route.continue_() if held else held.append(route))
+    desk.press("Alt+m")
+    page.keyboard.type("81.5")
+    desk.press("p")
+    expect(page.get_by_test_id("act-finalise")).to_be_disabled()
+    wait_for(lambda: held)
+    desk.press("Alt+o")
+    held[0].continue_()
+    wait_for(lambda: desk.frame != frame)
+    desk.settled()
+    expect(page.get_by_test_id("unsaved-dialog")).to_have_count(0)
+    assert values_of(desk, uid) == {"mass": 81.5, "pose": "sitting"}
+
+
+def test_a_field_shows_the_stored_value_again_after_a_refusal(desk: Desk, wait_for) -> None:
+    with_attributes(desk, MASS)
+    page, mass = desk.page, desk.page.get_by_test_id("attribute-mass")
+    for typed, shown in (("101", ""), ("99", "99"), ("1e", "99"), ("102", "99")):
+        mass.focus()
+        desk.press("Control+a")
+        page.keyboard.type(typed)
+        desk.press("Enter")
+        if len(typed) == 3:
+            page.locator("#toasts").get_by_text("mass").wait_for()
+            page.locator("#toasts button").click()
+        desk.settled()
+        expect(mass).to_have_value(shown)
+    mass.focus()
+    page.keyboard.type("8")
+    desk.press("Escape")
+    expect(mass).to_have_value("99")
+    mass.blur()
+    desk.settled()
+    assert values_of(desk, desk.uid) == {"mass": 99.0}

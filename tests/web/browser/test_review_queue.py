@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from review_desk import FRAMES, Desk
 
+from annotator.project import NewLabel
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute
 from annotator.types import ReviewState
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
@@ -94,3 +97,43 @@ def test_a_box_is_selected_by_a_click_on_the_image_or_in_the_list(desk: Desk) ->
     )
     page.mouse.click(x, y)
     page.locator('[data-testid="frame-box"][aria-current="true"]').wait_for()
+
+
+def test_filters_leave_room_for_the_queue_and_say_what_they_hide(desk: Desk, wait_for) -> None:
+    page, project = desk.page, desk.project
+    project.configure(classes=("person", "chair"))
+    helmet = Attribute.model_validate({"name": "helmet", "kind": "boolean"})
+    project.change_classes(lambda config: edit.put_attribute(config, helmet), "Ada")
+    theirs = [NewLabel("person", label.box, 0.1, 1234) for label in project.labels.of_frame(desk.frame)]
+    project.proposals.bring("a long name of a detector", {desk.frame: theirs})
+    page.reload()
+    desk.settled()
+    source = page.get_by_test_id("queue-source")
+    count = len(theirs)
+    expect(source.locator("option").last).to_have_text(f"a long name of a detector ({count})")
+    page.locator("img.small-views").first.wait_for()
+    for width, height in ((1280, 720), (1440, 900), (1366, 768)):
+        page.set_viewport_size({"width": width, "height": height})
+        shown, first = (
+            page.get_by_test_id("queue").bounding_box(),
+            page.get_by_test_id("queue-item").first.bounding_box(),
+        )
+        assert shown is not None and first is not None
+        assert shown["height"] >= 3 * first["height"]
+        pictures = page.get_by_test_id("frame-boxes").bounding_box()
+        assert pictures is not None and pictures["height"] >= shown["height"]
+
+    # the counts follow what is reviewed
+    desk.press("Space")
+    expect(source.locator("option").last).to_have_text(f"a long name of a detector ({count - 1})")
+    desk.settled()
+
+    value = page.get_by_test_id("queue-attribute")
+    expect(value.locator("option")).to_have_text(["All attributes", "helmet: none", "helmet: yes", "helmet: no"])
+    value.select_option("helmet: yes")
+    queue = page.get_by_test_id("queue")
+    expect(queue).to_contain_text("No proposal matches the filter")
+    expect(page.get_by_test_id("review-done")).to_be_hidden()
+    page.get_by_test_id("queue-clear").click()
+    expect(value).to_have_value("")
+    expect(page.get_by_test_id("queue-item")).not_to_have_count(0)

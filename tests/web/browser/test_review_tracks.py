@@ -31,6 +31,9 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     assert desk.label.state is ReviewState.PROPOSED, "setting the track is not a review of the box"
     desk.settled()
     expect(page.get_by_test_id("track-tick")).to_have_count(1)
+    name = page.locator(".track .ellipsis")
+    expect(name).to_have_text("Track 7 (1)")
+    assert name.evaluate("one => one.scrollWidth <= one.clientWidth")
 
     # a track id that is still being typed is saved with the decision
     page.get_by_test_id("field-track").fill("70")

@@ -78,6 +78,12 @@ export async function editClasses(app, project) {
     else if (await put({ do: "add", name: label })) name.value = "";
   }
 
+  /** Adds what was typed but not added; a problem keeps the dialog open. */
+  async function finish() {
+    const label = name.value.trim();
+    if (label) await change({ do: "add", name: label });
+  }
+
   /**
    * @param {Api.ClassRow} row
    * @param {number} index
@@ -195,6 +201,7 @@ export async function editClasses(app, project) {
         ),
       ],
       actions: [{ label: "Done", value: "done" }],
+      submit: finish,
     });
   } finally {
     stop();

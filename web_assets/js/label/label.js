@@ -13,7 +13,7 @@
 import { createAttributes } from "../attributes.js";
 import { classColor } from "../colors.js";
 import { createEditor } from "../editor2d/editor.js";
-import { h } from "../dom.js";
+import { h, leaveField } from "../dom.js";
 import { finality, kindChange, valuesChange } from "./changes.js";
 import { createDisplay } from "./display.js";
 import { createAsk, createStepLoader } from "./draft.js";
@@ -262,7 +262,10 @@ export function mount(root, app) {
   return {
     /** @param {Route} route */
     route: (route) => void frames.openRoute(route),
-    flush: frames.flush,
+    flush() {
+      leaveField(values);
+      return frames.flush();
+    },
     unsaved: frames.unsaved,
     unmount() {
       objects.close();

@@ -49,7 +49,8 @@ export function createDesk(app) {
   /** @type {string | null} */
   let uid = null;
   let waiting = 0;
-  let leave = () => {};
+  /** @type {Set<() => void>} */
+  const leaving = new Set();
   /** @type {Promise<unknown>} */
   let chain = Promise.resolve();
 
@@ -135,7 +136,7 @@ export function createDesk(app) {
 
   /** Saves the selected box's draft, unless saving it has failed before. */
   function keep() {
-    leave();
+    for (const fn of leaving) fn();
     const draft = drafts.get(uid);
     if (draft && !draft.problem && draft.sending !== draft.wanted) void commit();
   }
@@ -200,7 +201,7 @@ export function createDesk(app) {
    */
   async function storeNew(id, entry) {
     // completes an edit by arrow keys that were pressed just before
-    if (uid === id) leave();
+    if (uid === id) for (const fn of leaving) fn();
     applyDraft(id, 1);
     const { label, box, track_id, suggestion: given } = entry.label;
     const suggestion = given && { ...given, corrected: !sameBox(box, entry.found) };
@@ -354,6 +355,7 @@ export function createDesk(app) {
       const what = [
         changed && count(changed, "changed box", "changed boxes"),
         added.size && count(added.size, "new box, not accepted yet", "new boxes, not accepted yet"),
+        changed === 0 && added.size === 0 && "what is being sent",
       ];
       return { text: `Not saved: ${what.filter(Boolean).join(", ")}. ${[...new Set(problems)].join(" ")}`.trim() };
     },
@@ -370,12 +372,12 @@ export function createDesk(app) {
 
     select,
     /**
-     * Sets the function that ends an edit in progress of the selected box, called before another box is selected.
+     * Adds a function that ends an edit in progress of the selected box, called before another box is selected.
      *
      * @param {() => void} fn
      */
     onLeave(fn) {
-      leave = fn;
+      leaving.add(fn);
     },
     settle,
     enqueue,
@@ -532,10 +534,10 @@ export function createDesk(app) {
     /** Reads what others have saved, after all changes of this page, whose answers may already include it. */
     refresh: () => (app.frames.isBehind ? enqueue(() => app.frames.refresh()) : Promise.resolve()),
 
-    /** Waits until everything is saved. */
-    flush() {
+    /** Waits until everything is saved, also what is added meanwhile. */
+    async flush() {
       keep();
-      return chain;
+      while (waiting > 0) await chain;
     },
   };
 }

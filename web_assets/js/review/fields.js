@@ -1,7 +1,7 @@
 /** The selected box as numbers: centre and size in metres, angles in degrees, class and track; and facts about it. */
 
 import { MIN_SIZE_M, anglesDeg, copyBox, withAnglesDeg } from "../box3d.js";
-import { count, h } from "../dom.js";
+import { count, h, leaveField } from "../dom.js";
 
 const CENTER = [
   ["x", "to the right of the camera"],
@@ -78,8 +78,7 @@ export function createFields(host, desk, { classes, up }) {
       onkeydown: (event) => {
         if (event.key !== "Escape") return;
         event.preventDefault();
-        typed = null;
-        desk.revert();
+        abandon();
       },
     });
     inputs[name] = input;
@@ -89,9 +88,16 @@ export function createFields(host, desk, { classes, up }) {
   // Typing changes the box on the screen; leaving the field or pressing Enter saves that as one edit.
   /** @param {HTMLInputElement} input */
   function leave(input) {
+    if (!Number.isFinite(input.valueAsNumber)) return abandon();
     typed = null;
-    if (!Number.isFinite(input.valueAsNumber)) desk.revert();
-    else void desk.commit();
+    void desk.commit();
+  }
+
+  /** Shows the box as it was before something was typed. */
+  function abandon() {
+    typed = null;
+    if (desk.hasDraft) desk.revert();
+    else show();
   }
 
   /** @param {(box: Box3D) => Box3D} change */
@@ -123,12 +129,17 @@ export function createFields(host, desk, { classes, up }) {
     "aria-label": "Track id",
     title: "The object's id in the recording",
     "data-testid": "field-track",
-    oninput: () =>
-      desk.shown &&
-      desk.preview({
-        track_id: Number.isInteger(track.valueAsNumber) ? track.valueAsNumber : null,
-      }),
-    onchange: () => void desk.commit(),
+    oninput: () => {
+      typed = track;
+      if (desk.shown)
+        desk.preview({
+          track_id: Number.isInteger(track.valueAsNumber) ? track.valueAsNumber : null,
+        });
+    },
+    onchange: () => {
+      typed = null;
+      void desk.commit();
+    },
   });
   /** @type {HTMLElement[]} */
   const ofBox = [
@@ -174,6 +185,7 @@ export function createFields(host, desk, { classes, up }) {
   form.append(...ofBox, attributes, facts);
   ofBox.push(facts);
   form.addEventListener("submit", (event) => event.preventDefault());
+  desk.onLeave(() => leaveField(form));
 
   /** Offers the project's classes. */
   function fill() {
@@ -250,7 +262,7 @@ export function createFields(host, desk, { classes, up }) {
     if (![...choice.options].some(({ value }) => value === label.label))
       choice.append(h("option", { value: label.label }, label.label));
     choice.value = label.label;
-    if (document.activeElement !== track) track.value = String(label.track_id ?? "");
+    if (typed !== track) track.value = String(label.track_id ?? "");
     facts.replaceChildren(...describe(label));
   }
 

@@ -7,6 +7,9 @@ export const ORDERS = [
   ["track", "By track"],
 ];
 
+/** The source of our own proposals. */
+export const OWN = "annotator";
+
 /** The queue is read again this long after a change by others. */
 const CALM_MS = 1500;
 /** The server sends a few hundred items; more are read when fewer than these are left. */
@@ -53,8 +56,9 @@ export function createQueue(app, onChange) {
     remaining = answer.remaining;
     place = Math.min(place, items.length);
     onChange();
+    const hasOthers = Object.keys(sources).some((name) => name !== OWN);
     // not waited for: it takes longer than the queue
-    if (hasMore) loadSources().catch(app.toast);
+    if (hasMore || hasOthers) loadSources().catch(app.toast);
   }
 
   async function loadSources() {
@@ -78,6 +82,10 @@ export function createQueue(app, onChange) {
     },
     get sources() {
       return sources;
+    },
+    /** True if proposals may wait that are not shown. */
+    get isFiltered() {
+      return Boolean(label || value || source);
     },
 
     /**
@@ -134,7 +142,7 @@ export function createQueue(app, onChange) {
       remaining = Math.max(items.length, remaining - (before - items.length));
       const known = new Set(items.map(({ uid }) => uid));
       // an undo may restore proposals
-      const comesBack = !label && !value && !source && [...open].some((uid) => !known.has(uid));
+      const comesBack = !this.isFiltered && [...open].some((uid) => !known.has(uid));
       if (comesBack || (items.length < FEW && items.length < remaining)) this.reloadSoon();
       if (items.length !== before) onChange();
     },

@@ -112,7 +112,7 @@ export function mount(root, app) {
 
   function showQueue() {
     queueList.show(desk.uid);
-    parts.done.hidden = queue.items.length > 0 || opening.loading || !opening.seenQueue;
+    parts.done.hidden = queue.items.length > 0 || queue.isFiltered || opening.loading || !opening.seenQueue;
   }
 
   function showActions() {

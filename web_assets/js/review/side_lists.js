@@ -1,17 +1,15 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
-import { schemaOf, steps } from "../attributes.js";
+import { nameOf, schemaOf, steps } from "../attributes.js";
 import { count, h } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
-import { ORDERS } from "./queue.js";
+import { ORDERS, OWN } from "./queue.js";
 
 /** Rows of the queue that are shown around the current one. */
 const ROWS = 120;
-/** The source of our own proposals. */
-const OWN = "annotator";
 
 /**
  * @param {HTMLElement} host
@@ -63,10 +61,10 @@ export function createQueueList(host, app, queue, { open }) {
     const { classes } = app.state.project;
     const values = valuesOf(app);
     label.hidden = classes.length < 2;
-    value.hidden = values.length === 0;
+    value.hidden = values.size === 0;
     const isEnded = [
-      refill(label, "All classes", classes),
-      refill(value, "All attributes", values, (name) => (name.endsWith("=") ? `${name.slice(0, -1)}: none` : name)),
+      refill(label, "All classes", new Map(classes.map((name) => [name, name]))),
+      refill(value, "All attributes", values),
     ].some(Boolean);
     if (isEnded) choose(label, { label: label.value, value: value.value });
   }
@@ -94,6 +92,19 @@ export function createQueueList(host, app, queue, { open }) {
     source.hidden = names.every((name) => name === OWN);
   }
 
+  /** Shown in place of the items if there are none. */
+  function nothing() {
+    if (!queue.isFiltered) return ["No proposals left to review."];
+    const clear = () => {
+      for (const select of [label, value, source]) select.value = "";
+      choose(label, { label: "", value: "", source: "" });
+    };
+    return [
+      h("p", {}, "No proposal matches the filter."),
+      h("button", { type: "button", onclick: clear, "data-testid": "queue-clear" }, "Show all"),
+    ];
+  }
+
   return {
     fill,
     /** @param {string | null} uid */
@@ -109,7 +120,7 @@ export function createQueueList(host, app, queue, { open }) {
       list.replaceChildren(
         ...queue.items.slice(from, from + ROWS).map((item) => queueRow(item, recordings, item.uid === uid, open)),
       );
-      if (queue.items.length === 0) list.append(h("li", { class: "muted pad" }, "No proposals left to review."));
+      if (queue.items.length === 0) list.append(h("li", { class: "muted pad" }, ...nothing()));
       list.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
     },
   };
@@ -259,28 +270,31 @@ function boxRow(label, desk, picture) {
  *
  * @param {HTMLSelectElement} select
  * @param {string} all the option without a value.
- * @param {string[]} values
- * @param {(value: string) => string} [nameOf]
+ * @param {Map<string, string>} texts of the other options, by their values.
  */
-function refill(select, all, values, nameOf = String) {
+function refill(select, all, texts) {
   const chosen = select.value;
   select.replaceChildren(
     h("option", { value: "" }, all),
-    ...values.map((value) => h("option", { value }, nameOf(value))),
+    ...[...texts].map(([value, text]) => h("option", { value }, text)),
   );
-  select.value = values.includes(chosen) ? chosen : "";
+  select.value = texts.has(chosen) ? chosen : "";
   return select.value !== chosen;
 }
 
 /**
- * The values that the queue can be filtered by, as "name=value"; "name=" for boxes without one.
+ * The values that the queue can be filtered by, as "name=value" ("name=" for boxes without one), and their texts.
  *
  * @param {ModeApp} app
+ * @returns {Map<string, string>}
  */
 function valuesOf(app) {
-  return schemaOf(app)
-    .filter(({ of }) => of !== "frame")
-    .flatMap((attribute) =>
-      ["", ...(steps(attribute) ?? []).map(String)].map((value) => `${attribute.name}=${value}`),
-    );
+  /** @type {Map<string, string>} */
+  const texts = new Map();
+  for (const attribute of schemaOf(app).filter(({ of }) => of !== "frame")) {
+    const { name } = attribute;
+    texts.set(`${name}=`, `${name}: none`);
+    for (const value of steps(attribute) ?? []) texts.set(`${name}=${value}`, `${name}: ${nameOf(value)}`);
+  }
+  return texts;
 }
