@@ -218,7 +218,10 @@ class AllowedValues:
 
 
 def same_state(target: str, a: str | None, b: str | None) -> bool:
-    """True if two states are equal, apart from a label's position in the list and the rounding of moved poses."""
+    """True if two states are equal, apart from a label's position in the list and the rounding of moved poses.
+
+    The time of an open proposal does not count: each import into its frame stores it anew.
+    """
     kind = target.partition(":")[0]
     if a is None or b is None or a == b or kind not in (LABEL, VIEW, SOURCE):
         return a == b
@@ -227,8 +230,10 @@ def same_state(target: str, a: str | None, b: str | None) -> bool:
     if kind == VIEW:
         return _same_view(*(parsed(ViewBoxesState.model_validate_json, state) for state in (a, b)))
     first, second = (parsed(LabelState.model_validate_json, state) for state in (a, b))
-    same = first.model_copy(update={"place": second.place, "box": second.box, "said": second.said}) == second
-    return same and same_box(first.box.box(), second.box.box())
+    other: dict[str, object] = {"place": second.place, "box": second.box, "said": second.said}
+    if first.state is ReviewState.PROPOSED:
+        other["time_ns"] = second.time_ns
+    return first.model_copy(update=other) == second and same_box(first.box.box(), second.box.box())
 
 
 def _same_said(first: Sequence[SaidRecord], second: Sequence[SaidRecord]) -> bool:

@@ -15,6 +15,7 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project.overview import read_page
 from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
@@ -25,6 +26,7 @@ from annotator.types import (
     OrientedBox,
     Proposal,
     Quality,
+    ReviewState,
     Source,
     StepTrace,
     StopReason,
@@ -108,6 +110,30 @@ def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
 def sorted_state(project: Project) -> dict[str, list[tuple[object, ...]]]:
     """As `state_of`, without the order of rows that belong to different frames."""
     return {table: sorted(rows, key=str) for table, rows in state_of(project).items()}
+
+
+def content(project: Project) -> list[object]:
+    """The state as an operator sees it: everything except the event ids."""
+    state: list[object] = []
+    for frame in project.frames.of():
+        page = read_page(project, frame.id)
+        state.append((page.frame.finalised, project.frames.attributes().get(frame.id)))
+        state.append([repr_of(stored.label) for stored in page.labels])
+        boxes = page.image_boxes
+        state.append(None if boxes is None else (boxes.boxes, boxes.box_kind, boxes.author, boxes.time_ns))
+        state.append(sorted((v.view_id, v.boxes, v.box_kind, v.author, v.time_ns) for v in page.view_boxes))
+    return state
+
+
+def repr_of(label: object) -> str:
+    """All values of a label.
+
+    A box that was moved with the cloud and back has other last digits. An import stores open proposals anew.
+    """
+    values = vars(label)
+    box, is_open = values["box"], values["state"] is ReviewState.PROPOSED
+    rounded = (box.T_camera_box.as_matrix().round(9) + 0.0).tolist(), box.size_m.tolist()
+    return repr({**values, "box": rounded, "time_ns": None if is_open else values["time_ns"]})
 
 
 def _renamed(config: ProjectConfig, number: int) -> ClassEdit:

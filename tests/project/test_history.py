@@ -17,43 +17,25 @@ from store_samples import (
     box_at,
     by_hand,
     by_machine,
+    content,
     give_attributes,
     lists_of_steps,
     proposal_at,
+    repr_of,
     some_boxes,
     state_of,
 )
 
 from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
 from annotator.project.event_types import FrameFinalised, LabelCreated, LabelDeleted, Payload
-from annotator.project.overview import read_page
 from annotator.project.records import BoxRecord
+from annotator.project.writing import new_action
 from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, ProjectError
 
 KINDS = ("undo", "redo", "adjust", "values", "frame values")
 STEPS = lists_of_steps(*KINDS, frames=2, longest=14)
 WITH_CLASSES = lists_of_steps(*KINDS, "classes", frames=2, longest=14)
-
-
-def content(project: Project) -> list[object]:
-    """The state as an operator sees it: everything except the event ids."""
-    state: list[object] = []
-    for frame in project.frames.of():
-        page = read_page(project, frame.id)
-        state.append((page.frame.finalised, project.frames.attributes().get(frame.id)))
-        state.append([repr_of(stored.label) for stored in page.labels])
-        boxes = page.image_boxes
-        state.append(None if boxes is None else (boxes.boxes, boxes.box_kind, boxes.author, boxes.time_ns))
-        state.append(sorted((v.view_id, v.boxes, v.box_kind, v.author, v.time_ns) for v in page.view_boxes))
-    return state
-
-
-def repr_of(label: object) -> str:
-    """All values of a label; a box that was moved with the cloud and back has other last digits."""
-    box = vars(label)["box"]
-    rounded = (box.T_camera_box.as_matrix().round(9) + 0.0).tolist(), box.size_m.tolist()
-    return repr({**vars(label), "box": rounded})
 
 
 def _take(project: Project, view: str, step: Step) -> None:
@@ -174,6 +156,16 @@ def test_an_undo_that_conflicts_with_a_later_change_is_refused_and_can_be_skippe
     assert project.labels.get(uids[0]).label.state is ReviewState.ACCEPTED
     project.history.redo("ann")
     assert project.labels.get(uids[1]).label.state is ReviewState.ACCEPTED
+
+
+def test_what_followed_an_import_is_redone_after_the_import(project: Project, frame: int) -> None:
+    project.proposals.bring("mine", {frame: [NewLabel("hand", box_at(), 0.5)]}, "ann", new_action())
+    (label,) = project.labels.of_frame(frame)
+    project.labels.accept(frame, label.uid, by_hand(project.frames.get(frame).revision))
+    before = content(project)
+    for step in (project.history.undo, project.history.undo, project.history.redo, project.history.redo):
+        step("ann")
+    assert content(project) == before
 
 
 def test_a_redo_that_conflicts_with_new_proposals_names_their_author(project: Project, frame: int) -> None:
