@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, ProjectName, Projects
+from annotator.cli.options import AsJson, ProjectName, Projects, names_in
 from annotator.cli.output import print_facts, print_json, print_line
 from annotator.cli.projects import open_named, projects_root
 from annotator.project import ProjectConfig
@@ -66,10 +66,10 @@ def order(project: ProjectName, names: tuple[str, ...], /, *, projects: Projects
     """Set the order of the classes.
 
     Args:
-        names: all classes of the project.
+        names: all classes of the project, with spaces or commas between them.
     """
 
-    _change(project, projects, lambda config: edit.order_classes(config, names))
+    _change(project, projects, lambda config: edit.order_classes(config, names_in(names, config.classes)))
 
 
 def rename(project: ProjectName, old: str, new: str, /, *, projects: Projects = None) -> None:
@@ -88,19 +88,21 @@ def merge(project: ProjectName, old: tuple[str, ...], /, *, into: str, projects:
     Undo does not take this back. A backup is made before.
 
     Args:
-        old: names of the classes, or of boxes whose class was removed from project.json by hand.
+        old: names of the classes, or of boxes whose class was removed from project.json by hand; with spaces or commas
+            between them.
         into: class that gets the boxes.
     """
 
     def merged(config: ProjectConfig) -> ClassEdit:
-        for name in old:
+        for name in names:
             if name not in counts:
                 edit.require_class(config, name)
-        return edit.merge_classes(config, old, into)
+        return edit.merge_classes(config, names, into)
 
     with open_named(project, projects) as opened:
         counts = opened.class_counts()
-    _change(project, projects, merged, *old)
+        names = names_in(old, {*counts, *opened.config.classes})
+    _change(project, projects, merged, *names)
 
 
 def remove(
@@ -155,10 +157,10 @@ def attribute(
         name: name of the attribute.
         kind: kind of its values; a new attribute needs it.
         of: what has the attribute: each box, a track (the same value in all its boxes), or a frame.
-        choices: the values of the kind choice.
+        choices: the values of the kind choice, with spaces or commas between them.
         minimum: smallest number.
         maximum: greatest number.
-        classes: classes that have the attribute; default: all.
+        classes: classes that have the attribute, with spaces or commas between them; default: all.
         required: let checks report boxes without a value.
         optional: let checks accept boxes without a value.
         value: default value of new boxes.
@@ -171,13 +173,13 @@ def attribute(
             raise ConfigError(f"a new attribute needs --kind, one of {', '.join(AttributeKind)}")
         given: dict[str, Any] = {"kind": kind, "of": of, "minimum": minimum, "maximum": maximum, "key": key}
         given |= {
-            "choices": choices or None,
-            "classes": classes or None,
+            "choices": names_in(choices) or None,
+            "classes": names_in(classes, config.classes) or None,
             "required": required or (False if optional else None),
         }
         fields = known[name].model_dump() if name in known else {"name": name}
         fields |= {field: each for field, each in given.items() if each is not None}
-        for label in classes:
+        for label in given["classes"] or ():
             edit.require_class(config, label)
         try:
             made = Attribute.model_validate(fields)

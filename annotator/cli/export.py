@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from pathlib import Path
 
-from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed
+from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed, names_in
 from annotator.cli.output import print_json, print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
@@ -67,7 +67,7 @@ def run(
         format: {formats}.
         states: review states of the labels to export; default: accepted and edited; with rcv and openlabel, which
             store the state of each label: all but rejected.
-        classes: classes of the labels to export; default: all.
+        classes: classes of the labels to export, with spaces or commas between them; default: all.
         empty_frames: include frames that have no label to export.
         skip_unreadable: skip frames that cannot be read, and list them; every frame is then read twice.
         split: parts of the dataset and their shares of the frames, such as train=0.8,val=0.2; default: no split.
@@ -86,7 +86,9 @@ def run(
             opened,
             out,
             format,
-            choose=ExportFilter(states or None, classes or None, ids, empty_frames, skip_unreadable),
+            choose=ExportFilter(
+                states or None, names_in(classes, opened.config.classes) or None, ids, empty_frames, skip_unreadable
+            ),
             split=parts,
             options=ExportOptions(images.value, boxes_on.value, vertices),
             overwrite=overwrite,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from annotator.cli.options import Projects, Rotation
+from annotator.cli.options import Projects, Rotation, names_in
 from annotator.cli.output import print_line
 from annotator.cli.projects import projects_root
 from annotator.project import BoxRotation, ProjectSettings, create_project
@@ -20,8 +20,9 @@ def run(
 
     Args:
         name: name of the project and of its folder.
-        classes: classes to annotate, such as `hand`.
+        classes: classes to annotate, such as `hand`; several with spaces or commas between them.
     """
-    with create_project(projects_root(projects), name, classes, settings=ProjectSettings(rotation=rotation)) as project:
+    settings = ProjectSettings(rotation=rotation)
+    with create_project(projects_root(projects), name, names_in(classes), settings=settings) as project:
         print_line(f"created {project.path} for {', '.join(project.config.classes)}")
         print_line(f"next: annotator add {name} PATH")

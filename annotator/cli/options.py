@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -60,3 +61,18 @@ TokenFile = Annotated[
 NoToken = Annotated[
     bool, arg(help="ask for no token: every user and program of this computer may use the page; not with --host.")
 ]
+
+
+def names_in(given: tuple[str, ...], known: Collection[str] = ()) -> tuple[str, ...]:
+    """The names that an option has: each word is one, or several with commas between them.
+
+    Args:
+        given: the words of the command line.
+        known: names that stay whole even if they contain a comma.
+    """
+
+    def split() -> Iterator[str]:
+        for word in given:
+            yield from [word] if word in known else filter(None, map(str.strip, word.split(",")))
+
+    return tuple(split())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,6 +46,7 @@ class Hub:
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
         self._announced: dict[tuple[str, int], int] = {}
         self._adjusted: dict[tuple[str, int], int] = {}
+        self._recordings: dict[str, frozenset[int]] = {}
 
     # --- pages connect and disconnect (event loop) -----------------------------------------------------------------
 
@@ -124,6 +125,19 @@ class Hub:
         event = {"type": "adjusted", "project": project, "recording": recording, "adjusted": adjusted}
         self.send({**event, "operator": operator})
 
+    def recordings_are(self, project: str, recordings: Iterable[int], operator: str = "") -> None:
+        """Takes the ids of a project's recordings; sends an event for each one that was added, removed or restored.
+
+        Args:
+            operator: who has done it; "" if that is not known.
+        """
+        now = frozenset(recordings)
+        with self._lock:
+            changed = sorted(now ^ self._recordings.get(project, now))
+            self._recordings[project] = now
+        for recording in changed:
+            self.send({"type": "recordings", "project": project, "recording": recording, "operator": operator})
+
     def classes_changed(self, project: str, renamed: Mapping[str, str], operator: str) -> None:
         """Sends the event for changed classes or attributes; `renamed`: old class name -> new one."""
         self.send({"type": "classes", "project": project, "renamed": dict(renamed), "operator": operator})
@@ -133,6 +147,7 @@ class Hub:
         with self._lock:
             self._announced = {key: revision for key, revision in self._announced.items() if key[0] != project}
             self._adjusted = {key: event for key, event in self._adjusted.items() if key[0] != project}
+            self._recordings.pop(project, None)
 
     def send(self, message: Message) -> None:
         """Sends an event to the pages of its "project" or "workbench" (the viewport's id), or else to all pages.

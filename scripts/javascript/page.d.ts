@@ -365,7 +365,12 @@ type FrameChange = {
   /** It touches nothing that others draw: it is sent again without asking, and dropped if it is refused. */
   isSmall?: boolean;
   item?: Item;
+  /** Gives its boxes the new names of classes. */
+  relabel?: (named: Naming) => void;
 };
+
+/** Gives a box another class. */
+type Naming = <T extends ViewBox | undefined>(box: T) => T;
 
 /** A change whose content is determined only when it is sent; null: nothing to save. */
 type LaterChange = { item: Item; make: () => Promise<FrameChange | null> };

@@ -35,13 +35,13 @@ def listed(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
 def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words in (
         "add cars bus --colour 3366ff --key b",
-        "attribute cars pose --kind choice --choices parked driving --value parked --key p",
-        "attribute cars pose --required --classes car van",
+        "attribute cars pose --kind choice --choices parked,driving --value parked --key p",
+        "attribute cars pose --required --classes car,van",
         "cars rename car auto",
         "rename-attribute cars pose=parked still",
         "merge cars van --into auto",
         "style cars auto --key a",
-        "order cars bus auto",
+        "order cars bus,auto",
     ):
         assert main(["classes", *words.split()]) == 0, words
     content = listed(capsys)

@@ -17,6 +17,7 @@ from websockets.sync.client import ClientConnection
 from annotator.project import WriteContext, open_project
 from annotator.types import Source
 from annotator.web.hub import QUEUE, Client, Hub
+from annotator.workflows.add_recordings import bring_back
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -60,6 +61,21 @@ def test_changes_by_another_process_are_announced(live: Live) -> None:
         project.frames.finalise(frame.id, WriteContext(frame.revision, "the command line", Source.MANUAL))
         event = next_of(socket, "frame")
         assert (event["frame"], event["revision"], event["operator"]) == (frame.id, 1, "the command line")
+
+
+def test_recordings_removed_and_restored_by_another_process_are_announced(live: Live) -> None:
+    with listen(live) as socket, open_project(live.settings.projects_root / "room") as project:
+        next_of(socket, "presence")
+        recording = project.recordings.all()[0].id
+        # an event that was sent after the server had looked at the recordings for the first time
+        frame = project.frames.of()[2]
+        project.frames.finalise(frame.id, WriteContext(frame.revision, "Bob", Source.MANUAL))
+        next_of(socket, "frame")
+        live.context.hub.recordings_are("room", [recording])
+        project.recordings.remove(recording, "Bob")
+        assert next_of(socket, "recordings")["recording"] == recording
+        bring_back(project, recording)
+        assert next_of(socket, "recordings")["recording"] == recording
 
 
 def test_pages_see_the_operators_of_open_frames(live: Live, wait_for: WaitFor) -> None:

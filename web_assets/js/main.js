@@ -206,7 +206,8 @@ async function reread({ recording, operator }) {
     app.frames.close();
     return;
   }
-  toast(`${operator} has removed this recording from the project.`, "warn");
+  const text = operator ? `${operator} has removed this recording from` : "This recording was removed from";
+  toast(`${text} the project.`, "warn");
   if (!(await mayLeave())) return;
   app.frames.close();
   comeBack({ ...route, frame: null });

@@ -19,7 +19,7 @@ WAIT_S = 0.1
 
 class Watch(Periodic):
     """Polls the log of each project that a page has open: sends an event for each changed frame, each adjusted
-    recording and each change of the classes, and lets it learn."""
+    recording, each change of the classes and each added or removed recording, and lets it learn."""
 
     def __init__(self, context: Context, learner: Learner) -> None:
         super().__init__("watch", EVERY_S, self.poll)
@@ -52,6 +52,7 @@ class Watch(Periodic):
             self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
         for recording, event, author in adjusted:
             self._context.hub.recording_adjusted(name, recording, event, author)
+        self._context.hub.recordings_are(name, (each.id for each in project.recordings.all()))
         for author, change in classes:
             self._context.hub.classes_changed(name, change.classes, author)
         self._learner.look(name, project)

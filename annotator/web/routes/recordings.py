@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -9,6 +11,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 
+from annotator.project import Project
 from annotator.recordings import ReaderOptions
 from annotator.types.errors import InputError, MovedError
 from annotator.web.context import Ctx, Operator
@@ -175,18 +178,25 @@ def move(project: str, recording: RowId, body: RecordingPath, ctx: Ctx, operator
 @router.delete("/api/projects/{project}/recordings/{recording}")
 def remove(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
     """Remove a recording from a project; its labels stay in the history and come back with it."""
-    ctx.project(project).recordings.remove(recording, operator)
-    return _changed(project, recording, ctx, operator)
+    opened = ctx.project(project)
+    with _told(opened, project, ctx, operator):
+        opened.recordings.remove(recording, operator)
+    return recordings(project, ctx, operator)
 
 
 @router.post("/api/projects/{project}/recordings/{recording}/restore")
 def restore(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
     """Bring a removed recording back, with its labels."""
-    bring_back(ctx.project(project), recording)
-    return _changed(project, recording, ctx, operator)
-
-
-def _changed(project: str, recording: int, ctx: Ctx, operator: str) -> ListedRecordings:
-    ctx.caches.frames.forget(ctx.project(project))
-    ctx.hub.send({"type": "recordings", "project": project, "recording": recording, "operator": operator})
+    opened = ctx.project(project)
+    with _told(opened, project, ctx, operator):
+        bring_back(opened, recording)
     return recordings(project, ctx, operator)
+
+
+@contextmanager
+def _told(opened: Project, project: str, ctx: Ctx, operator: str) -> Iterator[None]:
+    """Tells the pages which recordings were removed or have come back within the `with` block."""
+    ctx.hub.recordings_are(project, (each.id for each in opened.recordings.all()))
+    yield
+    ctx.caches.frames.forget(opened)
+    ctx.hub.recordings_are(project, (each.id for each in opened.recordings.all()), operator)

@@ -12,12 +12,16 @@ from browser_page import drag_box, draw_on_views, until
 from label_bench import EDGES, FRAME, Bench
 
 from annotator.geometry.iou import iou_3d
+from annotator.project.classes import edit
 from annotator.types import BoxKind, ReviewState
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
     from playwright.sync_api import Request
+
+    from annotator.project import ProjectConfig
+    from annotator.project.classes.edit import ClassEdit
 
 
 # Enter confirms a whole box after it was on the screen for a moment.
@@ -165,11 +169,11 @@ def test_boxes_on_views_follow_a_moved_image_box_or_nothing_is_saved(bench: Benc
     # the request for the new views fails
     page.route("**/label/steps", lambda route: route.abort())
     move("ArrowRight")
-    problem.get_by_role("button").wait_for()
+    problem.get_by_role("button", name="Try again").wait_for()
     assert bench.state == before
     expect(page.locator(".views img.picture[src]")).to_have_count(0)
     page.unroute("**/label/steps")
-    problem.get_by_role("button").click()
+    problem.get_by_role("button", name="Try again").click()
     expect(problem).to_have_text("")
     bench.saved()
     moved = bench.state
@@ -309,7 +313,7 @@ def test_a_failed_save_is_shown_and_can_be_retried(bench: Bench) -> None:
     bench.page.route("**/label/object", lambda route: route.abort())
     bench.drag_on_image(0)
     problem = bench.page.get_by_test_id("save-problem")
-    problem.get_by_role("button").wait_for()
+    problem.get_by_role("button", name="Try again").wait_for()
     assert bench.image_boxes == []
     assert bench.page.evaluate("!dispatchEvent(new Event('beforeunload', { cancelable: true }))")
     for leave in (lambda: bench.page.keyboard.press("n"), bench.page.get_by_test_id("mode-review").click):
@@ -319,10 +323,53 @@ def test_a_failed_save_is_shown_and_can_be_retried(bench: Bench) -> None:
         bench.page.get_by_test_id("unsaved-dialog").wait_for(state="detached")
         expect(bench.page).to_have_url(re.compile(f"/label/{FRAME}$"))
     bench.page.unroute("**/label/object")
-    problem.get_by_role("button").click()
+    problem.get_by_role("button", name="Try again").click()
     expect(problem).to_have_text("")
     bench.saved()
     assert len(bench.image_boxes) == 1
+
+
+def _while_saving(bench: Bench, change: Callable[[ProjectConfig], ClassEdit]) -> None:
+    """Lets another operator change the classes just before this page's next drag is saved."""
+    done: list[bool] = []
+
+    def change_first(route: Any) -> None:
+        if not done:
+            done.append(True)
+            bench.project.change_classes(change, "Bob")
+        route.continue_()
+
+    bench.page.route("**/label/object", change_first)
+
+
+def test_a_box_whose_class_is_renamed_before_it_is_saved_gets_the_new_name(bench: Bench) -> None:
+    _while_saving(bench, lambda config: edit.rename_class(config, "person", "human"))
+    bench.drag_on_image(0)
+    # refused at first, and sent again as soon as the page knows the new name
+    expect(bench.page.get_by_test_id("object")).to_contain_text("human")
+    bench.saved()
+    expect(bench.page.get_by_test_id("save-problem")).to_have_text("")
+    assert [box["label"] for box in bench.image_boxes] == ["human"]
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_box_whose_class_is_removed_before_it_is_saved_gets_another_or_is_discarded(
+    bench: Bench, is_kept: bool
+) -> None:
+    bench.project.change_classes(lambda config: edit.add_class(config, "dog"), "Bob")
+    _while_saving(bench, lambda config: edit.remove_class(config, "person"))
+    bench.drag_on_image(0)
+    problem = bench.page.get_by_test_id("save-problem")
+    expect(problem).to_contain_text("'person' is not a class")
+    expect(problem.get_by_test_id("save-as").locator("option")).to_have_text(["save it as …", "dog"])
+    if is_kept:
+        problem.get_by_test_id("save-as").select_option("dog")
+    else:
+        problem.get_by_role("button", name="Discard").click()
+    expect(problem).to_have_text("")
+    bench.saved()
+    assert [box["label"] for box in bench.image_boxes] == ["dog"] * is_kept
+    expect(bench.page.get_by_test_id("object")).to_have_count(int(is_kept))
 
 
 def test_the_next_frame_is_prefetched_and_navigation_cancels_that(bench: Bench) -> None:

@@ -1,7 +1,7 @@
 /** The changes of a frame, for saver.js. */
 
 import { drawnObject } from "./draft.js";
-import { exchanged, makeItem, plainBox, suggestionOf } from "./items.js";
+import { exchanged, makeItem, plainBox, relabelItem, suggestionOf } from "./items.js";
 
 /**
  * Saves an object as it is now. Afterwards `stored` is its image box, which later changes replace.
@@ -16,16 +16,21 @@ import { exchanged, makeItem, plainBox, suggestionOf } from "./items.js";
 export function objectChange(draft, { after, kind, onDrawn }) {
   const { item, outline } = draft;
   const drawn = drawnObject(draft);
-  const { image_box: box, boxes } = drawn;
   const suggestion = suggestionOf(item);
-  const before = item.stored;
-  item.stored = box;
+  const kept = { ...makeItem(drawn.image_box), boxes: item.boxes.slice(), views: item.views.slice() };
+  kept.stored = item.stored;
+  item.stored = drawn.image_box;
   return {
     path: ["label", "object"],
     after,
-    item: { ...makeItem(box), boxes: item.boxes.slice(), views: item.views.slice() },
+    item: kept,
+    relabel(named) {
+      relabelItem(kept, named);
+      drawn.image_box = named(drawn.image_box);
+      drawn.boxes = drawn.boxes.map(named);
+    },
     body: (state) => ({
-      image_boxes: exchanged(state.image_boxes?.boxes ?? [], before, box),
+      image_boxes: exchanged(state.image_boxes?.boxes ?? [], kept.stored, drawn.image_box),
       box_kind: kind(),
       object: { ...drawn, uid: state.labels.some(({ uid }) => uid === item.uid) ? item.uid : null, suggestion },
     }),
@@ -34,8 +39,8 @@ export function objectChange(draft, { after, kind, onDrawn }) {
       if (following) onDrawn(following);
     },
     mine: () => ({
-      text: [`${box.label}: its box on the image and ${boxes.filter(Boolean).length} on the views`],
-      boxes: [box],
+      text: [`${drawn.image_box.label}: its box on the image and ${drawn.boxes.filter(Boolean).length} on the views`],
+      boxes: [drawn.image_box],
       outlines: outline ? [outline] : [],
     }),
   };
@@ -52,6 +57,7 @@ export function removal(item, kind) {
   const { image_box } = item;
   return {
     path: ["changes"],
+    relabel: (named) => relabelItem(item, named),
     // made when it is sent: the answer to an earlier change may contain the uid and the stored box
     body: (state) => ({
       subject: item.uid,

@@ -231,5 +231,5 @@ export function createFrames(app, work, parts) {
     app.frames.take(currentFrame(app));
   }
 
-  return { openRoute, onFrame, onSaved, refresh, go, setOrder, flush, unsaved };
+  return { openRoute, onFrame, onSaved, refresh, go, setOrder, flush, unsaved, discard };
 }

@@ -18,6 +18,28 @@ export function plainBox(box) {
 }
 
 /**
+ * Gives a box the new name of its class.
+ *
+ * @param {Record<string, string>} renamed old name -> new name.
+ * @returns {Naming}
+ */
+export function naming(renamed) {
+  return (box) => (box && Object.hasOwn(renamed, box.label) ? { ...box, label: renamed[box.label] } : box);
+}
+
+/**
+ * Gives all boxes of an item the new names of their classes.
+ *
+ * @param {Item} item
+ * @param {Naming} named
+ */
+export function relabelItem(item, named) {
+  item.image_box = named(item.image_box);
+  item.stored = named(item.stored);
+  item.boxes = item.boxes.map(named);
+}
+
+/**
  * @param {ViewBox | undefined} a
  * @param {ViewBox | undefined} b
  */

@@ -21,6 +21,7 @@ import { createFrames } from "./frames.js";
 import { createObjects } from "./objects.js";
 import { createOrder } from "./order.js";
 import { createPrefetch } from "./prefetch.js";
+import { createSaveProblem } from "./save_problem.js";
 import { createSaver } from "./saver.js";
 import {
   createClassPicker,
@@ -66,7 +67,7 @@ export function mount(root, app) {
   // -- the page
 
   const hint = h("p", { class: "hint grow", role: "status", "data-testid": "hint" });
-  const problem = h("span", { class: "problem", role: "alert", "data-testid": "save-problem" });
+  const problem = createSaveProblem(app, saver, { onRelabel: relabel, onDiscard: () => frames.discard() });
   const imageHost = h("div", { class: "image", "data-testid": "image-editor" });
   const picker = createClassPicker(app, (name) => objects.pickClass(name));
   const kinds = createKindSwitch(setKind);
@@ -104,7 +105,7 @@ export function mount(root, app) {
     h(
       "section",
       { class: "panel image-panel", "aria-label": "Camera image" },
-      h("header", {}, picker.root, hint, problem),
+      h("header", {}, picker.root, hint, problem.root),
       imageHost,
       h("footer", {}, kinds.root),
     ),
@@ -152,9 +153,12 @@ export function mount(root, app) {
 
   const stop = [
     app.state.on("frame", frames.onFrame),
-    app.state.on("project", show),
+    app.state.on("project", () => {
+      show();
+      problem.show();
+    }),
     app.events.on("classes", ({ renamed }) => {
-      renameClasses(work, renamed);
+      relabel(renamed);
       void frames.refresh();
     }),
     app.events.on("frame", frames.refresh),
@@ -186,20 +190,20 @@ export function mount(root, app) {
 
   // -- callbacks
 
-  /**
-   * @param {boolean} isSaving
-   * @param {Error | null} error
-   */
-  function onBusy(isSaving, error) {
+  /** @param {boolean} isSaving */
+  function onBusy(isSaving) {
     page.toggleAttribute("data-saving", isSaving);
-    problem.replaceChildren();
-    if (!isSaving && !error) void frames.refresh();
-    if (!error) return;
-    objects.onFailed();
-    problem.append(
-      `Not saved: ${error.message} `,
-      h("button", { type: "button", onclick: () => saver.retry() }, "Try again"),
-    );
+    problem.show();
+    if (isSaving) return;
+    if (saver.problem) objects.onFailed();
+    else void frames.refresh();
+  }
+
+  /** @param {Record<string, string>} renamed old name of a class -> new name. */
+  function relabel(renamed) {
+    renameClasses(work, renamed);
+    saver.relabel(renamed);
+    show();
   }
 
   /**

@@ -8,6 +8,7 @@
 import { ApiError, isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { askVersion } from "../stale.js";
+import { naming } from "./items.js";
 
 /**
  * @param {App} app
@@ -15,7 +16,7 @@ import { askVersion } from "../stale.js";
  * @param {(state: FrameState) => void} listeners.onSaved called when the last waiting change is saved.
  * @param {(change: FrameChange | LaterChange) => void} listeners.onDropped the operator kept the others' version; this
  *     change is not saved.
- * @param {(isSaving: boolean, problem: Error | null) => void} listeners.onBusy
+ * @param {(isSaving: boolean) => void} listeners.onBusy called when saving begins, and when it ends or fails.
  */
 export function createSaver(app, { onSaved, onDropped, onBusy }) {
   /** @type {Waiting[]} */
@@ -24,13 +25,15 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
   let running = null;
   /** @type {Error | null} */
   let problem = null;
+  // how often waiting changes got other names of classes
+  let namings = 0;
 
   async function run() {
-    onBusy(true, null);
     problem = null;
+    onBusy(true);
     while (waiting.length && !problem) await send(waiting[0]);
     running = null;
-    onBusy(false, problem);
+    onBusy(false);
   }
 
   /** @param {Waiting} entry */
@@ -45,6 +48,7 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     const { frame } = entry;
     /** @type {FrameChange | null} */
     let change = null;
+    let namingsSent = namings;
     try {
       change = await changeOf(entry);
       await change?.after;
@@ -54,6 +58,7 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
         return;
       }
       const state = await stateOf(frame);
+      namingsSent = namings;
       const body = { revision: state.frame.revision, ...change.body(state) };
       /** @type {FrameState | Api.SaveOut} */
       const answer = await app.api.change(app.path("frames", frame, ...change.path), body);
@@ -63,7 +68,8 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
     } catch (error) {
       if (change?.isSmall && error instanceof ApiError && error.status !== 0) again(error);
       else if (change && isStale(error)) await settle(error, change);
-      else problem = error instanceof Error ? error : new Error(String(error));
+      // an error about a name that the change no longer has does not count: it is sent again
+      else if (namingsSent === namings) problem = error instanceof Error ? error : new Error(String(error));
     }
   }
 
@@ -133,11 +139,28 @@ export function createSaver(app, { onSaved, onDropped, onBusy }) {
       if (waiting.length) running ??= run();
       await running;
     },
+    /**
+     * Gives waiting changes the new names of classes, and tries again what was refused.
+     *
+     * @param {Record<string, string>} renamed old name -> new name.
+     */
+    relabel(renamed) {
+      if (!Object.keys(renamed).length) return;
+      namings += 1;
+      const named = naming(renamed);
+      for (const entry of waiting) {
+        const change = "make" in entry ? entry.made : entry;
+        change?.relabel?.(named);
+      }
+      if (problem && waiting.length) running ??= run();
+    },
+    /** The classes of the boxes that wait. */
+    labels: () => new Set(waiting.map((entry) => entry.item?.image_box.label).filter((label) => label !== undefined)),
     /** Drops all waiting changes. */
     discard() {
       waiting = [];
       problem = null;
-      onBusy(false, null);
+      onBusy(false);
     },
     get isBusy() {
       return waiting.length > 0;

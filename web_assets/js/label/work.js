@@ -1,6 +1,6 @@
 /** Label mode's state, which its files share: the open frame's objects, the current one, and suggestions. */
 
-import { makeItem, overlap } from "./items.js";
+import { makeItem, naming, overlap, relabelItem } from "./items.js";
 
 const KIND_KEPT = "box-kind";
 /** IoU above which a detected box and a drawn one are the same object. */
@@ -48,15 +48,10 @@ export function createWork(app) {
  * @param {Record<string, string>} renamed old name -> new name.
  */
 export function renameClasses(work, renamed) {
-  /** @template {ViewBox | undefined} T @param {T} box @returns {T} */
-  const named = (box) => (box && renamed[box.label] ? { ...box, label: renamed[box.label] } : box);
-  work.picked = renamed[work.picked] ?? work.picked;
+  const named = naming(renamed);
+  if (Object.hasOwn(renamed, work.picked)) work.picked = renamed[work.picked];
   work.detections = work.detections.map(named);
-  for (const item of new Set([...work.items, ...work.notSaved])) {
-    item.image_box = named(item.image_box);
-    item.stored = named(item.stored);
-    item.boxes = item.boxes.map(named);
-  }
+  for (const item of new Set([...work.items, ...work.notSaved])) relabelItem(item, named);
   if (work.draft) work.draft.suggestions = work.draft.suggestions.map(named);
 }
 
