@@ -150,7 +150,7 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
     keys = tuple(Path(colors[at]).stem for at, _ in pairs)
     if not pairs:
         raise RecordingError(
-            f"{path}: no frames; none of {len(colors)} colour images has a depth image within {tolerance_s:g} s; "
+            f"{path}: no frames; none of its colour images ({len(colors)}) has a depth image within {tolerance_s:g} s; "
             "give a larger --tolerance"
         )
     if len({*keys}) < len(keys):

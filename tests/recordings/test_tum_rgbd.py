@@ -75,7 +75,9 @@ def test_images_are_paired_by_time_and_depth_has_5000_units_per_metre(tmp_path: 
     assert frame.up[1] < -0.85 and frame.up[2] == pytest.approx(-np.sin(np.radians(27.6)), abs=0.01)
     wider = open_recording(path, ReaderOptions(tolerance_s=0.05))
     assert (len(wider), wider.notes) == (4, ())
-    with pytest.raises(RecordingError, match=r"no frames; none of 4 colour images .* within 0\.001 s; give a larger"):
+    with pytest.raises(
+        RecordingError, match=r"no frames; none of its colour images \(4\) has .* within 0\.001 s; give a larger"
+    ):
         open_recording(path, ReaderOptions(tolerance_s=0.001))
 
 
