@@ -23,6 +23,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.warm_start import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types import DetectorKind
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.web.live.page import LivePage
 from annotator.workflows.detectors import Detectors, load_detector, own_model
@@ -108,7 +109,10 @@ def _measure(recording: Recording, detection: LiveDetection, args: Arguments) ->
     measured = _Run(recording, detection, rate)
     figures = measured.figures(args.seconds, args.frames)
     if figures.fps is None:
-        raise ConfigError(f"only {figures.shown} frames were shown, too few for a rate; raise --seconds or --frames")
+        raise ConfigError(
+            f"only {amount(figures.shown, 'frame was', 'frames were')} shown, too few for a rate; raise --seconds or "
+            "--frames"
+        )
     return {
         "fps": figures.fps,
         "latency_ms": figures.latency_ms,

@@ -12,6 +12,7 @@ from annotator.formats.kitti.label_folders import read_kitti_file
 from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings import Recording
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluating.evaluate_files import read_frame_names
 from annotator.workflows.recorded.frame_subset import share_of
@@ -80,8 +81,8 @@ def split_of(recording: Recording, seed: int) -> FrameSplit:
         both = sorted(set(train).intersection(val))
         if both:
             raise ConfigError(
-                f"{source}: {len(both)} frames are in the training list and in the test list, such as {both[0]}; "
-                "remove them from one of the lists"
+                f"{source}: {amount(len(both), 'frame is', 'frames are')} in the training list and in the test list, "
+                f"such as {both[0]}; each frame must be in one list only"
             )
         present = set(recording.keys)
         sides = tuple(sorted(present.intersection(train))), tuple(sorted(present.intersection(val)))

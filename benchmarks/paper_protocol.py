@@ -11,6 +11,7 @@ from annotator.detection.progress import TrainingProgress
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording
 from annotator.types import DetectorKind
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
@@ -160,8 +161,8 @@ class ProjectStages:
         if done.failed:
             key, reason = done.failed[0]
             raise ConfigError(
-                f"{len(done.failed)} test frames failed, such as {key}: {reason}; without them the scores would be too "
-                "high, so repair them and run the same command again: completed work is kept"
+                f"{amount(len(done.failed), 'test frame')} failed, such as {key}: {reason}; without all frames the "
+                "scores would be too high, so repair what failed and run the same command again: completed work is kept"
             )
         run = self.project.jobs.all()[-1]
         # includes the frames of an interrupted run
@@ -169,8 +170,9 @@ class ProjectStages:
         missing = [f for f in self.project.frames.of([self._recording(VAL)]) if f.id not in results]
         if missing:
             raise ConfigError(
-                f"{len(missing)} test frames were skipped, such as {missing[0].key}: they are finalised or missing; "
-                "without them the scores would be too high, so reopen them, or use another --work folder"
+                f"{amount(len(missing), 'test frame was', 'test frames were')} skipped, such as {missing[0].key}, "
+                "as finalised or missing; without all frames the scores would be too high, so reopen what is "
+                "finalised, or use another --work folder"
             )
         return {
             "run": run.id,

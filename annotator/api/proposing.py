@@ -12,6 +12,7 @@ from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image, PseudoView, Region
+from annotator.types.amounts import amount
 from annotator.types.errors import ArgumentError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import Detected, LiveDetection
@@ -198,7 +199,9 @@ def image_boxes_of(
     assert image_boxes is not None
     lists = [list(image_boxes)] if isinstance(frames, Frame) else list(map(list, _lists(image_boxes)))
     if len(lists) != len(several):
-        raise ArgumentError(f"image_boxes has {len(lists)} lists for {len(several)} frames; pass one list per frame")
+        raise ArgumentError(
+            f"image_boxes has {amount(len(lists), 'list')} for {amount(len(several), 'frame')}; pass one list per frame"
+        )
     for frame, boxes in zip(several, lists, strict=True):
         require_on_image(boxes, frame.camera)
     return lists

@@ -17,6 +17,7 @@ from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.project import REVIEWED
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.names import alternatives
 from annotator.workflows.add_recordings import Added, add_recordings
@@ -76,24 +77,25 @@ def run(
 
 def _label_lines(imported: OwnLabels, classes: Sequence[str]) -> list[str]:
     counts = sorted(imported.labels.items())
-    lines = [f"  {number} boxes of class {label} imported as labels" for label, number in counts]
+    lines = [f"  imported as labels: {amount(number, 'box')} of class {label}" for label, number in counts]
     lines += [
-        f"  skipped: {number} boxes of class {label}, which is not in the project; {alternatives(label, classes)}"
+        f"  skipped: {amount(number, 'box')} of class {label}, which is not in the project; "
+        f"{alternatives(label, classes)}"
         for label, number in sorted(imported.other_classes.items())
     ]
     lines += [f"  {line}" for line in left_out_values(imported.values)]
     if imported.are_partial:
         lines.append("  no labels imported: those of the recording are only of what its own camera sees")
     if imported.of_other_cameras:
-        lines.append(f"  {imported.of_other_cameras} boxes belong to other cameras of the rig")
+        lines.append(f"  {amount(imported.of_other_cameras, 'box')} left to other cameras of the rig")
     return lines + [f"  unreadable: {line}" for line in imported.unreadable]
 
 
 def _summary(added: Added) -> str:
     recording = added.recording
     if added.is_new:
-        return f"added {recording.name}: {recording.frames} frames ({recording.format})"
+        return f"added {recording.name}: {amount(recording.frames, 'frame')} ({recording.format})"
     if added.came_back:
-        return f"{recording.name} is back in the project, with its labels: {recording.frames} frames"
-    missing = f", {added.missing_frames} missing (their labels are kept)" if added.missing_frames else ""
-    return f"{recording.name} is already in the project: {added.new_frames} new frames{missing}"
+        return f"{recording.name} is back in the project, with its labels: {amount(recording.frames, 'frame')}"
+    missing = f", {added.missing_frames} missing (labels are kept)" if added.missing_frames else ""
+    return f"{recording.name} is already in the project: {amount(added.new_frames, 'new frame')}{missing}"

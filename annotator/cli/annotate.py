@@ -16,6 +16,7 @@ from annotator.cli.projects import open_named
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy
+from annotator.types.amounts import amount
 from annotator.workflows.detectors import stand_in
 from annotator.workflows.proposing.annotate import annotate_with, require_limit
 from annotator.workflows.proposing.batch_store import AnnotateSummary
@@ -121,8 +122,9 @@ def summary_lines(done: AnnotateSummary) -> list[str]:
     rate = f", {done.seconds / done.done:.2f} s per frame" if done.done else ""
     named = ", ".join(dict.fromkeys(filter(None, done.backends)))
     backends = f"; detectors on {named}" if named else ""
+    proposals = f"{amount(done.proposals, 'proposal')} ({amount(done.without, 'frame')} without)"
     lines = [
-        f"{done.done} frames done, {done.proposals} proposals ({done.without} frames without), "
+        f"{amount(done.done, 'frame')} done, {proposals}, "
         f"{done.skipped} skipped, {done.failures} failed; {done.seconds:.1f} s{rate}{backends}"
     ]
     lines += [f"  failed {key}: {reason}" for key, reason in done.failed[:SHOWN_FAILURES]]

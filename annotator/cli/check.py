@@ -15,6 +15,7 @@ from annotator.cli.progress import counted
 from annotator.cli.project_verify import report_problems
 from annotator.cli.projects import named_folder, no_project, open_named, projects_root
 from annotator.project.config import CONFIG_FILE
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 
 FAULTY = 1
@@ -86,8 +87,11 @@ def _check_project(name: str, projects: Path | None, list_all: bool, as_json: bo
     lines = [(w.kind.value, f"{w.recording} {w.key}: {w.kind}: {w.message}") for w in report.warnings]
     lines += [(UNREADABLE, f"{UNREADABLE}: {line}") for line in report.unreadable]
     _print_grouped(lines, Counter(kind for kind, _ in lines), list_all)
-    unread = f"; {len(report.unreadable)} recordings or frames cannot be read" if report.unreadable else ""
-    print_line(f"{len(report.warnings)} warnings about {report.labels} labels{unread}")
+    unread = ""
+    if report.unreadable:
+        unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
+        unread = f"; {unread} could not be read"
+    print_line(f"{amount(len(report.warnings), 'warning')} about {amount(report.labels, 'label')}{unread}")
     return FAULTY if report.unreadable else 0
 
 
@@ -121,6 +125,7 @@ def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
         _print_grouped(found, report.by_rule, list_all)
         for facts in report.datasets:
             only = "" if facts.labels else ", so only its files were checked"
-            print_line(f"{facts.path}: {facts.format}, {facts.frames} frames, {facts.labels} labels{only}")
-        print_line(", ".join(f"{report.counts[each]} {each}s" for each in Severity))
+            counts = f"{amount(facts.frames, 'frame')}, {amount(facts.labels, 'label')}"
+            print_line(f"{facts.path}: {facts.format}, {counts}{only}")
+        print_line(", ".join(amount(report.counts[each], each) for each in Severity))
     return FAULTY if report.counts[Severity.ERROR] else 0

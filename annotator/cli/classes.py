@@ -22,6 +22,7 @@ from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.classes.listing import ClassRow, list_classes
 from annotator.project.config import first_problem
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 
 AUTHOR = "annotator classes"
@@ -204,7 +205,7 @@ def remove_attribute(project: ProjectName, name: str, /, *, projects: Projects =
     with open_named(project, projects) as opened:
         number = sum(opened.value_counts().get(name, {}).values())
     _change(project, projects, lambda config: edit.remove_attribute(config, name), show_classes=False)
-    print_line(f"removed {name} and {number} values of it")
+    print_line(f"removed {name} and {amount(number, 'value')} of it")
 
 
 def rename_attribute(project: ProjectName, old: str, new: str, /, *, projects: Projects = None) -> None:
@@ -262,8 +263,8 @@ def _restoring(name: str, backup: Path, projects: Path | None) -> str:
 def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str) -> Iterator[str]:
     for name in names:
         count = before.get(name, ClassCounts())
-        said = f", and {count.said} further 3D boxes of sources" if count.said else ""
-        yield f"{verb}: {count.labels} labels and {count.boxes_2d} 2D boxes of {name}{said}"
+        said = f", and {amount(count.said, 'further 3D box')} of sources" if count.said else ""
+        yield f"{verb}: {amount(count.labels, 'label')} and {amount(count.boxes_2d, '2D box')} of {name}{said}"
 
 
 def _style(before: ClassStyle, colour: str | None, key: str | None) -> ClassStyle:
@@ -275,9 +276,9 @@ def _style(before: ClassStyle, colour: str | None, key: str | None) -> ClassStyl
 
 
 def _described(row: ClassRow) -> str:
-    said = f"{row.said} further 3D boxes of sources" if row.said else ""
+    said = f"{amount(row.said, 'further 3D box')} of sources" if row.said else ""
     more = [said, f"colour {row.colour}" if row.colour else "", f"key {row.key}" if row.key else ""]
-    return ", ".join(filter(None, [f"{row.labels} labels", f"{row.boxes_2d} 2D boxes", *more]))
+    return ", ".join(filter(None, [amount(row.labels, "label"), amount(row.boxes_2d, "2D box"), *more]))
 
 
 def _attribute_line(attribute: Attribute) -> str:

@@ -20,6 +20,7 @@ from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_
 from annotator.demo.stages import PROJECT, Progress
 from annotator.demo.trained import TrainedPlan, TrainedResult, run_trained
 from annotator.detection.base_detector import has_base
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 
 
@@ -155,9 +156,9 @@ def _summary_without_training(root: Path, result: FirstDragResult) -> list[str]:
     done = result.reviewed
     return [
         "",
-        f"drawn      {done.drawn} 2D boxes",
-        f"reviewed   {done.boxes} oriented 3D boxes: {done.accepted} accepted as proposed, {done.adjusted} adjusted, "
-        f"{done.placed} placed by hand; {done.rejected} proposals rejected",
+        f"drawn      {amount(done.drawn, '2D box')}",
+        f"reviewed   {amount(done.boxes, 'oriented 3D box')}: {done.accepted} accepted as proposed, "
+        f"{done.adjusted} adjusted, {done.placed} placed by hand; {amount(done.rejected, 'proposal')} rejected",
         f"scored     mean IoU of the proposals before the review: {result.mean_iou:.2f}",
         *_ending(root, result),
     ]
@@ -167,15 +168,15 @@ def _summary_with_training(root: Path, result: TrainedResult) -> list[str]:
     drawn, done = result.drawn, result.annotated
     return [
         "",
-        f"drawn      {drawn.boxes} 2D boxes on {drawn.frames} frames",
+        f"drawn      {amount(drawn.boxes, '2D box')} on {amount(drawn.frames, 'frame')}",
         *(
             f"trained    {t.role} detector, {t.seconds:.0f} s, mAP50 {t.result.metrics.map50:.2f}"
             for t in result.trained
         ),
-        f"proposed   {done.proposals} oriented 3D boxes in {done.done} frames, {done.seconds:.0f} s",
+        f"proposed   {amount(done.proposals, 'oriented 3D box')} in {amount(done.done, 'frame')}, {done.seconds:.0f} s",
         *(
             f"scored     {s.label}: mean IoU {s.mean_iou:.2f}, AP25 {s.ap25:.2f}, AP50 {s.ap50:.2f} "
-            f"({s.objects} objects in {s.frames} frames without labels)"
+            f"({amount(s.objects, 'object')} in {amount(s.frames, 'frame')} without labels)"
             for s in result.scores
         ),
         *_ending(root, result),
@@ -184,7 +185,7 @@ def _summary_with_training(root: Path, result: TrainedResult) -> list[str]:
 
 def _ending(root: Path, result: FirstDragResult | TrainedResult) -> list[str]:
     return [
-        f"written    {result.dataset.objects} boxes in {result.dataset.frames} frames",
+        f"written    {amount(result.dataset.objects, 'box')} in {amount(result.dataset.frames, 'frame')}",
         f"took       {sum(result.seconds.values()):.0f} s: "
         + ", ".join(f"{name} {seconds:.0f}" for name, seconds in result.seconds.items()),
         "",

@@ -8,6 +8,7 @@ from annotator.cli.options import AsJson, Projects, RecordingNames
 from annotator.cli.output import print_json, print_line
 from annotator.cli.projects import open_named
 from annotator.evaluation.report import Report
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.evaluating.evaluate_files import Options, Protocol, evaluate_files, read_frame_names
 from annotator.workflows.evaluating.evaluate_project import Against, Choice, Measured, evaluate_project
@@ -71,7 +72,7 @@ def run(
 
         files = draw_curves(report.diagrams, curves)
         if not as_json:
-            print_line(f"{curves}: {len(files)} images")
+            print_line(f"{curves}: {amount(len(files), 'image')}")
 
 
 def _show(report: Report, as_json: bool) -> None:

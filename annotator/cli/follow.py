@@ -8,6 +8,7 @@ from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
+from annotator.types.amounts import amount
 from annotator.workflows.tracks.follow_recording import follow_recording
 from annotator.workflows.workbench.loaded_detectors import view_with_classes
 
@@ -47,7 +48,7 @@ def run(
         )
     for item in done.tracks:
         name = item.label if item.track_id is None else f"track {item.track_id} ({item.label})"
-        doubtful = f", {item.doubtful} doubtful frames left out" if item.doubtful else ""
-        print_line(f"{name}: {item.boxes} boxes proposed{doubtful}")
+        doubtful = f", {amount(item.doubtful, 'doubtful frame')} left out" if item.doubtful else ""
+        print_line(f"{name}: {amount(item.boxes, 'box')} proposed{doubtful}")
         for stop in item.stops:
             print_line(f"  stopped at frame {stop.key}: {stop.reason}")

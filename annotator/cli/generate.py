@@ -9,6 +9,7 @@ from annotator.cli.options import Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.synthetic import write_generated
+from annotator.types.amounts import amount
 
 
 class Preset(StrEnum):
@@ -41,4 +42,4 @@ def run(
     """
     with counted("ray-casting") as progress:
         write_generated(out, preset.value, frames, seed, width, height, progress)
-    print_line(f"{out}: {frames} frames of {preset}")
+    print_line(f"{out}: {amount(frames, 'frame')} of {preset}")

@@ -9,6 +9,7 @@ from pathlib import Path
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.project import Project
+from annotator.types.amounts import amount
 from annotator.workflows.importing import BoxFormat, read_labels
 from annotator.workflows.recorded.boxes_from_3d import BoxesFrom3d, boxes_from_3d
 from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
@@ -55,8 +56,8 @@ def import_as_2d(
 
 def _summary(done: BoxesFrom3d, labelled: int) -> list[str]:
     lines = [
-        f"{done.frames} of {labelled} labelled frames: {_by_class(done.image_boxes)} on camera images; "
-        f"{_by_class(done.objects)} on {done.views} pseudo-views, which show {done.view_boxes} boxes"
+        f"{done.frames} of {amount(labelled, 'labelled frame')}: {_by_class(done.image_boxes)} on camera images; "
+        f"{_by_class(done.objects)} on {amount(done.views, 'pseudo-view')} with {amount(done.view_boxes, 'box')}"
     ]
     for counter, why in (
         (done.without_views, "on the image only, too few points for pseudo-views"),
@@ -67,13 +68,13 @@ def _summary(done: BoxesFrom3d, labelled: int) -> list[str]:
         if counter:
             lines.append(f"  {why}: {_by_class(counter)}")
     if done.not_reviewed:
-        lines.append(f"  skipped: {done.not_reviewed} boxes that are not accepted")
+        lines.append(f"  skipped: {amount(done.not_reviewed, 'box')} not accepted")
     if done.drawn:
-        lines.append(f"  unchanged: {done.drawn} frames with drawn boxes, or finalised")
+        lines.append(f"  unchanged: {amount(done.drawn, 'frame')} with drawn boxes, or finalised")
     if done.others_views:
-        lines.append(f"  unchanged: {done.others_views} pseudo-views with boxes from elsewhere")
+        lines.append(f"  unchanged: {amount(done.others_views, 'pseudo-view')} with boxes from elsewhere")
     lines += [f"  unreadable: {line}" for line in done.unreadable]
-    return [*lines, f"{done.in_all} frames in total have 2D boxes made from 3D boxes"]
+    return [*lines, f"{amount(done.in_all, 'frame')} in total with 2D boxes made from 3D boxes"]
 
 
 def _by_class(counter: Counter[str]) -> str:

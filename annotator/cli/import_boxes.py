@@ -16,6 +16,7 @@ from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.project import Project
 from annotator.types import BoxKind
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.names import nearest
 from annotator.workflows.importing import (
@@ -37,7 +38,7 @@ from annotator.workflows.importing.new_attributes import FoundValues, values_of_
 
 FLAT = tuple(FlatFormat)
 ADVICE = "`annotator classes attribute` gives a project attributes, `annotator import --add-attributes` those of a file"
-OUTSIDE = "skipped: {} boxes outside the images of these frames"
+OUTSIDE = "skipped: {} outside the images of these frames"
 # One enumeration of all formats, so that tyro lists them in the help.
 Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
 
@@ -125,7 +126,7 @@ def run(
             assert not isinstance(found, FlatFormat)
             labels = import_as_2d(opened, path, found, recording, names, fraction, seed)
             print_renamed(labels.renamed)
-            print_left_out({}, labels.unmatched, "frames")
+            print_left_out({}, labels.unmatched, "frame")
             print_line(f"next: annotator train {project}")
         elif isinstance(found, FlatFormat):
             assert path is not None
@@ -161,23 +162,26 @@ def _flat(
         done = import_image_boxes(project, path, kind, recording, format, names)
     else:
         done = import_view_boxes(project, path, pictures, kind, format, names)
-    counts = {"camera images": done.pictures - done.views, "pseudo-views": done.views}
-    where = " and ".join(f"{number} {what}" for what, number in counts.items() if number) or "no image"
-    print_line(f"{done.boxes} boxes on {where}")
+    counts = {"camera image": done.pictures - done.views, "pseudo-view": done.views}
+    where = " and ".join(amount(number, what) for what, number in counts.items() if number) or "no image"
+    print_line(f"{amount(done.boxes, 'box')} on {where}")
     if done.replaced:
-        print_line(f"replaced: the boxes on {done.replaced} camera images")
+        print_line(f"replaced: the boxes on {amount(done.replaced, 'camera image')}")
     if done.finalised:
-        print_line(f"unchanged: {done.finalised} images of finalised frames")
+        print_line(f"unchanged: {amount(done.finalised, 'image')} of finalised frames")
     if done.values.set:
-        print_line(f"attributes: {done.values.set} values for the 3D labels and frames that these images show")
+        print_line(
+            f"attributes: {amount(done.values.set, 'value')} for the 3D labels and frames that these images show"
+        )
     if done.values.kept:
-        print_line(f"unchanged: {done.values.kept} values of labels and frames, which differ from those of the file")
+        kept = amount(done.values.kept, "value")
+        print_line(f"unchanged: {kept} of labels and frames in conflict with the file")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     print_renamed(done.renamed)
     for line in left_out_values(done.values.left_out):
         print_line(line)
-    print_left_out(done.other_classes, done.unmatched, "images", project.config.classes)
+    print_left_out(done.other_classes, done.unmatched, "image", project.config.classes)
 
 
 def _proposals(
@@ -193,17 +197,18 @@ def _proposals(
         done = import_proposals(
             project, labels, source, recording=recording, min_score=min_score, names=names, progress=progress
         )
-    print_line(f"{done.source}: {_by_class(done.proposals)} proposed on {done.frames} frames")
+    print_line(f"{done.source}: {_by_class(done.proposals)} proposed on {amount(done.frames, 'frame')}")
     for number, what in (
-        (done.merged, "merged: {} boxes with proposals of other sources"),
-        (done.covered, "skipped: {} boxes of objects that have been reviewed"),
-        (done.unsure, "skipped: {} boxes with a lower score"),
-        (done.rejected, "skipped: {} boxes that were rejected"),
+        (done.merged, "merged: {} with proposals of other sources"),
+        (done.covered, "skipped: {} of reviewed objects"),
+        (done.unsure, "skipped: {} with a lower score"),
+        (done.rejected, "skipped: {} rejected before"),
         (done.unseen, OUTSIDE),
-        (done.finalised, "unchanged: {} finalised frames"),
     ):
         if number:
-            print_line(what.format(number))
+            print_line(what.format(amount(number, "box")))
+    if done.finalised:
+        print_line(f"unchanged: {amount(done.finalised, 'finalised frame')}")
     if done.scaled is not None:
         print_line(f"scaled: scores from {done.scaled.low:g} to {done.scaled.high:g} are now 0 to 1")
     for line in done.unreadable:
@@ -211,7 +216,7 @@ def _proposals(
     print_renamed(done.renamed)
     for line in left_out_values(done.values):
         print_line(line)
-    print_left_out(done.other_classes, done.unmatched, "frames")
+    print_left_out(done.other_classes, done.unmatched, "frame")
     if done.proposals:
         print_line(f"next: annotator serve, to review {project.config.name}")
 
@@ -225,28 +230,27 @@ def _boxes(
 ) -> None:
     with counted(f"import {format}") as progress:
         done = import_labels(project, labels, recording, progress, names)
-    print_line(f"{done.frames} frames: {_by_class(done.labels)}")
+    print_line(f"{amount(done.frames, 'frame')}: {_by_class(done.labels)}")
     if done.already:
-        print_line(
-            f"unchanged: {done.already} frames that already have labels or are finalised; --as proposals adds to them"
-        )
+        already = amount(done.already, "frame")
+        print_line(f"unchanged: {already} with labels already, or finalised; --as proposals adds boxes beside labels")
     if done.not_reviewed:
-        print_line(f"skipped: {done.not_reviewed} boxes that are not accepted")
+        print_line(f"skipped: {amount(done.not_reviewed, 'box')} not accepted")
     if done.unseen:
-        print_line(OUTSIDE.format(done.unseen))
+        print_line(OUTSIDE.format(amount(done.unseen, "box")))
     if done.scores:
-        print_line(f"dropped: {done.scores} scores outside 0..1")
+        print_line(f"dropped: {amount(done.scores, 'score')} outside 0..1")
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     print_renamed(done.renamed)
     for line in left_out_values(done.values):
         print_line(line)
-    print_left_out(done.other_classes, done.unmatched, "frames", project.config.classes)
+    print_left_out(done.other_classes, done.unmatched, "frame", project.config.classes)
 
 
 def left_out_values(values: Mapping[str, int]) -> list[str]:
     """Lines that say which values of attributes were left out."""
-    lines = [f"skipped: {number} values of attribute {what}" for what, number in sorted(values.items())]
+    lines = [f"skipped: {amount(number, 'value')} of attribute {what}" for what, number in sorted(values.items())]
     return [*lines, ADVICE] if lines else []
 
 
@@ -258,11 +262,18 @@ def print_renamed(renamed: Renamed | None) -> None:
 def print_left_out(
     other_classes: Mapping[str, int], unmatched: Sequence[str], what: str, known: Sequence[str] = ()
 ) -> None:
-    """Prints what an import left out; `known` are the project's classes."""
+    """Prints what an import left out.
+
+    Args:
+        other_classes: numbers of boxes of classes that the project does not have.
+        unmatched: names of frames or images that the project does not have.
+        what: what these are the names of: frame, or image.
+        known: the project's classes.
+    """
     for label, number in other_classes.items():
         near = nearest(label, known)
         meant = "" if near is None else f"; did you mean {near!r}?"
-        print_line(f"skipped: {number} boxes of class {label}, which is not in the project{meant}")
+        print_line(f"skipped: {amount(number, 'box')} of class {label}, which is not in the project{meant}")
     if unmatched:
         names = ", ".join(unmatched[:5]) + (" ..." if len(unmatched) > 5 else "")
-        print_line(f"skipped: {len(unmatched)} {what} that match no frame of the project: {names}")
+        print_line(f"skipped: {amount(len(unmatched), what)} without a match in the project: {names}")

@@ -10,6 +10,7 @@ from annotator.cli.options import AsJson
 from annotator.cli.output import print_facts, print_json
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.recordings.ros.topics import TopicReport
+from annotator.types.amounts import amount
 from annotator.types.errors import InputError, RecordingError, UnknownFormatError
 from annotator.workflows.inspect import FrameReport, RecordingReport, bag_topics, inspect_recording
 
@@ -37,7 +38,7 @@ def run(path: Path, /, *, reading: Reading = AS_FILES_SAY, as_json: AsJson = Fal
     else:
         print_facts(_rows(report))
     if report.frame is None:
-        raise RecordingError(f"{path}: none of its first {len(report.broken)} frames can be read; see above")
+        raise RecordingError(f"{path}: none of its first frames can be read ({len(report.broken)} tried); see above")
 
 
 def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
@@ -58,11 +59,14 @@ def _topic_rows(topics: Sequence[TopicReport]) -> Iterator[tuple[str, object]]:
     for topic in sorted(topics, key=lambda topic: not topic.use):
         rate = "" if topic.rate_hz is None else f", {topic.rate_hz:.3g} Hz"
         if topic.use or topic.option:
-            yield "topic", f"{topic.name} ({topic.type}, {topic.messages} messages{rate}): {topic.use or topic.option}"
+            yield (
+                "topic",
+                f"{topic.name} ({topic.type}, {amount(topic.messages, 'message')}{rate}): {topic.use or topic.option}",
+            )
     others = Counter(topic.type for topic in topics if not (topic.use or topic.option))
     if others:
         types = ", ".join(f"{count} of {kind}" for kind, count in others.most_common())
-        yield "topics", f"{others.total()} others are not used (--json lists them): {types}"
+        yield "topics", f"{amount(others.total(), 'other')} not used (--json lists all): {types}"
 
 
 def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:

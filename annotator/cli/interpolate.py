@@ -10,6 +10,7 @@ from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named
 from annotator.project import Project
+from annotator.types.amounts import amount
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
 from annotator.workflows.tracks.interpolate import interpolate
@@ -45,11 +46,10 @@ def run(
         chosen = opened.recordings.find(recording).id
         fit = _box_fitter(opened) if refit else None
         done = interpolate(opened, chosen, track, AUTHOR, first=first, last=last, fit=fit)
-    print_line(f"track {done.track_id}: {len(done.filled)} frames filled with proposals")
+    print_line(f"track {done.track_id}: {amount(len(done.filled), 'frame')} filled with proposals")
     if done.finalised or done.covered:
-        print_line(
-            f"unchanged: {done.finalised} finalised frames, {done.covered} frames where the object is already labelled"
-        )
+        finalised, covered = amount(done.finalised, "finalised frame"), amount(done.covered, "frame")
+        print_line(f"unchanged: {finalised}, {covered} where the object is already labelled")
 
 
 def _box_fitter(project: Project) -> FitBox:

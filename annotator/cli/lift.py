@@ -87,7 +87,7 @@ def run(
                 done = lift(opened, given, view, config, progress)
             origin = given.origin
             print_renamed(given.renamed)
-            print_left_out(given.other_classes, given.unmatched, "images")
+            print_left_out(given.other_classes, given.unmatched, "image")
             for reason in given.unreadable:
                 print_line(f"skipped: frame {reason}")
     print_line(f"3D boxes from {origin}, measured by: {view.title}")

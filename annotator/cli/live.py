@@ -9,6 +9,7 @@ from annotator.cli.options import BackendOption, Host, Limit, NoToken, Port, Pro
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named, projects_root
 from annotator.detection.config import Backend
+from annotator.types.amounts import amount
 
 
 def run(
@@ -57,7 +58,7 @@ def run(
         print_line(
             "no frame was recorded"
             if stored is None
-            else f"recorded {record}: {stored.frames} frames, {stored.proposals} proposals; "
+            else f"recorded {record}: {amount(stored.frames, 'frame')}, {amount(stored.proposals, 'proposal')}; "
             f"in {project} as {stored.name}, ready for review"
         )
 

@@ -11,6 +11,7 @@ from annotator.cli.progress import counted
 from annotator.cli.projects import named_folder
 from annotator.project.backup.content import ModelChoice
 from annotator.project.backup.make import back_up
+from annotator.types.amounts import amount
 
 
 def run(
@@ -34,5 +35,6 @@ def run(
     with counted("copying files") as progress:
         backup = back_up(named_folder(project, projects), out, models, progress=progress)
     manifest = backup.manifest
-    print_line(f"{out}: {manifest.labels} labels, {manifest.events} events, {len(manifest.files)} files")
+    labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
+    print_line(f"{out}: {labels}, {events}, {amount(len(manifest.files), 'file')}")
     print_line(f"restore it with: annotator project restore {out} NAME")

@@ -7,6 +7,7 @@ from pathlib import Path
 from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named
+from annotator.types.amounts import amount
 from annotator.workflows.add_recordings import move_recording
 
 AUTHOR = "annotator project move"
@@ -25,4 +26,4 @@ def run(project: ProjectName, recording: RecordingName, path: Path, /, *, projec
         now = move_recording(opened, before.id, path, AUTHOR)
     new = now.frames - before.frames if before.removed_by is None else 0
     grown = f" ({new} new)" if new > 0 else ""
-    print_line(f"{now.name}: {now.frames} frames{grown}, now at {now.path}")
+    print_line(f"{now.name}: {amount(now.frames, 'frame')}{grown}, now at {now.path}")

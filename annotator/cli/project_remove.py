@@ -9,6 +9,7 @@ from annotator.cli.output import print_line, require_yes
 from annotator.cli.projects import named_folder, open_named
 from annotator.project import open_project
 from annotator.project.tidying.folders import set_aside
+from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError
 
 AUTHOR = "annotator project remove"
@@ -28,10 +29,10 @@ def run(project: ProjectName, recording: str | None = None, /, *, yes: Yes = Fal
         return
     with open_named(project, projects) as opened:
         stored = opened.recordings.find(recording)
-        number = opened.recordings.label_counts().get(stored.id, 0)
-        require_yes(f"Remove {recording} from {project}? Its {number} labels come back if it is added again.", yes)
+        labels = amount(opened.recordings.label_counts().get(stored.id, 0), "label")
+        require_yes(f"Remove {recording} from {project}, with {labels}? Adding it again brings back its labels.", yes)
         opened.recordings.remove(stored.id, AUTHOR)
-    print_line(f"removed {recording} with {number} labels; its files are unchanged")
+    print_line(f"removed {recording} with {labels}; its files are unchanged")
     words = f"annotator add {project} {stored.path}"
     print_line(f"bring it back with: {words}" + (", and the options it was added with" if stored.options else ""))
 

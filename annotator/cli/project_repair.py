@@ -6,6 +6,7 @@ from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.projects import named_folder
 from annotator.project.backup.repair import repair
+from annotator.types.amounts import amount
 
 
 def run(project: ProjectName, new_name: str | None = None, /, *, projects: Projects = None) -> None:
@@ -17,12 +18,13 @@ def run(project: ProjectName, new_name: str | None = None, /, *, projects: Proje
         new_name: name of the new project, if one is needed; default: the old name with `-repaired`.
     """
     done = repair(named_folder(project, projects), new_name)
+    events = amount(done.events, "event")
     if not done.is_new:
-        print_line(f"{done.path}: its state was made anew from {done.events} events; backed up before: {done.backup}")
+        print_line(f"{done.path}: its state was made anew from {events}; backed up before: {done.backup}")
         return
-    print_line(f"{done.path}: a new project with {done.events} events; the damaged project is unchanged")
+    print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
         lost = ", ".join(f"{count} {table}" for table, count in sorted(done.lost.items()))
         print_line(f"could not be read or used: {lost}; compare with the newest backup")
     if done.restored:
-        print_line(f"taken from the damaged tables, because their events are lost: {done.restored} states")
+        print_line(f"taken from the damaged tables, because their events are lost: {amount(done.restored, 'state')}")

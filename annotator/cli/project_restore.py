@@ -10,6 +10,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import projects_root
 from annotator.project.backup.take_in import restore
+from annotator.types.amounts import amount
 
 
 def run(file: Path, name: str | None = None, /, *, projects: Projects = None) -> None:
@@ -22,4 +23,5 @@ def run(file: Path, name: str | None = None, /, *, projects: Projects = None) ->
     with counted("unpacking files") as progress:
         path, manifest = restore(file, projects_root(projects), name, progress)
     moment = datetime.fromtimestamp(manifest.created_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    print_line(f"restored {path}: {manifest.labels} labels, {manifest.events} events, as of {moment}")
+    labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
+    print_line(f"restored {path}: {labels}, {events}, as of {moment}")

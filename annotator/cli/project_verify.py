@@ -6,6 +6,7 @@ from annotator.cli.options import AsJson, ProjectName, Projects
 from annotator.cli.output import print_json, print_line
 from annotator.cli.projects import named_folder
 from annotator.project.backup.verify import Verification, verify
+from annotator.types.amounts import amount
 
 FAULTY = 1
 
@@ -33,5 +34,5 @@ def report_problems(result: Verification, as_json: bool) -> None:
         return
     for problem in result.problems:
         print_line(problem)
-    print_line(f"{result.project}: {len(result.problems)} problems")
+    print_line(f"{result.project}: {amount(len(result.problems), 'problem')}")
     print_line("`annotator project restore` restores a backup, `annotator project repair` saves what it can")

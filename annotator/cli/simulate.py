@@ -7,6 +7,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.types import BoxKind
+from annotator.types.amounts import amount
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import simulate_recording
 
@@ -30,5 +31,7 @@ def run(
     with open_named(project, projects) as opened, counted("drawing") as progress:
         stored = opened.recordings.find(recording)
         drawn = simulate_recording(opened, stored.id, box_kind, rcv_config(opened), every, progress)
-    print_line(f"{drawn.frames} frames, {drawn.objects} objects, {drawn.boxes} 2D boxes drawn")
+    print_line(
+        f"{amount(drawn.frames, 'frame')}, {amount(drawn.objects, 'object')}, {amount(drawn.boxes, '2D box')} drawn"
+    )
     print_line(f"next: annotator train {project}")

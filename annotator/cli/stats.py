@@ -10,6 +10,7 @@ from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
 from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
+from annotator.types.amounts import amount
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.training.held_out import measured_ious
 from annotator.workflows.training.model_report import decision_of
@@ -49,8 +50,8 @@ def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
         yield "  around what is seen only", counts.labels.by_kind[BoxKind.SILHOUETTE]
     for name, values in counts.attributes.items():
         yield f"  {name}", ", ".join(f"{value} in {number}" for value, number in values.items())
-    yield "2D boxes on camera images", f"{counts.image_boxes.boxes} on {counts.image_boxes.pictures} images"
-    yield "2D boxes on pseudo-views", f"{counts.view_boxes.boxes} on {counts.view_boxes.pictures} views"
+    yield "2D boxes on camera images", f"{counts.image_boxes.boxes} on {amount(counts.image_boxes.pictures, 'image')}"
+    yield "2D boxes on pseudo-views", f"{counts.view_boxes.boxes} on {amount(counts.view_boxes.pictures, 'view')}"
     yield "boxes with measured effort", counts.effort.boxes
     if counts.effort.boxes:
         yield "  seconds per box", f"{counts.effort.seconds_a_box:.1f}"
@@ -76,8 +77,7 @@ def _progress(progress: Progress) -> Iterator[tuple[str, object]]:
         days = [entry for entry in progress.days if entry.person == person]
         boxes, hours = sum(entry.boxes for entry in days), sum(entry.hours for entry in days)
         if any(entry.boxes or entry.rejected for entry in days):  # others are commands, such as `annotator follow`
-            on = "1 day" if len(days) == 1 else f"{len(days)} days"
-            yield f"labelled by {person}", f"{boxes} boxes in {hours:.1f} hours on {on}"
+            yield f"labelled by {person}", f"{amount(boxes, 'box')} in {hours:.1f} hours on {amount(len(days), 'day')}"
     yield "frames left", forecast.frames_left
     if forecast.hours_left is not None and forecast.frames_left > 0:
         left = forecast.hours_left

@@ -6,6 +6,7 @@ from annotator.cli.options import ProjectName, Projects, RecordingNames
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
+from annotator.types.amounts import amount
 from annotator.workflows.tracks.link import link_tracks
 
 
@@ -29,9 +30,11 @@ def run(
         chosen = [opened.recordings.find(name).id for name in recordings] or None
         with counted("track") as progress:
             done = link_tracks(opened, recordings=chosen, smooth=not no_smooth, progress=progress)
-    print_line(f"{done.boxes} boxes in {done.tracks} tracks of {done.recordings} recordings, {done.changed} changed")
+    tracks = f"{amount(done.tracks, 'track')} of {amount(done.recordings, 'recording')}"
+    print_line(f"{amount(done.boxes, 'box')} in {tracks}, {done.changed} changed")
     if done.left:
-        print_line(f"unchanged: {done.left} boxes without a track in finalised frames; reopen the frames to link them")
+        left = amount(done.left, "box")
+        print_line(f"unchanged: {left} without a track in finalised frames; reopen the frames to link all boxes")
     if done.unordered:
         print_line(f"skipped: {', '.join(done.unordered)}, whose frames are not in time order")
     if done.busy:

@@ -17,6 +17,7 @@ from annotator.cli.projects import open_named
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
 from annotator.detection.progress import TrainingProgress
 from annotator.types import DetectorKind
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.training.held_out import Decision, measured_ious
 from annotator.workflows.training.samples import SampleConfig
@@ -154,7 +155,7 @@ def _summary(result: Trained) -> str:
     measured = f"on {result.result.metrics.measured_on} images"
     return "\n".join(
         [
-            f"{result.role} detector: trained on {result.manifest.images['train']} images in "
+            f"{result.role} detector: trained on {amount(result.manifest.images['train'], 'image')} in "
             f"{result.seconds:.0f} s; {figures} {measured}",
             *([f"  {result.result.note}"] if result.decision is None else _decision_lines(result.decision)),
             f"  {result.model.path}",

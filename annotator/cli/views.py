@@ -7,6 +7,7 @@ from pathlib import Path
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named
+from annotator.types.amounts import amount
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.views.write_pictures import COCO, write_views
 from annotator.workflows.workbench.drawing_steps import to_draw_on
@@ -23,7 +24,7 @@ def run(project: ProjectName, out: Path, /, *, step: int = 1, projects: Projects
     """
     with open_named(project, projects) as opened:
         written = write_views(opened, out, step, to_draw_on(opened, rcv_config(opened)))
-    print_line(f"{written.pictures} pseudo-views in {out}")
+    print_line(f"{amount(written.pictures, 'pseudo-view')} in {out}")
     for line in written.unreadable:
         print_line(f"skipped: frame {line}")
     print_line(f"next: draw boxes, then annotator import {project} {out / COCO} --pictures {out}")

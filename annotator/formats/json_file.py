@@ -15,6 +15,7 @@ from typing import Annotated, TypeVar
 from pydantic import BaseModel, Field, ValidationError
 
 from annotator.files import read_file, write_atomic
+from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 
@@ -118,7 +119,7 @@ def first_problem(error: ValidationError) -> str:
     problems = error.errors(include_url=False, include_context=False)
     first = problems[0]
     where = ".".join(str(part) for part in first["loc"]) or "the file"
-    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
+    more = f" (and {amount(len(problems) - 1, 'more problem')})" if len(problems) > 1 else ""
     return f"{where}: {first['msg']}{more}"
 
 

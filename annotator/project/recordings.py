@@ -18,6 +18,7 @@ from annotator.project.schema import AnyRow, adjustments, frames, labels, moves,
 from annotator.project.store import Store
 from annotator.project.tidying.removed import hide_removed, show_again
 from annotator.types import NO_CORRECTION, Correction
+from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
 from annotator.types.names import alternatives
 
@@ -362,7 +363,7 @@ def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, in
     also = f" and also has {_frame_list(unknown)}" if unknown else ""
     raise ProjectError(
         f"{path} is not {recording.name}: it lacks {_frame_list(missing)}{also}; nothing was changed; "
-        f"give the folder with the same {recording.frames} frames"
+        f"give the folder with the same {amount(recording.frames, 'frame')}"
     )
 
 

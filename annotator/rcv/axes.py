@@ -111,7 +111,7 @@ def eigenvector_axes(
         NoAxesError: too few points, or eigenvalues that are too similar.
     """
     if len(xyz_m) < max(4, config.min_points):
-        raise NoAxesError(f"{len(xyz_m)} points are too few for eigenvectors")
+        raise NoAxesError(f"too few points for eigenvectors ({len(xyz_m)})")
     centred = np.asarray(xyz_m, np.float64) - np.mean(xyz_m, axis=0, dtype=np.float64)
     if up is not None:
         base = camera_axes(up)
@@ -180,7 +180,7 @@ def normal_axes(
         known = known - np.outer(known @ up, up)
         known /= np.linalg.norm(known, axis=1, keepdims=True)
     if len(known) < config.axes.min_normals:
-        raise NoAxesError(f"{len(known)} usable normals are too few")
+        raise NoAxesError(f"too few usable normals ({len(known)})")
     if len(known) > config.axes.max_normals:
         known = known[np.linspace(0, len(known) - 1, config.axes.max_normals).astype(int)]
     centres, counts = clustering(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)

@@ -99,7 +99,7 @@ def start_warm(cold: ObjectState, start_box: OrientedBox, config: RcvConfig) -> 
     box = canonical_box(box, cold.up)
     cloud = cold.cloud.select(contains(box, cold.cloud.xyz_m, _margin_m(box, config)))
     if len(cloud) < config.min_points:
-        return _dropped(cold, f"{len(cloud)} points around the start box are too few")
+        return _dropped(cold, f"too few points around the start box ({len(cloud)})")
     axes = box.rotation.T
     return replace(cold, cloud=cloud, axes=axes, box=box, notes=(WARM_START,), is_warm=True, cold=cold)
 
@@ -153,7 +153,7 @@ def _implausible(start_box: OrientedBox, box: OrientedBox, after: ObjectState, c
     """Why the first step of a warm start is rejected before its boxes are compared by IoU; None if it is not."""
     warm, step = config.warm, after.steps[-1]
     if after.stop is StopReason.TOO_FEW_POINTS:
-        return f"{len(after.cloud)} points in the box are too few"
+        return f"too few points in the box ({len(after.cloud)})"
     seen_share = sum(view.used is not None for view in step.views) / len(step.views)
     if seen_share < warm.min_seen:
         return f"only {seen_share:.0%} of the views show the object"

@@ -32,6 +32,7 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, RgbdCamera, read_camera
 from annotator.recordings.rgbd_folder import read_images
 from annotator.types import Camera, Frame
+from annotator.types.amounts import amount
 from annotator.types.errors import FrameError, RecordingError
 
 LOOKED_FOR = "rgb.txt and depth.txt of TUM's RGB-D format"
@@ -96,7 +97,8 @@ class TumRgbd(KeyedFrames):
         notes = []
         if self.unpaired:
             within_s = self.tolerance_ns / S_TO_NS
-            notes.append(f"{self.unpaired} colour images have no depth image within {within_s:g} s, and are no frames.")
+            alone = amount(self.unpaired, "colour image")
+            notes.append(f"Left out: {alone} without a depth image within {within_s:g} s.")
         if not (self.path / FILE_NAME).is_file() and OWN_NAME not in self.name:
             notes.append(
                 f"The camera is the one that TUM recommends for its own recordings; write {FILE_NAME} for others."
@@ -148,7 +150,7 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
     keys = tuple(Path(colors[at]).stem for at, _ in pairs)
     if not pairs:
         raise RecordingError(
-            f"{path}: no frames; none of {len(colors)} colour images has a depth image within {tolerance_s:g} s; "
+            f"{path}: no frames; none of its colour images ({len(colors)}) has a depth image within {tolerance_s:g} s; "
             "give a larger --tolerance"
         )
     if len({*keys}) < len(keys):

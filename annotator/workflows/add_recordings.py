@@ -277,4 +277,6 @@ def _require_readable(recording: Recording) -> Frame:
             return recording.frame(index)
         except FrameError as error:
             problems.append(str(error))
-    raise RecordingError(f"{recording.path}: none of its first {len(problems)} frames can be read: {problems[0]}")
+    raise RecordingError(
+        f"{recording.path}: none of its first frames can be read ({len(problems)} tried): {problems[0]}"
+    )

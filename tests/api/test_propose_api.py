@@ -115,7 +115,7 @@ def test_invalid_or_conflicting_arguments_are_errors(hands: annotator.Recording)
 
     refused("either image_boxes or image_detector")
     refused("either image_boxes or image_detector", image_boxes=[box], image_detector=HAND)
-    refused("1 lists for 2 frames", [frame, frame], image_boxes=[[box]])
+    refused("1 list for 2 frames", [frame, frame], image_boxes=[[box]])
     refused("one list of boxes per frame", [frame, frame], image_boxes=[box, box])
     refused("rotation must be one of", image_boxes=[box], rotation="tilted")
     refused("box_kind must be one of", image_boxes=[box], box_kind="outline")

@@ -94,5 +94,5 @@ def test_too_short_measurements_are_errors(trained: list[loop.Arguments], genera
         live.run(live.Arguments(generated / "hands", seconds=0.0))
     with pytest.raises(RecordingError, match="no such file"):
         live.run(live.Arguments(tmp_path / "nowhere"))
-    with pytest.raises(ConfigError, match="only 1 frames were shown"):
+    with pytest.raises(ConfigError, match="only 1 frame was shown"):
         live.run(live.Arguments(generated / "hands", frames=1))

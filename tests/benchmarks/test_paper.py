@@ -214,7 +214,7 @@ def test_failed_test_frames_are_an_error_and_a_repaired_run_continues(
         return known[0]
 
     monkeypatch.setattr(paper_protocol, "active_detectors", damaging)
-    with pytest.raises(ConfigError, match="1 test frames failed, such as 000005"):
+    with pytest.raises(ConfigError, match="1 test frame failed, such as 000005"):
         paper.run(args)
     scan.write_bytes(whole)
     monkeypatch.setattr(paper_protocol, "active_detectors", lambda _: known[0])
@@ -246,7 +246,7 @@ def test_a_finalised_frame_is_an_error_and_shared_views_count_once(
         return detectors(project)
 
     monkeypatch.setattr(paper_protocol, "active_detectors", finalising)
-    with pytest.raises(ConfigError, match="1 test frames were skipped, such as 000005: they are finalised"):
+    with pytest.raises(ConfigError, match="1 test frame was skipped, such as 000005, as finalised"):
         paper.run(args)
     assert any("train.txt: 6 of 7 listed frames are present" in str(line) for line in printed)
     with open_project(next((tmp_path / "work" / "projects").iterdir())) as project:
@@ -326,7 +326,7 @@ def test_without_lists_every_frame_is_in_one_split(kitti: Path, tmp_path: Path) 
         split_of(recording, 0)
     (tmp_path / "ImageSets" / "val.txt").write_text("000001\n000000\n")
     with pytest.raises(
-        ConfigError, match=r"train\.txt: 1 frames are in the training list and in the test list, such as 000000"
+        ConfigError, match=r"train\.txt: 1 frame is in the training list and in the test list, such as 000000"
     ):
         split_of(recording, 0)
 

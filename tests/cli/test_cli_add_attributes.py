@@ -44,7 +44,7 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
         "added: attribute helmet of a box: true or false",
         "added: attribute mass of a box: a number",
         "added: attribute remark of a box: a text of at most 1000 characters",
-        "skipped: 1 values of attribute a b (not an attribute of the project)",
+        "skipped: 1 value of attribute a b (not an attribute of the project)",
     ):
         assert line in out.splitlines()
     with open_project(folder / "rooms") as project:

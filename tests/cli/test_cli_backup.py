@@ -35,7 +35,7 @@ def test_back_up_verify_and_restore(root: Path, capsys: pytest.CaptureFixture[st
     assert main(["project", "restore", file.name]) == 2
     assert "exists already; choose another name" in capsys.readouterr().err
     assert main(["project", "restore", "bare.zip", "again"]) == 0
-    assert "0 labels, 1 events, as of " in capsys.readouterr().out
+    assert "0 labels, 1 event, as of " in capsys.readouterr().out
     assert main(["project", "verify", "again", "--deep"]) == 0
     assert capsys.readouterr().out == "again: sound\n"
     assert main(["project", "copy", str(root / "again"), "taken"]) == 0
@@ -66,9 +66,9 @@ def test_a_damaged_project_is_found_by_verify_and_by_check(
 
 def test_repair_says_what_it_did(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["project", "repair", "hands"]) == 0
-    assert "its state was made anew from 1 events; backed up before" in capsys.readouterr().out
+    assert "its state was made anew from 1 event; backed up before" in capsys.readouterr().out
     with closing(sqlite3.connect(root / "hands" / "project.db", isolation_level=None)) as connection:
         connection.execute("DROP TABLE labels")
     assert main(["project", "repair", "hands", "saved"]) == 0
-    assert "a new project with 1 events; the damaged project is unchanged" in capsys.readouterr().out
+    assert "a new project with 1 event; the damaged project is unchanged" in capsys.readouterr().out
     assert main(["project", "verify", "saved", "--deep"]) == 0

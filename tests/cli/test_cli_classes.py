@@ -65,13 +65,13 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
         assert (label.label, label.attributes) == ("auto", {"pose": "still"})
     assert main(["classes", "cars"]) == 0
     shown = capsys.readouterr().out
-    assert "auto  1 labels, 0 2D boxes, key a" in shown
+    assert "auto  1 label, 0 2D boxes, key a" in shown
     assert "attribute pose: one of still, driving; of auto; required; default still; key p" in shown
     assert main(["classes", "remove-attribute", "cars", "pose"]) == 0
-    assert "removed pose and 1 values of it" in capsys.readouterr().out
+    assert "removed pose and 1 value of it" in capsys.readouterr().out
     assert main(["classes", "cars", "remove", "auto", "--with-boxes"]) == 0
     out = capsys.readouterr().out
-    assert "removed with the class: 1 labels and 0 2D boxes of auto" in out
+    assert "removed with the class: 1 label and 0 2D boxes of auto" in out
     assert "backed up before: " in out
 
 

@@ -70,7 +70,9 @@ def test_a_project_instead_of_files(generated: Path, tmp_path: Path, capsys: Cap
     found = json.loads(said(capsys, *words, "--recordings", "people", "--json"))
     assert found["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
     assert found["classes"]["person"]["objects"] == 15
-    assert "note: 15 of the 15 labels were imported from the recordings themselves" in said(capsys, *words)
+    assert "note: imported from the recordings themselves, and so compared with themselves: 15 of 15 labels" in said(
+        capsys, *words
+    )
     assert "no true box" in said(capsys, *words, "--measured", "proposals", code=2)
     assert "measure proposals" in said(capsys, *words, "--against", "reviewed", code=2)
 

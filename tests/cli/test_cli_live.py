@@ -49,7 +49,7 @@ def test_frames_are_shown_recorded_and_added_to_the_project(
     assert "live at http://127.0.0.1:" in said.out
     assert "3 shown" in said.out
     assert "3 frames, 6 proposals; in room as seen, ready for review" in said.out
-    assert "storing the detections of the 3 frames" in said.err
+    assert "storing the detections of 3 frames" in said.err
     assert len(open_recording(tmp_path / "seen")) == 3
     with open_project(tmp_path / "projects" / "room") as project:
         frames = project.frames.of([project.recordings.find("seen").id])
@@ -191,10 +191,10 @@ def test_source_errors_are_reported_and_recorded_frames_kept(
     assert said.err.count("000001.png") == 1
     assert said.err.splitlines()[2:] == [
         "further unreadable frames are only counted",
-        f"storing the detections of the 1 frames in {tmp_path / 'seen'}",
+        f"storing the detections of 1 frame in {tmp_path / 'seen'}",
     ]
     assert "4 unreadable" in said.out
-    assert "1 frames, 2 proposals" in said.out
+    assert "1 frame, 2 proposals" in said.out
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_a_new_project_with_recordings(root: Path, tmp_path: Path, capsys: pytes
 
     add_frame(recording, 7)
     assert main(["add", "hands", str(recording)]) == 0
-    assert "is already in the project: 1 new frames" in capsys.readouterr().out
+    assert "is already in the project: 1 new frame" in capsys.readouterr().out
     assert stats(capsys, "hands")["frames"] == 6
 
     assert main(["stats", "hands"]) == 0
@@ -108,10 +108,10 @@ def test_the_projects_option_overrides_the_environment_variable(
         (["add", "there", "good", "nowhere"], "nowhere: no such file or folder"),
         (["add", "there", "good", "good2", "--name", "x"], "cannot all be called 'x'"),
         (["add", "there", "good", "--up", "0", "0", "0"], "up direction"),
-        (["add", "there", "broken"], "none of its first 1 frames can be read"),
+        (["add", "there", "broken"], "none of its first frames can be read (1 tried)"),
         (["inspect", "nowhere"], "no such file or folder"),
         (["inspect", "."], "no known recording format"),
-        (["inspect", "broken"], "none of its first 1 frames can be read"),
+        (["inspect", "broken"], "none of its first frames can be read (1 tried)"),
     ],
 )
 def test_bad_input_is_an_error_and_changes_nothing(

@@ -23,7 +23,7 @@ def test_cameras_are_added_by_name_or_all(clouds: Path, capsys: pytest.CaptureFi
     assert main(["new", "p", "--classes", "car"]) == 0
     assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "around-090", "around-180"]) == 0
     output = capsys.readouterr().out
-    assert "added clouds@around-090: 1 frames (look_around)" in output and "clouds@around-000" not in output
+    assert "added clouds@around-090: 1 frame (look_around)" in output and "clouds@around-000" not in output
     assert main(["add", "p", "clouds", "--look-around", "4", "--camera", "all"]) == 0
     output = capsys.readouterr().out
     assert output.count("added ") == output.count("already in the project") == 2

@@ -40,7 +40,7 @@ def labels(capsys: Capture, project: str = "room") -> int:
 
 
 def test_a_removed_recording_comes_back_with_its_labels(people: Path, capsys: Capture) -> None:
-    assert "Its 15 labels come back if it is added again. Nothing was changed: add --yes" in run(
+    assert "with 15 labels? Adding it again brings back its labels. Nothing was changed: add --yes" in run(
         capsys, "project remove room people", code=2
     )
     assert labels(capsys) == LABELS

@@ -37,5 +37,5 @@ def test_interpolate_and_track(root: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["interpolate", "room", "people", "--track", "9"]) == 2
     assert "track 9 has 0 reviewed boxes" in capsys.readouterr().err
     assert main(["track", "room", "--recordings", "people"]) == 0
-    assert "12 boxes in 3 tracks of 1 recordings, 0 changed" in capsys.readouterr().out
+    assert "12 boxes in 3 tracks of 1 recording, 0 changed" in capsys.readouterr().out
     assert main(["track", "room", "--no-smooth"]) == 0

@@ -73,7 +73,7 @@ def test_add_imports_the_labels_of_the_recording(root: Path, generated: Path, ca
     run(capsys, "new", "both", "--classes", "person", "robot")
     said = run(capsys, "add", "both", generated / "people", generated / "hands")
     assert "added people: 5 frames (rgbd_folder)" in said
-    assert "  15 boxes of class person imported as labels" in said
+    assert "  imported as labels: 15 boxes of class person" in said
     assert "  skipped: 10 boxes of class hand, which is not in the project" in said
     assert "next: annotator train both" in said
     counts = stats(capsys, "both")
@@ -111,9 +111,9 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
     boxes = (Box2D("person", 40.5, 40.5, 120.5, 200.5), Box2D("dog", 1.5, 1.5, 9.5, 9.5))
     write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, boxes), CocoImage("x.jpg", 320, 240, boxes)])
     said = run(capsys, "import", project, "c.json")
-    assert "1 boxes on 1 camera images" in said
-    assert "skipped: 1 boxes of class dog, which is not in the project" in said
-    assert "skipped: 1 images that match no frame of the project: x.jpg" in said
+    assert "1 box on 1 camera image" in said
+    assert "skipped: 1 box of class dog, which is not in the project" in said
+    assert "skipped: 1 image without a match in the project: x.jpg" in said
 
     said = run(capsys, "views", project, "pictures")
     assert "2 pseudo-views in pictures" in said
@@ -132,7 +132,7 @@ def test_written_views_can_be_imported(project: str, tmp_path: Path, capsys: Cap
     assert said.startswith("yolo: 3 images, 3 person\n")
     assert said.endswith("; split the dataset with --split train=0.8,val=0.2\n")
     assert run(capsys, "import", project, "yolo", "--format", "yolo") == (
-        "3 boxes on 1 camera images and 2 pseudo-views\n"
+        "3 boxes on 1 camera image and 2 pseudo-views\n"
     )
 
 
@@ -141,8 +141,8 @@ def test_import_of_3d_boxes_as_2d(project: str, capsys: Capture) -> None:
     counts = stats(capsys)
     on_views = counts["view_boxes"]
     assert said.startswith("1 of 5 labelled frames: 3 person on camera images; ")
-    assert f" person on {on_views['pictures']} pseudo-views, which show {on_views['boxes']} boxes\n" in said
-    assert said.endswith("\n1 frames in total have 2D boxes made from 3D boxes\nnext: annotator train room\n")
+    assert f" person on {on_views['pictures']} pseudo-views with {on_views['boxes']} boxes\n" in said
+    assert said.endswith("\n1 frame in total with 2D boxes made from 3D boxes\nnext: annotator train room\n")
     assert (counts["image_boxes"]["boxes"], counts["labels"]["total"]) == (3, 0)
 
 
@@ -155,12 +155,12 @@ def test_import_of_3d_boxes_as_proposals(project: str, tmp_path: Path, capsys: C
     said = run(capsys, "import", project, "mine.json", *options, "--min-score", "2")
     assert said == (
         "mine: 1 person proposed on 2 frames\n"
-        "skipped: 1 boxes with a lower score\n"
+        "skipped: 1 box with a lower score\n"
         "scaled: scores from 1 to 7 are now 0 to 1\n"
         f"next: annotator serve, to review {project}\n"
     )
     said = run(capsys, "import", project, "theirs.json", *options, "--source", "other")
-    assert said.startswith("other: 2 person proposed on 2 frames\nmerged: 1 boxes with proposals of other sources\n")
+    assert said.startswith("other: 2 person proposed on 2 frames\nmerged: 1 box with proposals of other sources\n")
     assert stats(capsys)["labels"]["by_state"]["proposed"] == 2
 
 
@@ -176,7 +176,7 @@ def test_annotate_skips_finished_frames(trained: str, capsys: Capture) -> None:
     said = run(
         capsys, "annotate", trained, "--recordings", "people", "--axes", "camera", "--rotation", "free", "--limit", "1"
     )
-    assert said.startswith("1 frames done")
+    assert said.startswith("1 frame done")
     assert stats(capsys)["runs"] == 3
 
 

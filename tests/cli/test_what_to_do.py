@@ -114,14 +114,14 @@ def test_a_check_of_labels_that_cannot_be_seen_fails(
     assert main(["check", "room"]) == 1
     said = capsys.readouterr().out.splitlines()
     assert said[-2].endswith("give its new path: annotator project move room people PATH, or Locate on the start page")
-    assert said[-1].endswith("; 1 recordings or frames cannot be read")
+    assert said[-1].endswith("; 1 recording or frame could not be read")
     shutil.move(tmp_path / "away", recording)
     for cached in (tmp_path / "projects/room/cache").iterdir():
         cached.unlink()
     for image in (recording / "color").iterdir():
         image.write_bytes(b"")
     assert main(["check", "room"]) == 1
-    assert capsys.readouterr().out.splitlines()[-1].endswith("; 5 recordings or frames cannot be read")
+    assert capsys.readouterr().out.splitlines()[-1].endswith("; 5 recordings or frames could not be read")
     assert main(["check", "room", "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)["unreadable"]) == 5
 

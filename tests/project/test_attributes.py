@@ -261,7 +261,7 @@ def test_attributes_are_renamed_narrowed_and_removed(project: Project, frame: in
     project.change_classes(lambda config: edit.rename_attribute(config, "pose", "posture"), "ann")
     assert of(project, uid) == {"posture": "prone", "occlusion": 3}
     narrow = Attribute(name="occlusion", kind=AttributeKind.INTEGER, minimum=0.0, maximum=2.0)
-    with pytest.raises(ProjectError, match="1 stored values of occlusion would not fit, such as 3"):
+    with pytest.raises(ProjectError, match="1 stored value of occlusion would not fit, such as 3"):
         project.change_classes(lambda config: edit.put_attribute(config, narrow), "ann")
     assert of(project, uid)["occlusion"] == 3
     project.change_classes(lambda config: edit.put_attribute(config, narrow, drop=True), "ann")

@@ -102,8 +102,8 @@ def test_a_coco_file_is_described_before_it_is_imported(live: Live, generated: P
     assert project.boxes.on_images() == (), "nothing is stored yet"
     done = run(project, tmp_path, upload=sent["id"], names={"Person": "person"}, box_kind="box")
     assert done.message == (
-        f"{people} 2D boxes on 2 images imported, 1 boxes of other classes left out (dog), "
-        "1 images without a frame left out"
+        f"{people} 2D boxes on 2 images imported, 1 box of other classes left out (dog), "
+        "1 image without a frame left out"
     )
     drawn = project.boxes.on_images()
     assert [len(boxes.boxes) for boxes in drawn] and sum(len(boxes.boxes) for boxes in drawn) == people
@@ -119,7 +119,7 @@ def test_an_import_is_undone_as_one_action(live: Live, generated: Path, tmp_path
     sent = send(live, "boxes.json", json.dumps(coco(generated, "person")).encode())
     assert sent["replaced"] == 1
     done = run(project, tmp_path, upload=sent["id"])
-    assert "the drawn boxes on 1 images replaced" in done.message and done.result["replaced"] == 1
+    assert "the drawn boxes on 1 image replaced" in done.message and done.result["replaced"] == 1
     undo, _ = project.history.next("Ada")
     assert undo == f"import 2D boxes (frames {first.key} to {second.key})"
     project.history.undo("Ada")
@@ -157,8 +157,8 @@ def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(
     }
     done = run(project, tmp_path, upload=sent["id"], names={"Car": "person"}, source="mine", min_score=low + 0.1)
     assert done.message == (
-        "1 boxes of mine proposed in 2 frames, 1 boxes with a lower score left out, "
-        "1 frames that the project does not have left out"
+        "1 box of mine proposed in 2 frames, 1 box with a lower score left out, "
+        "1 frame that the project does not have left out"
     )
     (stored,) = project.labels.select()
     assert ([each.source for each in stored.said], stored.label.state.value) == (["mine"], "proposed")

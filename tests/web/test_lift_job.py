@@ -70,7 +70,7 @@ def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
         work.lift_work(stopped, LiftRequest(kind="lift"))
     outcome = work.lift_work(job, LiftRequest(kind="lift"))
     assert outcome.result["proposals"] > 0 and outcome.result["frames"] == 1
-    assert outcome.message.endswith(f"proposals in 1 frames, measured by: {TITLE}")
+    assert outcome.message.endswith(f"proposals in 1 frame, measured by: {TITLE}")
     assert any(isinstance(message, Progress) and message.total == 1.0 for message in sent)
     assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 0
     labels = live.client.get(f"{ROOM}/frames/{stored.id}").json()["labels"]

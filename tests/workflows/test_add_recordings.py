@@ -55,7 +55,10 @@ def test_one_unusable_path_means_that_nothing_is_added(
     project, broken = make_project(), own_copy("people")
     for path in (broken / "depth").iterdir():
         path.write_bytes(b"")
-    for bad, problem in ((tmp_path / "nowhere", "no such file or folder"), (broken, "none of its first 5 frames")):
+    for bad, problem in (
+        (tmp_path / "nowhere", "no such file or folder"),
+        (broken, r"none of its first frames can be read \(5 tried\)"),
+    ):
         with pytest.raises(RecordingError, match=problem):
             add_recordings(project, [generated / "hands", bad])
         assert project.recordings.all() == ()

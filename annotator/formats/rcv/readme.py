@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from annotator.formats.rcv.model import RcvManifest
+from annotator.types.amounts import amount
 
 TEXT = """\
-# 3D boxes of {objects} objects in {frames} frames
+# 3D boxes of {objects} in {frames}
 
 A dataset of camera images, coloured point clouds and fully oriented 3D boxes, modelled on 3D_HUMAN and 3D_HAND (Gui
 and Luximon, "Recursive Cross-View", RA-L 2023).
@@ -94,8 +95,8 @@ def readme_text(manifest: RcvManifest) -> str:
         _table("detector", "name and fingerprint", {d.role: f"{d.name} {d.fingerprint}" for d in manifest.detectors}),
     ]
     return TEXT.format(
-        objects=counts.objects,
-        frames=counts.frames,
+        objects=amount(counts.objects, "object"),
+        frames=amount(counts.frames, "frame"),
         generator=manifest.generator,
         format=manifest.format,
         version=manifest.version,

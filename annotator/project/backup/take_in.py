@@ -28,6 +28,7 @@ from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
 from annotator.project.store import DATABASE_FILE, explained
 from annotator.project.tidying.unlabelled import remove_labels
+from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, ProjectError
 
 # Bound of a foreign project's settings, bytes.
@@ -111,7 +112,7 @@ def copy_project(
             copy_regular(folder / each, place / each)
             progress(number, len(names))
         if found := verify(place, deep=True).problems:
-            more = f" (and {len(found) - 1} more problems)" if len(found) > 1 else ""
+            more = f" (and {amount(len(found) - 1, 'more problem')})" if len(found) > 1 else ""
             raise ProjectError(f"{folder}: {found[0]}{more}; nothing was copied")
     return root / name
 

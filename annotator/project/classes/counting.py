@@ -11,6 +11,7 @@ from sqlalchemy import Connection, func, select
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import Attribute, AttributeOf
 from annotator.project.schema import frame_attributes, labels
+from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
 
@@ -73,8 +74,8 @@ def require_fitting(connection: Connection, before: Sequence[Attribute], after: 
         if wrong:
             number, example = sum(number for number, _ in wrong), wrong[0][1]
             raise ProjectError(
-                f"{number} stored values of {attribute.name} would not fit, such as {example}; change them first, or "
-                "have them removed (--drop)"
+                f"{amount(number, 'stored value')} of {attribute.name} would not fit, such as {example}; first change "
+                "what does not fit, or have it removed (--drop)"
             )
 
 

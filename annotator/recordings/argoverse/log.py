@@ -33,6 +33,7 @@ from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
 from annotator.types import Camera, Frame
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
 LOOKED_FOR = "sensors/lidar/TIME_NS.feather and city_SE3_egovehicle.feather (a log of Argoverse 2's sensor data set)"
@@ -95,7 +96,7 @@ class ArgoverseLog(KeyedFrames):
         if len(cloud) == 0:
             raise FrameError(
                 self._sweep_file(key),
-                f"none of its {len(xyz_m)} points lies in the image {image.name}, so the cloud is empty",
+                f"none of its points lies in the image {image.name} ({len(xyz_m)} in all), so the cloud is empty",
                 f"check {MOUNTS} and {POSES}",
             )
         up = T_city_camera.rotation.inv().apply(UP)
@@ -209,7 +210,9 @@ def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | NotFou
         notes.append(f"{len(cameras)} cameras: {', '.join(cameras)} (--camera names another, or all)")
     if len(pairs) < len(keys):
         alone = len(keys) - len(pairs)
-        notes.append(f"{alone} sweeps without an image within {within_s:g} s were left out (--tolerance changes it)")
+        notes.append(
+            f"left out: {amount(alone, 'sweep')} without an image within {within_s:g} s (--tolerance changes it)"
+        )
     return ArgoverseLog(path, tuple(pairs), camera, cameras, tuple(pairs.values()), tuple(notes))
 
 

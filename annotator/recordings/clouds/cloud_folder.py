@@ -137,7 +137,7 @@ class CloudFolder(KeyedFrames):
             if len(cloud) == 0:
                 raise FrameError(
                     cloud_path,
-                    f"none of its {len(raw.xyz_m)} points lies in the image, so the cloud is empty",
+                    f"none of its points lies in the image ({len(raw.xyz_m)} in all), so the cloud is empty",
                     f"check that {source.path} belongs to this cloud and maps its frame to the camera's",
                 )
         return Frame(

@@ -44,7 +44,7 @@ def read_frame(
     if len(cloud) == 0:
         raise FrameError(
             scan_path,
-            f"none of its {len(scan.xyz_m)} points lies in the image, so the cloud is empty",
+            f"none of its points lies in the image ({len(scan.xyz_m)} in all), so the cloud is empty",
             f"check that {calibration.path} belongs to this scan",
         )
     return Frame(key, index, camera, rgb, cloud, None, UP, calibration.T_camera_label, timestamp_ns)

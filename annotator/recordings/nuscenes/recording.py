@@ -33,6 +33,7 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
 from annotator.recordings.scan_file import NUSCENES, read_rows, scan_bytes, valid_rows
 from annotator.types import Camera, Frame
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 
 LOOKED_FOR = "nuScenes' tables (v1.0-*/scene.json, sample_data.json, ...) beside samples/ and sweeps/"
@@ -117,7 +118,7 @@ class NuScenes(KeyedFrames):
         if len(cloud) == 0:
             raise FrameError(
                 self.root / scan.file,
-                f"none of its {len(points)} points lies in the image {image.file}, so the cloud is empty",
+                f"none of its points lies in the image {image.file} ({len(points)} in all), so the cloud is empty",
                 "check the poses of both in calibrated_sensor.json and ego_pose.json",
             )
         up = T_camera_global.rotation.apply(GLOBAL_UP)
@@ -282,5 +283,5 @@ def _notes(
     alone = len(data.cameras[camera]) - len(moments)
     if alone:
         within = options.tolerance_s or TOLERANCE_S
-        notes.append(f"{alone} images without a scan within {within:g} s were left out (--tolerance changes it)")
+        notes.append(f"left out: {amount(alone, 'image')} without a scan within {within:g} s (--tolerance changes it)")
     return tuple(notes)

@@ -15,6 +15,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int64
 
+from annotator.types.amounts import amount
+
 
 @dataclass(frozen=True, eq=False)
 class Channel:
@@ -79,7 +81,7 @@ MOST_NAMED = 8
 def shortened(damages: list[str]) -> list[str]:
     """Returns sentences about the first damaged places of a file, and how many more there are."""
     more = len(damages) - MOST_NAMED
-    return [*damages[:MOST_NAMED], f"is damaged at {more} more places"] if more > 0 else damages
+    return [*damages[:MOST_NAMED], f"is damaged at {amount(more, 'more place')}"] if more > 0 else damages
 
 
 class ChannelBuilder:

@@ -18,6 +18,7 @@ from annotator.files import open_file, read_text_file
 from annotator.recordings.ros import mcap_file, ros1_file, sqlite_file
 from annotator.recordings.ros.bag import Bag, BagFile, join
 from annotator.recordings.ros.decode import FIELD_ERRORS
+from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
 
 METADATA = "metadata.yaml"
@@ -71,7 +72,7 @@ def _open(path: Path, state: tuple[tuple[str, int, int], ...]) -> Bag:
     if not metadata:
         notes += (f"has no {METADATA}, so its recorder was not closed; its files are read as far as they are sound",)
     elif isinstance(expected, int) and expected != count:
-        notes += (f"{METADATA} declares {expected} messages, but the files have {count}",)
+        notes += (f"{METADATA} declares {amount(expected, 'message')}, but the files have {count}",)
     return Bag(path, bag.topics, notes)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from annotator.files import TABLE_BYTES, open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, Chunk, Chunks, unpack_message
+from annotator.types.amounts import amount
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, DATA_END = 1, 2, 3, 4, 5, 6, 7, 8, 15
@@ -113,7 +114,7 @@ class McapFile:
                     is_last = later == len(places)
                     sound_at = size if is_last else places[later]
                     if not is_last or end <= size:
-                        notes.append(f"is damaged at byte {at}; {sound_at - at} bytes are lost")
+                        notes.append(f"is damaged at byte {at}; {amount(sound_at - at, 'byte is', 'bytes are')} lost")
                     if is_last:
                         break
                     at = sound_at
@@ -146,7 +147,7 @@ class McapFile:
                 self._search(self._messages.first_chunk[number], only_described=True)
         lost = self._messages.first_chunk.keys() - self._described.keys()
         if lost:
-            notes.append(f"has messages of {len(lost)} topics that it does not describe; they are not used")
+            notes.append(f"has messages of {amount(len(lost), 'topic')} that it does not describe; they are not used")
         self.channels = tuple(self._channel(number) for number in sorted(self._described))
         self.notes = tuple(f"{self.path.name} {note}" for note in notes)
 

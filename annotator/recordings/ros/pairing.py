@@ -14,6 +14,7 @@ from jaxtyping import Int64
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.decode import SECOND, quick_stamp_ns
 from annotator.recordings.ros.kept_times import kept_times
+from annotator.types.amounts import amount
 
 Clock = Literal["header", "log"]
 # Topics whose stamps are further apart than this, measured against the log, have different clocks.
@@ -49,18 +50,22 @@ def pair(images: Topic, clouds: Topic, tolerance_s: float) -> Pairs:
     for topic, times in ((images, image_ns), (clouds, cloud_ns)):
         backward = int((np.diff(times) < 0).sum())
         if backward:
-            notes.append(f"the times of {topic.name} run backward {backward} times; its messages are sorted")
+            notes.append(
+                f"the times of {topic.name} run backward in {amount(backward, 'place')}; its messages are sorted"
+            )
     image, cloud = _mutual_nearest(image_ns, cloud_ns)
     apart_ns = np.abs(image_ns[image] - cloud_ns[cloud])
     near = apart_ns <= round(tolerance_s * SECOND)
     lonely_images, lonely_clouds = len(images) - int(near.sum()), len(clouds) - int(near.sum())
     if lonely_images:
         notes.append(
-            f"{lonely_images} of {len(images)} images of {images.name} have no partner of their own in {clouds.name} "
+            f"{lonely_images} of {amount(len(images), 'image')} of {images.name} without a partner in {clouds.name} "
             f"within {tolerance_s:g} s"
         )
     if lonely_clouds:
-        notes.append(f"{lonely_clouds} of {len(clouds)} messages of {clouds.name} have no image of their own")
+        notes.append(
+            f"{lonely_clouds} of {amount(len(clouds), 'message')} of {clouds.name} without an image of its own"
+        )
     if len(image) and not near.any():
         notes.append(f"the nearest pair is {apart_ns.min() / SECOND:.3f} s apart; give --tolerance")
     image, cloud = image[near], cloud[near]
@@ -98,7 +103,7 @@ def _times(images: Topic, clouds: Topic, notes: list[str]) -> tuple[np.ndarray, 
         known = times > 0
         if 2 * int(known.sum()) <= len(times):
             unset = len(times) - int(known.sum())
-            notes.append(f"{unset} messages of {topic.name} have no time in their headers; log times are used")
+            notes.append(f"{amount(unset, 'message')} of {topic.name} without a time in the header; log times are used")
             return images.log_ns, clouds.log_ns
         late.append(float(np.median((topic.log_ns - times)[known])))
     if abs(late[0] - late[1]) > MOST_APART_NS:
@@ -115,7 +120,9 @@ def _completed(topic: Topic, times: np.ndarray, late_ns: float, notes: list[str]
     unset = int((times <= 0).sum())
     if not unset:
         return times
-    notes.append(f"{unset} messages of {topic.name} have no readable time; it is taken from when they were logged")
+    notes.append(
+        f"{amount(unset, 'message')} of {topic.name} without a readable time, which is taken from the log times"
+    )
     return np.where(times > 0, times, np.maximum(topic.log_ns - round(late_ns), 0))
 
 

@@ -15,6 +15,7 @@ from annotator.recordings.ros.camera_info import baseline_m
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 from annotator.recordings.ros.images import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, RecordingError
 
 IMAGE_TYPES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "foxglove/RawImage", "foxglove/CompressedImage")
@@ -302,7 +303,7 @@ def _ambiguous(bag: Bag, option: str, topics: Sequence[Topic]) -> RecordingError
 
 
 def _choices(option: str, topics: Sequence[Topic]) -> str:
-    listed = ", ".join(f"{topic.name} ({len(topic)} messages)" for topic in topics)
+    listed = ", ".join(f"{topic.name} ({amount(len(topic), 'message')})" for topic in topics)
     return f"{option_flag(option)}: {listed}"
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from annotator.files import TABLE_BYTES, open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import Chunk, Chunks
+from annotator.types.amounts import amount
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
@@ -98,7 +99,11 @@ class Ros1File:
                     is_last = later == len(places)
                     notes.append(
                         f"is damaged at byte {at}; "
-                        + (f"{size - at} bytes are not used" if is_last else f"{places[later] - at} bytes are lost")
+                        + (
+                            f"{amount(size - at, 'byte is', 'bytes are')} not used"
+                            if is_last
+                            else f"{amount(places[later] - at, 'byte is', 'bytes are')} lost"
+                        )
                     )
                     if is_last:
                         break
@@ -127,12 +132,12 @@ class Ros1File:
         if not index_at:
             notes.append("was not closed by its recorder; it is read as far as it is sound")
         elif at > size:
-            notes.append(f"is truncated: {at - size} bytes are missing")
+            notes.append(f"is truncated: {amount(at - size, 'byte is', 'bytes are')} missing")
         for number in self._messages.first_chunk.keys() - self._connections.keys():
             self._search(self._messages.first_chunk[number], only_connections=True)
         lost = self._messages.first_chunk.keys() - self._connections.keys()
         if lost:
-            notes.append(f"has messages of {len(lost)} topics that it does not describe; they are not used")
+            notes.append(f"has messages of {amount(len(lost), 'topic')} that it does not describe; they are not used")
         self.channels = tuple(self._channel(number) for number in sorted(self._connections))
         self.notes = tuple(f"{self.path.name} {note}" for note in notes)
 

@@ -16,6 +16,7 @@ import numpy as np
 from annotator.files import open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder
 from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, MOST_BYTES, unpack_message
+from annotator.types.amounts import amount
 
 if TYPE_CHECKING:
     import sqlite3
@@ -109,7 +110,7 @@ class SqliteFile:
                 if count > self.path.stat().st_size:
                     return "is damaged: it lists more messages than it has bytes"
         except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
-            return f"is damaged after {count} messages ({error}); the others are not used"
+            return f"is damaged after {amount(count, 'message')} ({error}); the others are not used"
         return ""
 
     @contextmanager

@@ -15,6 +15,7 @@ from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.project import new_action
 from annotator.project.backup.take_in import copy_project
 from annotator.types import DetectorKind
+from annotator.types.amounts import amount
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import (
     LIFT_STAGE,
@@ -238,28 +239,30 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         )
         boxes = done.proposals.total()
         parts = [
-            f"{boxes} boxes of {done.source} proposed in {done.frames} frames",
-            f"{done.merged} of them are objects that others see as well" if done.merged else "",
-            f"{done.covered} boxes of reviewed objects left out" if done.covered else "",
-            f"{done.unsure} boxes with a lower score left out" if done.unsure else "",
-            f"{done.rejected} rejected boxes left out" if done.rejected else "",
-            f"{done.finalised} finalised frames left as they are" if done.finalised else "",
+            f"{amount(boxes, 'box')} of {done.source} proposed in {amount(done.frames, 'frame')}",
+            f"{done.merged} of them also seen by other sources" if done.merged else "",
+            f"{amount(done.covered, 'box')} of reviewed objects left out" if done.covered else "",
+            f"{amount(done.unsure, 'box')} with a lower score left out" if done.unsure else "",
+            f"{amount(done.rejected, 'rejected box')} left out" if done.rejected else "",
+            f"{amount(done.finalised, 'finalised frame')} left unchanged" if done.finalised else "",
         ]
     else:
         done = import_labels(job.project, dataset, recording, progress, request.names, importer)
         boxes = done.labels.total()
         parts = [
-            f"{boxes} labels imported in {done.frames} frames",
-            f"{done.already} frames with labels left as they are" if done.already else "",
-            f"{done.not_reviewed} boxes that are not accepted left out" if done.not_reviewed else "",
+            f"{amount(boxes, 'label')} imported in {amount(done.frames, 'frame')}",
+            f"{amount(done.already, 'frame')} with labels left unchanged" if done.already else "",
+            f"{amount(done.not_reviewed, 'box')} left out as not accepted" if done.not_reviewed else "",
         ]
     left_out, renamed = done.other_classes.total(), done.renamed
     parts += [
         f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
-        f"{left_out} boxes of other classes left out ({', '.join(sorted(done.other_classes))})" if left_out else "",
-        f"{done.unseen} boxes outside the images of these frames left out" if done.unseen else "",
-        f"{len(done.unmatched)} frames that the project does not have left out" if done.unmatched else "",
-        f"{len(done.unreadable)} frames could not be read" if done.unreadable else "",
+        f"{amount(left_out, 'box')} of other classes left out ({', '.join(sorted(done.other_classes))})"
+        if left_out
+        else "",
+        f"{amount(done.unseen, 'box')} outside the images of these frames left out" if done.unseen else "",
+        f"{amount(len(done.unmatched), 'frame')} that the project does not have left out" if done.unmatched else "",
+        f"{amount(len(done.unreadable), 'frame')} could not be read" if done.unreadable else "",
     ]
     result: dict[str, object] = {
         "frames": done.frames,
@@ -275,16 +278,18 @@ def _imported(done: Imported) -> tuple[str, dict[str, object]]:
     left_out = sum(done.other_classes.values())
     renamed = done.renamed
     parts = [
-        f"{done.boxes} 2D boxes on {done.pictures} images imported",
-        f"the drawn boxes on {done.replaced} images replaced" if done.replaced else "",
+        f"{amount(done.boxes, '2D box')} on {amount(done.pictures, 'image')} imported",
+        f"the drawn boxes on {amount(done.replaced, 'image')} replaced" if done.replaced else "",
         f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
-        f"{left_out} boxes of other classes left out ({', '.join(sorted(done.other_classes))})" if left_out else "",
-        f"{len(done.unmatched)} images without a frame left out" if done.unmatched else "",
-        f"{done.finalised} finalised frames left as they are" if done.finalised else "",
-        f"{done.values.set} values of attributes for 3D labels and frames" if done.values.set else "",
-        f"{done.values.kept} that differ from theirs left out" if done.values.kept else "",
+        f"{amount(left_out, 'box')} of other classes left out ({', '.join(sorted(done.other_classes))})"
+        if left_out
+        else "",
+        f"{amount(len(done.unmatched), 'image')} without a frame left out" if done.unmatched else "",
+        f"{amount(done.finalised, 'finalised frame')} left unchanged" if done.finalised else "",
+        f"{amount(done.values.set, 'value')} of attributes for 3D labels and frames" if done.values.set else "",
+        f"{amount(done.values.kept, 'value')} in conflict with labels or frames left out" if done.values.kept else "",
         _left_out(done.values.left_out),
-        f"{len(done.unreadable)} frames could not be read" if done.unreadable else "",
+        f"{amount(len(done.unreadable), 'frame')} could not be read" if done.unreadable else "",
     ]
     result: dict[str, object] = {
         "images": done.pictures,
@@ -298,15 +303,15 @@ def _imported(done: Imported) -> tuple[str, dict[str, object]]:
 
 
 def _left_out(values: Counter[str]) -> str:
-    return f"{values.total()} values of attributes left out: {', '.join(sorted(values))}" if values else ""
+    return f"{amount(values.total(), 'value')} of attributes left out: {', '.join(sorted(values))}" if values else ""
 
 
 def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
-    message = f"{done.proposals} proposals in {done.done} frames"
+    message = f"{amount(done.proposals, 'proposal')} in {amount(done.done, 'frame')}"
     if done.skipped:
-        message += f", {done.skipped} frames were done before"
+        message += f", {amount(done.skipped, 'frame')} done before"
     if done.failures:
-        message += f", {done.failures} frames failed"
+        message += f", {amount(done.failures, 'frame')} failed"
     failed = [{"key": key, "reason": reason} for key, reason in done.failed[:MOST_FAILURES]]
     result = {"frames": done.done, "proposals": done.proposals, "skipped": done.skipped, "without": done.without}
     return Outcome(message + source, {**result, "failed": failed, "failures": done.failures})
@@ -322,13 +327,13 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
         left_out += imported.other_classes
         values += imported.values
         unreadable += imported.unreadable
-    message = f"{labels.total()} boxes imported"
+    message = f"{amount(labels.total(), 'box')} imported"
     if left_out:
         message += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
     if values:
         message += f", {_left_out(values)}"
     if unreadable:
-        message += f", those of {len(unreadable)} frames could not be read"
+        message += f", those of {amount(len(unreadable), 'frame')} could not be read"
     return Outcome(message, {"labels": labels, "left_out": left_out, "unreadable": unreadable[:MOST_FAILURES]})
 
 
@@ -366,7 +371,7 @@ def export_work(job: JobContext, request: ExportRequest) -> Outcome:
     lost = [loss.message for loss in report.losses]
     summary["unreadable"] = report.unreadable[:MOST_FAILURES]
     result = {"file": packed.name, "bytes": packed.stat().st_size, **summary, "lost": lost}
-    return Outcome(f"{report.objects} boxes in {report.frames} frames", result)
+    return Outcome(f"{amount(report.objects, 'box')} in {amount(report.frames, 'frame')}", result)
 
 
 def _tuple(values: list[T] | None) -> tuple[T, ...] | None:

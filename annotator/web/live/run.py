@@ -12,6 +12,7 @@ from fastapi import FastAPI, Request, Response, WebSocket
 
 from annotator.detection.config import Backend
 from annotator.project import Project
+from annotator.types.amounts import amount
 from annotator.web.limits.log import limited_log
 from annotator.web.live.interrupts import Interrupts
 from annotator.web.live.page import LivePage
@@ -115,7 +116,7 @@ def _run(
             figures = _show(options, settings, source, detection, recorder, facts, report, interrupts)
         finally:
             if frames := recorder.finish():
-                report(f"storing the detections of the {frames} frames in {recorder.out}")
+                report(f"storing the detections of {amount(frames, 'frame')} in {recorder.out}")
                 warm_start = options.warm_start
                 stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
         recorder.require_complete()

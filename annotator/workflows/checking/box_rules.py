@@ -14,6 +14,7 @@ from jaxtyping import Float64
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.types import Label, Truth
+from annotator.types.amounts import amount
 
 # Factor by which a side may differ from the median of its class.
 SIZE_FACTOR = 1.6
@@ -117,7 +118,7 @@ def overlaps(boxes: Boxes, least_iou: float) -> Iterator[tuple[int, int, float]]
 
 def few_points_message(label: str, count: int) -> str:
     """Returns the message for a box with fewer than `LEAST_POINTS` points."""
-    return f"{count} points lie in the box of this {label}"
+    return f"the box of this {label} holds {amount(count, 'point')}"
 
 
 def _sides(size_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:

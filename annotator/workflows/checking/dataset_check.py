@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv.export import MANIFEST
 from annotator.types import Frame
+from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError
 from annotator.types.names import folded
 from annotator.workflows.checking import rules
@@ -226,7 +227,7 @@ class DatasetCheck:
                 self.findings.add(rule, path, f"{self.faults[kind]} of {among} {message}")
         declared = self.source.declared_objects
         if declared is not None and declared != len(self.sizes) and not self.wrong_files:
-            message = f"declares {declared} objects, but there are {len(self.sizes)}"
+            message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
             self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:

@@ -13,6 +13,7 @@ import annotator
 from annotator.detection.backends.cores import usable_cores
 from annotator.detection.ultralytics_api import cache_dir
 from annotator.files import read_text_file
+from annotator.types.amounts import amount
 from annotator.workflows.doctor.report import Line, State
 
 SECTION = "machine"
@@ -35,7 +36,9 @@ def machine(projects: Path) -> Iterator[Line]:
     yield Line(section=SECTION, name="Python", state=State.OK, found=version)
     yield Line(section=SECTION, name="system", state=State.OK, found=_system())
     cores, usable = os.cpu_count() or 1, usable_cores()
-    processor = f"{_processor()}, {cores} cores" + (f", {usable} of them for this process" if usable < cores else "")
+    processor = f"{_processor()}, {amount(cores, 'core')}" + (
+        f", {usable} of them for this process" if usable < cores else ""
+    )
     figures: dict[str, float] = {"cores": cores, "usable_cores": usable}
     yield Line(section=SECTION, name="processor", state=State.OK, found=processor, figures=figures)
     yield _memory()

@@ -23,6 +23,7 @@ from annotator.formats.kitti.label_folders import read_kitti_folder
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import MANIFEST
 from annotator.types import OrientedBox, ReviewState
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
 
 # Used for boxes without a score.
@@ -97,8 +98,9 @@ def _kitti(detections: Path, truth: Path, options: Options) -> Report:
     if options.frames is None and len(true) > len(detected):
         other = next(name for name in true if name not in detected)
         raise ConfigError(
-            f"{detections}: has {len(detected)} frames, {truth} has {len(true)}; e.g. {other}.txt is missing. Write "
-            "an empty file for each frame without detections, or name the frames of your split with --frame-list"
+            f"{detections}: has {amount(len(detected), 'frame')}, {truth} has {len(true)}; e.g. {other}.txt is "
+            "missing. Write an empty file for each frame without detections, "
+            "or name the frames of your split with --frame-list"
         )
     return kitti_of([detected[name] for name in names], [true[name] for name in names], options.relaxed)
 
@@ -114,7 +116,8 @@ def kitti_of(
     result = evaluate_kitti(kitti_rows(detected), kitti_rows(true), RELAXED if relaxed else OFFICIAL)
     if not result.curves:
         raise ConfigError(
-            f"none of {sum(map(len, detected))} detections is of a class that KITTI evaluates ({', '.join(NEIGHBOURS)})"
+            f"no detection, of {sum(map(len, detected))} in all, is of a class that KITTI evaluates "
+            f"({', '.join(NEIGHBOURS)})"
         )
     return kitti_report(result)
 
@@ -122,7 +125,9 @@ def kitti_of(
 def _require(names: Iterable[str], files: Mapping[str, object], path: Path, what: str) -> None:
     missing = [name for name in names if name not in files]
     if missing:
-        raise ConfigError(f"{path}: has no file {missing[0]}.txt {what} ({len(missing)} frames have no file)")
+        raise ConfigError(
+            f"{path}: has no file {missing[0]}.txt {what} ({amount(len(missing), 'frame')} without a file)"
+        )
 
 
 def kitti_rows(frames: Sequence[Sequence[KittiLabel]]) -> KittiRows:

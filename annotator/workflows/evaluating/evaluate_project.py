@@ -13,6 +13,7 @@ from annotator.formats.kitti.box_rows import kitti_row
 from annotator.formats.kitti.label_files import KittiLabel
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import Label, ReviewState, Source
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.evaluating.evaluate_files import (
     DEFAULT_SCORE,
@@ -89,7 +90,7 @@ def _boxes(source: _Source, protocol: Protocol) -> Report:
     compared = list(source.compared())
     detected, true = (box_table(side) for side in zip(*compared, strict=True)) if compared else (box_table([]),) * 2
     if len(true) == 0:
-        raise ConfigError(f"there are no true boxes in the {len(compared)} frames to evaluate")
+        raise ConfigError(f"there are no true boxes in the {amount(len(compared), 'frame')} to evaluate")
     if protocol is Protocol.SUNRGBD:
         return sunrgbd_report(evaluate_sunrgbd(detected, true))
     return oriented_report(evaluate_oriented(detected, true))
@@ -98,7 +99,7 @@ def _boxes(source: _Source, protocol: Protocol) -> Report:
 def _kitti(source: _Source, relaxed: bool) -> Report:
     rows = [source.kitti(stored) for stored in source.frames()]
     if not any(true for _, true in rows):
-        raise ConfigError(f"there are no true boxes in the {len(rows)} frames to evaluate")
+        raise ConfigError(f"there are no true boxes in the {amount(len(rows), 'frame')} to evaluate")
     return kitti_of([detected for detected, _ in rows], [true for _, true in rows], relaxed)
 
 
@@ -124,8 +125,8 @@ class _Source:
         known = {f"{of_id[frame.recording_id]}/{frame.key}" for frame in self._project.frames.of()}
         if missing := sorted(self._names - known):
             raise ConfigError(
-                f"project {self._project.config.name} has no frame {missing[0]} ({len(missing)} of the "
-                f"{len(self._names)} names are unknown); names are RECORDING/KEY"
+                f"project {self._project.config.name} has no frame {missing[0]} (unknown: {len(missing)} of "
+                f"{amount(len(self._names), 'name')}); names are RECORDING/KEY"
             )
 
     def notes(self) -> tuple[str, ...]:
@@ -133,8 +134,8 @@ class _Source:
         if self._choice.against is not Against.TRUTH or not self._unchanged:
             return ()
         return (
-            f"{self._unchanged} of the {self._labels_seen} labels were imported from the recordings themselves, so "
-            "they were compared with themselves; measure proposals (--measured proposals), or add recordings with "
+            f"imported from the recordings themselves, and so compared with themselves: {self._unchanged} of "
+            f"{amount(self._labels_seen, 'label')}; measure proposals (--measured proposals), or add recordings with "
             "--no-labels",
         )
 

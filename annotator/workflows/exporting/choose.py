@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.types import ReviewState
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.names import alternatives
 from annotator.workflows.exporting.split import Split, assign
@@ -86,8 +87,8 @@ def waiting_note(
     if not frames:
         return None
     return (
-        f"{len(frames)} unreviewed proposals on {len(set(frames))} of these frames were left out; review them first if "
-        "the labels must be complete"
+        f"left out: {amount(len(frames), 'unreviewed proposal')} on {len(set(frames))} of these frames; finish the "
+        "review first if the labels must be complete"
     )
 
 

@@ -16,6 +16,7 @@ from annotator.formats.openlabel import write_openlabel
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv
 from annotator.formats.sunrgbd.folder import write_sunrgbd
 from annotator.formats.sustechpoints import write_sustechpoints
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import base_titles, lifted_from
 from annotator.workflows.exporting.job import ExportJob, ExportReport
@@ -91,7 +92,7 @@ def kitti_tracking_folder(job: ExportJob) -> ExportReport:
     report = job.report("kitti-tracking", counts)
     if not untracked:
         return report
-    note = f"{untracked} boxes had no track id of their own and got a new one each; `annotator track` links boxes"
+    note = f"{amount(untracked, 'box')} without a track id got a new one each; `annotator track` links boxes"
     return report.model_copy(update={"notes": (*report.notes, note)})
 
 

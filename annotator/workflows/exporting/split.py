@@ -11,6 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 
 # Parts become the names of files and folders.
@@ -84,8 +85,8 @@ def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
         groups[(recording,) if split.by is SplitBy.RECORDINGS else (recording, key)] += 1
     if len(groups) < len(split.shares):
         raise ConfigError(
-            f"{len(groups)} {split.by} cannot be divided into {len(split.shares)} parts "
-            f"({', '.join(split.shares)}); give fewer parts, or divide by frames"
+            f"{amount(len(groups), split.by.removesuffix('s'))} cannot be divided into "
+            f"{amount(len(split.shares), 'part')} ({', '.join(split.shares)}); give fewer parts, or divide by frames"
         )
     part_of = _randomly_assigned(split, dict(groups))
     return [part_of[(r,) if split.by is SplitBy.RECORDINGS else (r, k)] for r, k in places]

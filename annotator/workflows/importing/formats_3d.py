@@ -395,7 +395,9 @@ class NuScenesResults:
                 found = {f"{stored.name}/{key}": each for key, each in samples.items() if each is not None}
                 places |= {name: each for name, each in found.items() if each in self.samples}
         if not places:
-            problem = f"the project has none of its {len(self.samples)} samples; add their scenes to the project first"
+            problem = (
+                f"the project has none of its samples ({len(self.samples)}); add their scenes to the project first"
+            )
             raise FormatError(self.path, problem)
         return replace(self, places=places)
 

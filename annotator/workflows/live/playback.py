@@ -105,7 +105,7 @@ class Playback:
             if self._broken_in_a_row >= len(self.recording):
                 count = len(self.recording)
                 raise RecordingError(
-                    f"{self.recording.path}: none of its {count} frames can be read: {error}"
+                    f"{self.recording.path}: none of its frames can be read ({count} tried): {error}"
                 ) from error
             raise
         self._broken_in_a_row = 0

@@ -24,6 +24,7 @@ from typing import IO
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording
 from annotator.recordings.frame_writer import FrameWriter, trim
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, RecordingError
 from annotator.workflows.live.detection import Detected
 
@@ -119,8 +120,8 @@ class Recorder:
             self._part.rename(self.out)
         except OSError as error:
             raise RecordingError(
-                f"{self.out}: cannot be created ({error.strerror or error}); its {self._writer.frames} frames are in "
-                f"{self._part}"
+                f"{self.out}: cannot be created ({error.strerror or error}); {amount(self._writer.frames, 'frame')} "
+                f"kept in {self._part}"
             ) from error
         return self._writer.frames
 
@@ -218,7 +219,7 @@ def rescue(out: Path, report: Report) -> None:
             rescued = _rescue_path(out)
             part.chmod(0o755)
             part.rename(rescued)
-        report(f"{rescued}: {frames} frames of an interrupted recording; add them with `annotator add`")
+        report(f"{rescued}: {amount(frames, 'frame')} of an interrupted recording; add it with `annotator add`")
 
 
 def _prefix(out: Path) -> str:

@@ -17,6 +17,7 @@ from annotator.project.overview import FramePage, read_page
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known
 from annotator.types import BoxKind, Source
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.frame_subset import share_of
@@ -217,6 +218,6 @@ def _require_boxes(project: Project, counts: BoxesFrom3d) -> None:
     others = ", ".join(sorted(counts.other_classes)) or "none"
     unreadable = "".join(f"\n  unreadable: {line}" for line in counts.unreadable)
     raise ConfigError(
-        f"none of {counts.chosen} frames has a box of {', '.join(project.config.classes)} (other classes there: "
+        f"{amount(counts.chosen, 'frame')} without a box of {', '.join(project.config.classes)} (other classes there: "
         f"{others}); choose other frames, or create the project with these classes{unreadable}"
     )

@@ -18,6 +18,7 @@ from annotator.detection.trained import MODEL_NAME, TrainedModel
 from annotator.project import Project, StoredModel
 from annotator.rcv.config import RcvConfig
 from annotator.types import DetectorKind
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.settings import rcv_config
@@ -176,7 +177,7 @@ def _train_image(
     begin = time.perf_counter()
     left_out = LeftOut()
     if material.unreviewed_images:
-        left_out.lines.append(f"{material.unreviewed_images} camera images with unreviewed proposals")
+        left_out.lines.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
     real = image_samples(project, material, left_out.skip)
     held_out, rcv = _held_out(project, plan), plan.rcv or rcv_config(project)
@@ -213,7 +214,9 @@ class _ViewTraining:
         other_kind = len(self.material.views) - len(self.material.views_of_kind)
         if other_kind and (start.model is None or not start.model.class_agnostic):
             kind = self.material.kind
-            self.left_out.lines.append(f"{other_kind} pseudo-views whose boxes are not of the majority kind, {kind}")
+            self.left_out.lines.append(
+                f"{amount(other_kind, 'pseudo-view')} whose boxes are not of the majority kind, {kind}"
+            )
         self.left_out.lines += start.left_out
         self.view_px = start.view_px(plan.view)
         self.rcv = plan.rcv or rcv_config(project, view_px=self.view_px)

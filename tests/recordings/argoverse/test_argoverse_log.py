@@ -94,7 +94,7 @@ def test_cameras_and_sweeps_without_images(tmp_path: Path):
     near.unlink()
     assert len(opened(tmp_path, camera="ring_front_center")) == 2
     assert opened(tmp_path, camera="ring_front_center").notes == (
-        "1 sweeps without an image within 0.05 s were left out (--tolerance changes it)",
+        "left out: 1 sweep without an image within 0.05 s (--tolerance changes it)",
     )
     with pytest.raises(RecordingError, match=r"no image of ring_front_center is within 0\.001 s of a sweep"):
         opened(tmp_path, camera="ring_front_center", tolerance_s=0.001)

@@ -165,7 +165,7 @@ def test_without_the_sweeps_only_samples_are_read(tmp_path: Path):
     (tmp_path / "elsewhere").rename(tmp_path / "sweeps")
     near = opened(tmp_path, camera="CAM_FRONT", tolerance_s=0.001)
     assert len(near) == 2
-    assert near.notes == ("4 images without a scan within 0.001 s were left out (--tolerance changes it)",)
+    assert near.notes == ("left out: 4 images without a scan within 0.001 s (--tolerance changes it)",)
 
 
 def test_a_scene_without_images_is_seen_by_virtual_cameras(tmp_path: Path):

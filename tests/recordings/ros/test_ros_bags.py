@@ -76,7 +76,7 @@ def test_inspect_lists_the_topics_that_matter_and_counts_the_others(tmp_path: Pa
     assert main(["inspect", str(bag.path)]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("topic")]
     assert [line.rpartition(": ")[2] for line in lines[:-1]] == ["camera", "image", "points", "transforms", "--image"]
-    assert lines[-1].endswith("40 others are not used (--json lists them): 40 of std_msgs/Float32")
+    assert lines[-1].endswith("40 others not used (--json lists all): 40 of std_msgs/Float32")
     assert main(["inspect", str(bag.path), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["topics"]) == 45
 
@@ -93,9 +93,9 @@ def two_cameras(folder: Path) -> Path:
 
 def test_an_ambiguous_choice_names_the_options(tmp_path: Path):
     path = two_cameras(tmp_path)
-    with pytest.raises(RecordingError, match=r"--image: /left/image_raw \(1 messages\), /right/image_raw"):
+    with pytest.raises(RecordingError, match=r"--image: /left/image_raw \(1 message\), /right/image_raw"):
         open_recording(path)
-    with pytest.raises(RecordingError, match=r"--points: /points \(1 messages\), /points_rear"):
+    with pytest.raises(RecordingError, match=r"--points: /points \(1 message\), /points_rear"):
         open_recording(path, ReaderOptions(image="/left/image_raw"))
     recording = open_recording(path, ReaderOptions(image="/left/image_raw", points="points"))
     assert len(recording.frame(0).cloud)
@@ -141,8 +141,8 @@ def test_partners_are_counted(tmp_path: Path):
     # the images at 33 and 132 ms
     assert recording.keys == ("000001", "000004")
     assert recording.notes == (
-        "4 of 6 images of /cam/image_raw have no partner of their own in /points within 0.05 s",
-        "1 of 3 messages of /points have no image of their own",
+        "4 of 6 images of /cam/image_raw without a partner in /points within 0.05 s",
+        "1 of 3 messages of /points without an image of its own",
     )
     assert open_recording(bag.path, ReaderOptions(tolerance_s=0.0025)).keys == ("000004",)
     with pytest.raises(RecordingError, match=r"the nearest pair is 0\.002 s apart; give --tolerance"):
@@ -179,7 +179,7 @@ def test_times_that_are_not_set_or_run_backward_are_told(tmp_path: Path):
             write_camera(bag, "cam", START_NS + time * MS, log_ns=START_NS + i * 100 * MS)
     recording = open_recording(bag.path)
     assert recording.keys == ("000000", "000002", "000001")
-    assert "the times of /points run backward 1 times; its messages are sorted" in recording.notes
+    assert "the times of /points run backward in 1 place; its messages are sorted" in recording.notes
     (tmp_path / "unset").mkdir()
     with BagWriter(tmp_path / "unset", "mcap") as bag:
         write_mount(bag)
@@ -187,7 +187,7 @@ def test_times_that_are_not_set_or_run_backward_are_told(tmp_path: Path):
         write_camera(bag, "cam", 0, log_ns=START_NS + MS)
     recording = open_recording(bag.path)
     assert recording.frame(0).timestamp_ns == START_NS + MS
-    assert "1 messages of /cam/image_raw have no time in their headers; log times are used" in recording.notes
+    assert "1 message of /cam/image_raw without a time in the header; log times are used" in recording.notes
 
 
 def test_one_message_without_a_time_leaves_the_times_of_the_others(tmp_path: Path):
@@ -200,7 +200,7 @@ def test_one_message_without_a_time_leaves_the_times_of_the_others(tmp_path: Pat
     recording = open_recording(bag.path)
     assert [recording.frame(i).timestamp_ns for i in range(4)] == [START_NS + i * 100 * MS for i in range(4)]
     assert recording.notes == (
-        "1 messages of /cam/image_raw have no readable time; it is taken from when they were logged",
+        "1 message of /cam/image_raw without a readable time, which is taken from the log times",
     )
 
 

@@ -86,7 +86,7 @@ def test_the_calibration_of_depth_can_be_chosen(start: Page, live: Live, tmp_pat
 
 def test_the_route_describes_a_bag(live: Live, bag_path: str) -> None:
     answer = live.client.get("/api/bags", params={"path": bag_path}).json()
-    assert "--image: /left/image_raw (1 messages), /right/image_raw" in answer["problem"]
+    assert "--image: /left/image_raw (1 message), /right/image_raw" in answer["problem"]
     assert str(live.settings.folders[0]) not in answer["problem"]
     assert (answer["frames"], answer["picture"]) == (0, "")
     params = {"path": bag_path, "image": "/left/image_raw", "camera_info": "/right/camera_info"}

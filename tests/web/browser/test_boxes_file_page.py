@@ -55,7 +55,7 @@ def test_a_coco_file_becomes_proposals(
         start.get_by_test_id("dialog-import").click()
         card = start.get_by_test_id("project-room")
         expect(card.get_by_test_id("job-import-text")).to_contain_text(f"{people} proposals in 2 frames")
-        expect(card.get_by_test_id("job-import-text")).to_contain_text("1 boxes of other classes left out (dog)")
+        expect(card.get_by_test_id("job-import-text")).to_contain_text("1 box of other classes left out (dog)")
         expect(card).to_contain_text(f"{people} proposed")
     assert project.config.classes == ("person",)
     assert len(project.labels.select(states=[ReviewState.PROPOSED])) == people
@@ -100,7 +100,7 @@ def test_bad_files_say_why_and_a_class_can_be_added(start: Page, live: Live, gen
     until(start, lambda: project.config.classes == ("person", "dog"))
     start.unroute("**/projects/room/jobs")
     start.get_by_test_id("dialog-import").click()
-    expect(start.get_by_test_id("job-boxes-text")).to_contain_text("1 2D boxes on 2 images imported")
+    expect(start.get_by_test_id("job-boxes-text")).to_contain_text("1 2D box on 2 images imported")
     assert project.config.classes == ("person", "dog")
     assert sum(len(boxes.boxes) for boxes in project.boxes.on_images()) == 1
     expect(start.get_by_test_id("lift")).to_contain_text("1 frame has 2D boxes on the image, but no 3D boxes")

@@ -113,7 +113,7 @@ def test_attributes_are_defined_in_label_and_set_there_with_one_key(bench: Bench
     form = page.get_by_test_id("attribute-dialog")
     form.get_by_test_id("attribute-choices").fill("lying")
     form.get_by_test_id("dialog-save").click()
-    expect(form.get_by_role("alert")).to_contain_text("1 stored values of pose would not fit")
+    expect(form.get_by_role("alert")).to_contain_text("1 stored value of pose would not fit")
     form.get_by_test_id("attribute-drop").check()
     form.get_by_test_id("dialog-save").click()
     expect(form).to_have_count(0)

@@ -42,7 +42,7 @@ def test_a_dataset_is_exported_and_downloaded(
     signed_in.get_by_test_id("export-skip-unreadable").check()
     signed_in.get_by_test_id("export-start").click()
     expect(signed_in.get_by_test_id("job-export-text")).to_contain_text(f"{count} boxes")
-    expect(signed_in.get_by_test_id("export-lost")).to_contain_text("1 frames cannot be read and were left out")
+    expect(signed_in.get_by_test_id("export-lost")).to_contain_text("1 frame cannot be read and was left out")
     unreadable = signed_in.get_by_test_id("export-unreadable").locator("li")
     expect(unreadable).to_contain_text("people/depth/000000.png: the file is empty")
     expect(unreadable).not_to_contain_text(str(tmp_path))

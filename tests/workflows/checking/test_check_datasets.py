@@ -422,8 +422,8 @@ def test_the_check_command_prints_findings_and_sets_the_exit_code(
     with_row()(kitti)
     assert main(["check", str(kitti)]) == 0, "warnings do not change the exit code"
     out = capsys.readouterr().out.splitlines()
-    assert out[0] == f"{kitti / LABELS}:4: warning empty-box: 0 points lie in the box of this Car"
-    assert out[1:] == [f"{kitti}: kitti_object, 3 frames, 10 labels", "0 errors, 1 warnings, 0 notes"]
+    assert out[0] == f"{kitti / LABELS}:4: warning empty-box: the box of this Car holds 0 points"
+    assert out[1:] == [f"{kitti}: kitti_object, 3 frames, 10 labels", "0 errors, 1 warning, 0 notes"]
     (kitti / "image_2/000002.png").unlink()
     assert main(["check", str(kitti), "--json"]) == 1
     reported = json.loads(capsys.readouterr().out)

@@ -72,7 +72,7 @@ def test_kitti_frames_must_match(tmp_path: Path) -> None:
 def test_kitti_evaluates_its_classes_only(tmp_path: Path) -> None:
     found, truth = kitti_folders(tmp_path, 1)
     (found / "000000.txt").write_text(CAR.format("person", 100, 190, 0) + " 1\n")
-    with pytest.raises(ConfigError, match="none of 1 detections is of a class"):
+    with pytest.raises(ConfigError, match="no detection, of 1 in all, is of a class"):
         evaluate_files(found, truth, Protocol.KITTI)
 
 
@@ -204,7 +204,7 @@ def test_evaluation_can_be_limited_to_recordings_and_frames(
     assert every["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})
     hands = evaluate_project(project, Protocol.ORIENTED, Choice(recordings=(ids["hands"],)))
     assert list(content(hands)["classes"]) == ["hand"]
-    assert [note.split(" were ")[0] for note in hands.notes] == ["10 of the 10 labels"]
+    assert [note.split("; ")[0].split(": ")[1] for note in hands.notes] == ["10 of 10 labels"]
     one = evaluate_project(project, Protocol.ORIENTED, options=Options(frames=["people/000002"]))
     assert content(one)["classes"]["person"]["objects"] == 3
 
@@ -220,7 +220,7 @@ def test_only_labels_from_the_recordings_themselves_give_a_note(
     assert evaluate_project(project, Protocol.ORIENTED).notes == ()
     import_own_labels(project, 1)
     (note,) = evaluate_project(project, Protocol.ORIENTED).notes
-    assert note.startswith("12 of the 15 labels were imported from the recordings")
+    assert note.startswith("imported from the recordings themselves, and so compared with themselves: 12 of 15 labels")
 
 
 def test_invalid_comparisons_are_errors(people: Project, own_copy, make_project: Callable[..., Project]) -> None:
@@ -231,7 +231,7 @@ def test_invalid_comparisons_are_errors(people: Project, own_copy, make_project:
     label(people, 0)
     with pytest.raises(ConfigError, match="of a class that KITTI evaluates"):
         evaluate_project(people, Protocol.KITTI)
-    with pytest.raises(ConfigError, match=r"has no frame people/7 \(1 of the 2 names"):
+    with pytest.raises(ConfigError, match=r"has no frame people/7 \(unknown: 1 of 2 names\)"):
         evaluate_project(people, Protocol.ORIENTED, options=Options(frames=["people/7", "people/000001"]))
     folder = own_copy("people")
     (folder / "truth" / "boxes.json").unlink(missing_ok=True)

@@ -15,6 +15,7 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute
 from annotator.types import OrientedBox
+from annotator.types.amounts import amount
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from benchmarks.trips import trip
@@ -114,7 +115,8 @@ def test_attributes_are_equal_after_ten_trips_or_reported(
 
 def message(lost: Counter[str]) -> str:
     by_name = ", ".join(f"{number} {name}" for name, number in sorted(lost.items()))
-    return f"{lost.total()} values of attributes have no place in the format ({by_name})"
+    values = amount(lost.total(), "value of attributes has", "values of attributes have")
+    return f"{values} no place in the format ({by_name})"
 
 
 def test_values_that_the_project_cannot_hold_are_reported(make: Callable[[], Project], tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_half_reviewed_frames_give_a_note_in_ground_truth_formats(people: Projec
     labelled(people)
     report = exported(people, tmp_path / "kitti", ExportFormat.KITTI)
     (note,) = report.notes
-    assert report.frames == 2 and note.startswith("1 unreviewed proposals on 1 of these frames")
+    assert report.frames == 2 and note.startswith("left out: 1 unreviewed proposal on 1 of these frames")
     assert exported(people, tmp_path / "openlabel", ExportFormat.OPENLABEL).notes == ()
     with pytest.raises(ConfigError, match=r"called train, val, test, not (trainval|testing)"):
         exported(people, tmp_path / "bad", ExportFormat.KITTI, split=Split({"trainval": 0.5, "testing": 0.5}))

@@ -46,9 +46,7 @@ def test_a_tracking_export_can_be_imported_with_its_track_ids(
         assert [len(list((out / "training" / place / name).iterdir())) for name in ("0000", "0001")] == [5, 5]
     assert report.format == "kitti-tracking"
     assert not {"track"} & {loss.kind.value for loss in report.losses}
-    assert report.notes == (
-        "2 boxes had no track id of their own and got a new one each; `annotator track` links boxes",
-    )
+    assert report.notes == ("2 boxes without a track id got a new one each; `annotator track` links boxes",)
     found = rows(out, "0000")
     assert all(len(row) == 17 for row in found)
     per_frame = [[int(row[1]) for row in found if row[0] == str(number)] for number in range(5)]

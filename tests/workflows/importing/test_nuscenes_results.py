@@ -75,7 +75,7 @@ def test_results_find_their_frames_and_trackers_their_tracks(
     project = make_project(classes=("car",))
     tables = next(data.glob("v1.0-*"))
     path = results(tmp_path / "theirs.json", tables, task, **({"tracking_id": "a7"} if task == "tracking" else {}))
-    with pytest.raises(FormatError, match=r"none of its \d samples; add their scenes"):
+    with pytest.raises(FormatError, match=r"none of its samples \(\d\); add their scenes"):
         import_proposals(project, read_labels(BoxFormat.NUSCENES, path))
     added(project, data, scene="scene-0000", camera=CAMERAS[0])
     done = import_proposals(project, read_labels(BoxFormat.NUSCENES, path))

@@ -345,7 +345,7 @@ def test_if_the_path_is_taken_at_the_end_the_error_names_the_recorded_frames(
     recorder.put(seen(frames[0]))
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "mine").touch()
-    with pytest.raises(RecordingError, match=r"its 1 frames are in .*recording-"):
+    with pytest.raises(RecordingError, match=r"1 frame kept in .*recording-"):
         recorder.finish()
     recorder.close()
     assert recording_of.LOCK not in {path.name for path in tmp_path.rglob("*")}

@@ -208,7 +208,7 @@ def test_the_command_lifts_drawn_boxes(
     where = [people.path.name, "--projects", str(people.path.parent)]
     assert main(["lift", *where]) == 0
     output = capsys.readouterr().out
-    assert f"3D boxes from boxes drawn on the images, measured by: {TITLE}\n1 frames done" in output
+    assert f"3D boxes from boxes drawn on the images, measured by: {TITLE}\n1 frame done" in output
     assert main(["lift", *where, "--boxes", "x.json", "--detector", "project"]) == 2
     assert "exclude each other" in capsys.readouterr().err
     assert main(["lift", *where, "--rename", "car"]) == 2

@@ -219,7 +219,7 @@ def test_without_labels_beside_the_recordings_the_error_names_them(own_copy, mak
 
 def test_boxes_of_other_classes_are_an_error_that_names_them(people: Project) -> None:
     people.configure(classes=["hand"])
-    with pytest.raises(ConfigError, match=r"none of 1 frames has a box of hand \(other classes there: person\)"):
+    with pytest.raises(ConfigError, match=r"1 frame without a box of hand \(other classes there: person\)"):
         boxes_from_3d(people, labels_beside(people), fraction=0.1)
     assert people.boxes.on_views() == ()
 

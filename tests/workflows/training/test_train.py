@@ -189,7 +189,7 @@ def test_left_out_samples_are_reported(
     image, views = train(project, PLAN)
     (line,) = image.left_out
     assert line.startswith("frame 000002: ")
-    assert views.left_out[0] == "1 pseudo-views whose boxes are not of the majority kind, box"
+    assert views.left_out[0] == "1 pseudo-view whose boxes are not of the majority kind, box"
     assert views.left_out[1].startswith("frame 000002: ")
     assert sum(image.manifest.images.values()) == 2
 

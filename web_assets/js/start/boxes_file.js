@@ -301,7 +301,7 @@ function described(file) {
     ),
   ];
   if (labelled) {
-    const text = `Of these frames, ${labelled} ${labelled === 1 ? "has" : "have"} labels: they only take proposals.`;
+    const text = `${count(labelled, "of these frames has", "of these frames have")} labels, and can only take proposals.`;
     lines.push(h("p", { "data-testid": "boxes-labelled" }, text));
   }
   if (replaced) {

@@ -2,7 +2,7 @@
 
 import { createChart, plain } from "../charts.js";
 import { colorIn } from "../colors.js";
-import { h } from "../dom.js";
+import { count, h } from "../dom.js";
 import { number, percent, section, table } from "./tables.js";
 
 /** Classes with a line of their own in the chart of distances, those with most boxes. */
@@ -163,7 +163,7 @@ function rangeChart({ proposals }) {
       return {
         x: ranges.map(rangeName),
         y: ranges.map((entry) => entry.iou_proposal_to_final),
-        text: ranges.map((entry) => `${entry.untouched + entry.corrected} proposals`),
+        text: ranges.map((entry) => count(entry.untouched + entry.corrected, "proposal")),
         hovertemplate: "%{y:.2f}, %{text}",
         name: plain(name),
         mode: "lines+markers",

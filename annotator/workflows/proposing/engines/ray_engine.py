@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from annotator.detection.backends.cores import usable_cores
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
 from annotator.workflows.proposing.engines.local import cuda_devices, environment
 from annotator.workflows.proposing.engines.messages import Died, Done, Fault, Ready, Refused, Report, fault_of
@@ -155,7 +156,8 @@ class RayEngine(WorkerPool):
             limit = max_workers(self._ray.nodes(), threads)
             if limit < (workers or 1):
                 raise ConfigError(
-                    f"the cluster has {cores} cores and {gpus} GPUs, enough for {limit} workers of {threads} threads; "
+                    f"the cluster has {amount(cores, 'core')} and {amount(gpus, 'GPU')}, enough for "
+                    f"{amount(limit, 'worker')} of {amount(threads, 'thread')}; "
                     "use fewer --workers or --threads, or add machines to the cluster"
                 )
             super().__init__(self._make_worker, workers or limit)
