@@ -73,6 +73,8 @@ def names_in(given: tuple[str, ...], known: Collection[str] = ()) -> tuple[str, 
 
     def split() -> Iterator[str]:
         for word in given:
-            yield from [word] if word in known else filter(None, map(str.strip, word.split(",")))
+            names = [] if word in known else [name.strip() for name in word.split(",") if name.strip()]
+            # an empty word is refused where it is used, as any other name
+            yield from names or [word]
 
     return tuple(split())

@@ -73,7 +73,8 @@ def test_a_page_cannot_flood_the_others(locked: Live) -> None:
         with suppress(ConnectionClosed):
             while True:
                 loud.recv(timeout=PATIENCE_S)
-        assert loud.close_code == 1008
+        # refused for its rate, or dropped because it does not read the answers
+        assert loud.close_code in (1008, 1013)
     with locked.listen() as next_one:
         assert "presence" in next_one.recv(timeout=PATIENCE_S)
 

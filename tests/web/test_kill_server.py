@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -23,6 +24,7 @@ from annotator.web.settings import ServerSettings
 ROUNDS = 2
 # The minimum number of edits before each kill.
 EDITS_BEFORE_KILL = 5
+LOG_CHARACTERS = 6000
 BOX = {"center": [0.1, 0.2, 3.0], "size": [0.8, 0.5, 1.7], "quaternion": [1.0, 0.0, 0.0, 0.0]}
 
 
@@ -33,14 +35,18 @@ def server(projects: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
         port = probe.getsockname()[1]
     words = ["--projects", str(projects), "--port", str(port), "--no-token"]
     command = [sys.executable, "-m", "annotator", "serve", *words]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    url = f"http://127.0.0.1:{port}"
-    try:
-        _wait_until_it_answers(url, process)
-        yield url, process
-    finally:
-        process.kill()
-        process.wait()
+    with tempfile.TemporaryFile() as log:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
+        url = f"http://127.0.0.1:{port}"
+        try:
+            _wait_until_it_answers(url, process)
+            yield url, process
+        finally:
+            process.kill()
+            process.wait()
+            log.seek(0)
+            # pytest shows it if the test fails
+            sys.stdout.write(log.read().decode(errors="replace")[-LOG_CHARACTERS:])
 
 
 def _wait_until_it_answers(url: str, process: subprocess.Popen[bytes]) -> None:

@@ -159,7 +159,11 @@ def test_a_round_that_cannot_start_loses_no_event(
     monkeypatch.setattr(Learner, "look", fail)
     monkeypatch.setattr(Log, "changed_frames", lambda self, event_id: (event_id + 1, (ChangedFrame(7, 2, "Ada"),)))
     sent: list[int] = []
-    hub = SimpleNamespace(projects=lambda: {"room": 0}, frame_changed=lambda name, frame_id, *_: sent.append(frame_id))
+    hub = SimpleNamespace(
+        projects=lambda: {"room": 0},
+        frame_changed=lambda name, frame_id, *_: sent.append(frame_id),
+        recordings_are=lambda name, ids: None,
+    )
     monkeypatch.setattr(Context, "is_open", lambda self, name: True)
     monkeypatch.setattr(Context, "project", lambda self, name: project)
     context = object.__new__(Context)

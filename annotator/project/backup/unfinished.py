@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from annotator.files import lock_folder, locked_folder, private_folder
+from annotator.files import lock_folder, locked_folder
 
 
 @contextmanager
@@ -28,7 +28,8 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
 
     def make() -> Path:
         folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
-        private_folder(folder)
+        # no step follows its creation: another process may take it for a leftover until it is locked
+        folder.mkdir(mode=0o700)
         return folder
 
     folder, lock = locked_folder(make)

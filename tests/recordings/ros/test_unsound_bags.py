@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -90,6 +89,8 @@ def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
         assert readable > 150
 
 
+# a search that starts anew at each of them takes hours
+@pytest.mark.timeout(120)
 def test_an_index_of_thousands_of_damaged_chunks_is_read_once(tmp_path: Path):
     count = 20_000
 
@@ -106,10 +107,8 @@ def test_an_index_of_thousands_of_damaged_chunks_is_read_once(tmp_path: Path):
     index = b"".join(record(6, b"chunk_pos=" + place.to_bytes(8, "little")) for place in places)
     path = tmp_path / "a.bag"
     path.write_bytes(start(places.stop) + b"\xff" * 4 * count + index)
-    started = time.process_time()
     bag = open_bag(path)
     assert bag is not None
-    assert time.process_time() - started < 2
     assert bag.notes[0] == f"a.bag is damaged at byte {damaged_at}; 4 bytes are lost"
     assert bag.notes[-1] == "a.bag is damaged at 19992 more places"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 import pytest
@@ -66,11 +67,18 @@ def test_dragging_an_edge_sends_no_requests_and_updates_all_views(desk: Desk) ->
 
 def test_arrow_keys_move_the_box_of_the_focused_view_as_one_edit(desk: Desk, wait_for) -> None:
     before, revision = desk.label.box, desk.project.frames.get(desk.frame).revision
-    with desk.page.expect_request(lambda request: request.url.endswith("/ortho")) as asked:
-        desk.page.reload()
+    requests: list[Any] = []
+    desk.page.on("request", lambda request: requests.append(request) if request.url.endswith("/ortho") else None)
+    desk.page.reload()
     desk.settled()
-    # asked again: the browser keeps no answer that came while the page was reloaded
-    answer = desk.live.client.post(asked.value.url, json=asked.value.post_data_json).raise_for_status()
+    # the request for this box, as the page also asks for the next one's pictures
+    asked = next(
+        request
+        for request in reversed(requests)
+        if np.allclose(request.post_data_json["box"]["center"], before.center_m, atol=1e-9)
+    )
+    # sent again, because the browser may have dropped its answer
+    answer = desk.live.client.post(asked.url, json=asked.post_data_json).raise_for_status()
     front = next(view for view in answer.json()["views"] if view["name"] == "front")
     desk.page.mouse.click(*middle(desk.box("front")))
     desk.press("ArrowRight", "ArrowRight", "ArrowRight")

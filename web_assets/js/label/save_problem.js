@@ -1,4 +1,4 @@
-/** Why a change could not be saved, and what to do: try again, choose another class if its class is gone, or discard. */
+/** Why a change could not be saved, and what to do: try again, save it as another class, or discard. */
 
 import { h } from "../dom.js";
 

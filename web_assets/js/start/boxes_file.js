@@ -301,8 +301,8 @@ function described(file) {
     ),
   ];
   if (labelled) {
-    const text = `${count(labelled, "of these frames has", "of these frames have")} labels, and can only take proposals.`;
-    lines.push(h("p", { "data-testid": "boxes-labelled" }, text));
+    const frames = count(labelled, "of these frames has", "of these frames have");
+    lines.push(h("p", { "data-testid": "boxes-labelled" }, `${frames} labels, and can only take proposals.`));
   }
   if (replaced) {
     const text = `The import replaces the boxes drawn on ${count(replaced, "image")}.`;
