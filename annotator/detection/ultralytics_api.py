@@ -8,9 +8,12 @@ changes in the process. The packages are imported on first use.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -65,8 +68,7 @@ def _load() -> SimpleNamespace:
     os.environ.setdefault("YOLO_CONFIG_DIR", str(cache_dir()))
     for name, value in THREAD_SWITCHES.items():
         os.environ.setdefault(name, value)
-    import torch  # before ultralytics, which limits it to one thread
-
+    torch = _import_torch()  # before ultralytics, which limits it to one thread
     threads = torch.get_num_threads()
     import ultralytics
     import ultralytics.utils as utils
@@ -94,6 +96,37 @@ def _load() -> SimpleNamespace:
         weights_dir=Path(utils.SETTINGS["weights_dir"]),
         version=ultralytics.__version__,
     )
+
+
+class _TorchWithTensor(MetaPathFinder):
+    """Finds torch as usual, but gives the module a placeholder for `Tensor` before it appears in `sys.modules`.
+
+    Python adds a module to `sys.modules` before it runs the module's code. If scipy 1.17 is first given an array during
+    the seconds in which another thread imports torch, it looks up `torch.Tensor` (`_issubclass_fast` in scipy's
+    array_api_compat) and raises AttributeError. In a server, the first requests would fail.
+    """
+
+    def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(fullname, path, target) if fullname == "torch" else None
+        if spec is not None and spec.loader is not None:
+            spec.loader.create_module = _with_placeholder  # type: ignore[method-assign]
+        return spec
+
+
+def _with_placeholder(spec: ModuleSpec) -> ModuleType:
+    module = ModuleType(spec.name)
+    module.Tensor = type("NoTensor", (), {})  # type: ignore[attr-defined]  # nothing is an instance of it
+    return module
+
+
+def _import_torch() -> ModuleType:
+    finder = _TorchWithTensor()
+    sys.meta_path.insert(0, finder)
+    try:
+        import torch
+    finally:
+        sys.meta_path.remove(finder)
+    return torch
 
 
 def _hide_repository(trainer: ModuleType) -> None:
