@@ -25,6 +25,6 @@ def run(project: ProjectName, new_name: str | None = None, /, *, projects: Proje
     print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
         lost = ", ".join(f"{count} {table}" for table, count in sorted(done.lost.items()))
-        print_line(f"could not be read or used: {lost}; compare with the newest backup")
+        print_line(f"missing, unreadable or unusable: {lost}; compare with the newest backup")
     if done.restored:
         print_line(f"taken from the damaged tables, because their events are lost: {amount(done.restored, 'state')}")

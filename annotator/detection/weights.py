@@ -62,6 +62,8 @@ FORMATS = {
 MOST_LAYERS, DEEPEST = 20_000, 50
 # Limit of the description of a network, which is small beside its numbers.
 PICKLE_BYTES = 2**22
+# Longest name of a tensor, with the names of its layers; a pickle may use one long name for many tensors.
+MOST_NAME = 1000
 
 
 def load_weights(path: Path, device: Any, remedy: str = "train the detector again") -> Any:
@@ -172,6 +174,11 @@ def _tuple_loader(length: int) -> Callable[[Any], None]:
     return load
 
 
+def _refuse_frozen_set(reader: Any) -> None:
+    # nested ones that share their parts would take exponential time to compare
+    raise pickle.UnpicklingError("has a frozen set, which no weights need")
+
+
 # in Python, because the one in C makes tuples and memory of its own
 class _Reader(pickle._Unpickler):
     """Reads a pickle without any of its functions and classes."""
@@ -183,6 +190,7 @@ class _Reader(pickle._Unpickler):
         pickle.TUPLE1[0]: _tuple_loader(1),
         pickle.TUPLE2[0]: _tuple_loader(2),
         pickle.TUPLE3[0]: _tuple_loader(3),
+        pickle.FROZENSET[0]: _refuse_frozen_set,
     }
 
     def find_class(self, module: str, name: str) -> Any:
@@ -198,11 +206,15 @@ class _Reader(pickle._Unpickler):
 
 
 class _Tensors(NamedTuple):
-    """The tensors of an archive."""
+    """The tensors of an archive.
+
+    Attributes:
+        storages: bytes of the storages that have been read, by name.
+    """
 
     archive: zipfile.ZipFile
     folder: str
-    storages: dict[tuple[str, str], Any]
+    storages: dict[str, bytearray]
 
     def read(self, value: Any) -> Any:
         """A tensor as torch describes it: `_rebuild_tensor_v2` of a storage, possibly inside `_rebuild_parameter`."""
@@ -212,13 +224,15 @@ class _Tensors(NamedTuple):
         if type(value).__name__ != "_rebuild_tensor_v2":
             raise pickle.UnpicklingError(f"has a {type(value).__name__} in place of a tensor")
         (_, storage, key, _, _), offset, size, stride = value.args[:4]
-        known = str(key), FORMATS[storage.__name__]
-        if known not in self.storages:
-            content = bytearray(self.archive.read(f"{self.folder}/data/{key}"))
-            self.storages[known] = torch.frombuffer(content, dtype=getattr(torch, known[1]))
-        numbers = self.storages[known]
+        key = _of_type(key, str, "the name of a storage")
+        if key not in self.storages:
+            self.storages[key] = bytearray(self.archive.read(f"{self.folder}/data/{key}"))
+        numbers = torch.frombuffer(self.storages[key], dtype=getattr(torch, FORMATS[storage.__name__]))
+        for number in (offset, *size, *stride):
+            if not 0 <= _of_type(number, int, "a tensor's size") <= NETWORK_BYTES:
+                raise pickle.UnpicklingError("has a tensor that exceeds its storage")
         last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
-        if min((offset, *stride, *(n - 1 for n in size))) < 0 or last >= len(numbers):
+        if 0 in size or last >= len(numbers):
             raise pickle.UnpicklingError("has a tensor that exceeds its storage")
         return torch.as_strided(numbers, size, stride, offset)
 
@@ -240,14 +254,23 @@ def _network(content: bytes) -> tuple[NetworkDescription, dict[str, Any]]:
         if type(head).__name__ not in DETECTING_LAYERS:
             raise pickle.UnpicklingError(f"the last layer {type(head).__name__} does not detect boxes")
         names = state["names"]
+        labels = [names[number] for number in sorted(names)] if isinstance(names, dict) else names
+        end2end = _state(head).get("_end2end")
         described = NetworkDescription(
-            architecture=PurePath(state["yaml"]["yaml_file"]).stem,
-            labels=tuple(names[number] for number in sorted(names)) if isinstance(names, dict) else tuple(names),
-            end2end=_state(head).get("_end2end"),
+            architecture=PurePath(_of_type(state["yaml"]["yaml_file"], str, "the name of the architecture")).stem,
+            labels=tuple(_of_type(label, str, "the name of a class") for label in labels),
+            end2end=None if end2end is None else _of_type(end2end, bool, "_end2end"),
         )
         tensors: dict[str, Any] = {}
         _collect(model, "", _Tensors(archive, name.partition("/")[0], {}), tensors, [MOST_LAYERS])
         return described, tensors
+
+
+def _of_type(value: Any, kind: type, what: str) -> Any:
+    """The value, if it is of that type. The error does not show it: nested values may be too large to print."""
+    if not isinstance(value, kind):
+        raise pickle.UnpicklingError(f"{what} is a {type(value).__name__}")
+    return value
 
 
 def _state(module: Any) -> dict[str, Any]:
@@ -265,7 +288,13 @@ def _collect(module: Any, prefix: str, source: _Tensors, found: dict[str, Any], 
     for part in ("_parameters", "_buffers"):
         for name, value in state[part].items():
             if value is not None and name not in state.get("_non_persistent_buffers_set", ()):
-                found[prefix + name] = source.read(value)
+                found[_joined(prefix, name)] = source.read(value)
     for name, child in state["_modules"].items():
         if child is not None:
-            _collect(child, f"{prefix}{name}.", source, found, left)
+            _collect(child, f"{_joined(prefix, name)}.", source, found, left)
+
+
+def _joined(prefix: str, name: Any) -> str:
+    if len(prefix) + len(_of_type(name, str, "the name of a layer")) > MOST_NAME:
+        raise pickle.UnpicklingError(f"has a name of more than {MOST_NAME} characters")
+    return prefix + name

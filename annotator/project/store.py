@@ -17,6 +17,7 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
 from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
+from annotator.project.database.expected import require_own_triggers
 from annotator.project.database.file import DatabaseFile, database_file
 from annotator.project.database.patience import patience_s
 from annotator.project.database.replaced import keep_replaced, kept_copies
@@ -242,8 +243,8 @@ def open_store(
 
     Raises:
         ReplacedError: it is missing.
-        ProjectError: it is not a project database, damaged, locked, or of a newer version; or the file `-wal` beside it
-            belongs to another database.
+        ProjectError: it is not a project database, damaged, locked, of a newer version, or has triggers or views of its
+            own; or the file `-wal` beside it belongs to another database.
     """
     _require_file(path)
     if has_foreign_wal(path):
@@ -260,6 +261,9 @@ def open_store(
         if version < 1:
             raise ProjectError(f"{path}: is damaged: its version is {version}; {RESTORE}")
         require_known(version, path, migrations)
+        if migrations is MIGRATIONS:
+            with explained(path), closing(store.engine.raw_connection()) as raw:
+                require_own_triggers(raw.driver_connection, path)
         if version < migrations[-1].version:
             if before_upgrade is not None and store.file.is_writable:
                 before_upgrade()
@@ -370,6 +374,8 @@ def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
             # the file may have been replaced before SQLite opened it
             file.require_current()
             connection.execute("PRAGMA foreign_keys = ON")
+            # views and triggers of a stranger's database may call no function with side effects
+            connection.execute("PRAGMA trusted_schema = OFF")
             # FULL waits for the disk at every commit, which takes milliseconds: a change is acknowledged only when it
             # is safe. NORMAL in WAL mode may lose the last commits in a power cut.
             connection.execute("PRAGMA synchronous = FULL")

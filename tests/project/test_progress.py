@@ -73,6 +73,22 @@ def test_work_is_counted_by_day_and_person(shift: Shift) -> None:
     assert (of_bob["day"], of_bob["person"], of_bob["boxes"], of_bob["seconds"]) == ("2026-01-06", "bob", 1, 14.0)
 
 
+def test_commands_are_no_people(shift: Shift) -> None:
+    project, frame = shift.project, shift.frames[0]
+
+    def drawn(person: str, effort: Effort | None) -> None:
+        context = WriteContext(project.frames.get(frame).revision, person, effort=effort)
+        project.boxes.set_on_image(frame, [], BoxKind.BOX, context)
+
+    drawn("simulated operator", None)
+    proposed = LabelProposed(uid="u", label="hand", box=BoxRecord.of(box_at()))
+    project.log.append(frame, [proposed], WriteContext(project.frames.get(frame).revision, "annotator follow"))
+    assert shift.progress()["days"] == []
+    project.labels.reject(frame, "u", WriteContext(project.frames.get(frame).revision, "by script"))
+    drawn("draws only on images", Effort(2, 5.0))
+    assert [entry["person"] for entry in shift.progress()["days"]] == ["by script", "draws only on images"]
+
+
 def test_undo_and_redo_leave_a_box_with_who_labelled_it(shift: Shift) -> None:
     project, frame = shift.project, shift.frames[0]
     uid = project.proposals.replace(frame, [proposal_at()], by_machine()).uids[0] or ""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from annotator.project import create_project, list_projects, open_project
+from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.types.errors import NotFoundError, ProjectError
 
@@ -88,3 +91,29 @@ def test_a_view_that_is_a_link_is_missing_and_replaced(sent: Path, tmp_path: Pat
         assert project.views.store(image) == view
         assert not project.views.path(view).is_symlink()
         assert project.views.content(view) == secret
+
+
+STRANGE = {
+    "trigger": "CREATE TRIGGER spy AFTER UPDATE ON generation BEGIN DELETE FROM labels; END",
+    "view": "CREATE VIEW spy AS SELECT * FROM labels",
+}
+
+
+@pytest.mark.parametrize("kind", STRANGE)
+def test_a_project_with_triggers_or_views_of_a_stranger_is_not_opened(sent: Path, kind: str) -> None:
+    with closing(sqlite3.connect(sent / "project.db")) as connection:
+        connection.execute(STRANGE[kind])
+    with pytest.raises(ProjectError, match=rf"has the {kind} 'spy', which does not belong .*project repair"):
+        open_project(sent)
+    repaired = repair(sent)
+    assert repaired.is_new and verify(repaired.path, deep=True).problems == ()
+    open_project(repaired.path).close()
+
+
+def test_a_changed_trigger_is_not_trusted(sent: Path) -> None:
+    with closing(sqlite3.connect(sent / "project.db")) as connection:
+        (name,) = connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger' LIMIT 1").fetchone()
+        connection.execute(f"DROP TRIGGER {name}")
+        connection.execute(f"CREATE TRIGGER {name} AFTER UPDATE ON generation BEGIN DELETE FROM labels; END")
+    with pytest.raises(ProjectError, match=f"has the trigger {name!r}, which does not belong to a project"):
+        open_project(sent)

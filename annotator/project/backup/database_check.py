@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
-from functools import lru_cache
 from pathlib import Path
 
 from annotator.project.backup.snapshot import reading
+from annotator.project.database.expected import expected_schema, read_schema, schema_problems
 from annotator.project.migrations import APPLICATION_ID, MIGRATIONS
 from annotator.project.store import LOCKED, is_lock
 from annotator.types.errors import ProjectError
 
-# Tables that SQLite's ANALYZE makes.
-_STATISTICS = ("sqlite_stat1", "sqlite_stat4")
 _MOST_PROBLEMS = 20
-
-Schema = dict[tuple[str, str], tuple[str, str]]
-"""(type, name) -> (table, normalised SQL)"""
 
 
 def database_problems(path: Path) -> list[str]:
@@ -47,7 +41,7 @@ def _problems(connection: sqlite3.Connection) -> Iterator[str]:
     if not 1 <= version <= newest:
         yield f"has database version {version}; this annotator knows versions 1 to {newest}"
         return
-    differences = list(_schema_problems(_schema(connection), _expected(version)))
+    differences = list(schema_problems(read_schema(connection), expected_schema(version)))
     yield from differences
     lines = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({_MOST_PROBLEMS})")]
     yield from (line for line in lines if line != "ok")
@@ -58,17 +52,6 @@ def _problems(connection: sqlite3.Connection) -> Iterator[str]:
     yield from _event_problems(connection)
 
 
-def _schema_problems(found: Schema, expected: Schema) -> Iterator[str]:
-    for kind, name in sorted(expected.keys() - found.keys()):
-        yield f"lacks the {kind} {name}"
-    for kind, name in sorted(found.keys() - expected.keys()):
-        if name not in _STATISTICS:
-            yield f"has the {kind} {name!r}, which does not belong to a project"
-    for kind, name in sorted(found.keys() & expected.keys()):
-        if found[kind, name] != expected[kind, name]:
-            yield f"the {kind} {name} is not that of a project"
-
-
 def _event_problems(connection: sqlite3.Connection) -> Iterator[str]:
     """Frames that have lost events, as far as revisions tell; `verify --deep` finds the rest."""
     rows = connection.execute(
@@ -77,19 +60,3 @@ def _event_problems(connection: sqlite3.Connection) -> Iterator[str]:
     )
     for key, revision, last in rows.fetchmany(_MOST_PROBLEMS):
         yield f"frame {key}: is at revision {revision}, but has an event of revision {last}"
-
-
-def _schema(connection: sqlite3.Connection) -> Schema:
-    rows = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
-    return {(kind, name): (table, " ".join((sql or "").split())) for kind, name, table, sql in rows}
-
-
-@lru_cache(maxsize=32)
-def _expected(version: int) -> Schema:
-    """The schema of a database version, made by its migrations."""
-    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
-        connection.execute("BEGIN")
-        for migration in MIGRATIONS[:version]:
-            for statement in migration.statements:
-                connection.execute(statement)
-        return _schema(connection)

@@ -37,6 +37,8 @@ AUTHOR = "annotator project repair"
 # Tables that no event changes, in the order of their references.
 _PLAIN = ("recordings", "moves", "runs", "frames", "frame_results", "models")
 _BATCH = 200
+# Largest end of a truncated database that is replaced by empty pages.
+MOST_FILLED = 1 << 30
 
 Row = dict[str, Any]
 
@@ -78,7 +80,9 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
     database = project / DATABASE_FILE
     if not is_regular(project, DATABASE_FILE):
         raise ProjectError(f"{database}: is missing, or no regular file; there is nothing to repair")
-    if _has_config(project) and not has_foreign_wal(database) and not database_problems(database):
+    is_sound = _has_config(project) and not has_foreign_wal(database) and not database_problems(database)
+    # where events are missing, the tables know more than the events
+    if is_sound and not _missing_events(database):
         backup = back_up_automatically(project, Reason.REPAIR)
         with closing(open_store(database)) as store:
             try:
@@ -97,6 +101,12 @@ def _has_config(project: Path) -> bool:
     return True
 
 
+def _missing_events(database: Path) -> int:
+    """How many events have been deleted: events are never deleted, so their ids have no gaps."""
+    with reading(database) as connection:
+        return _given_id(connection, "events") - int(connection.execute("SELECT count(*) FROM events").fetchone()[0])
+
+
 def _salvage(project: Path, name: str) -> Repaired:
     root = project.resolve().parent
     with ExitStack() as stack:
@@ -105,6 +115,7 @@ def _salvage(project: Path, name: str) -> Repaired:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="annotator-repair-")))
         copy = folder / DATABASE_FILE
         shutil.copyfile(project / DATABASE_FILE, copy)
+        _fill_up(copy)
         wal = wal_of(Path(DATABASE_FILE)).name
         if is_regular(project, wal) and not has_foreign_wal(project / DATABASE_FILE):
             shutil.copyfile(project / wal, folder / wal)
@@ -127,6 +138,20 @@ def _salvage(project: Path, name: str) -> Repaired:
         store.close()
         _copy_files(project, place)
     return repaired
+
+
+def _fill_up(database: Path) -> None:
+    """Appends the pages that a truncated database has lost: SQLite refuses to read a shorter file than it expects."""
+    with database.open("r+b") as file:
+        header = file.read(32)
+        if len(header) < 32 or not header.startswith(b"SQLite format 3\0"):
+            return
+        page = int.from_bytes(header[16:18], "big")
+        size = (65536 if page == 1 else page) * int.from_bytes(header[28:32], "big")
+        length = file.seek(0, 2)
+        # a damaged header may name any size; the file remains sparse
+        if length < size <= length + MOST_FILLED:
+            file.truncate(size)
 
 
 def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
@@ -168,6 +193,9 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
             else:
                 repaired.events += 1
         hide_removed(connection)
+    missing = max(0, _given_id(source, "events") - repaired.events - repaired.lost.get("events", 0))
+    if missing:
+        repaired.lost["events"] = repaired.lost.get("events", 0) + missing
 
 
 def _advice(project: Path) -> str:
@@ -197,9 +225,11 @@ def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
     """Where events are lost, brings labels and 2D boxes to the state that the damaged database shows, if it does."""
     try:
         if database_version(copy) != MIGRATIONS[-1].version:
+            _count_lost(repaired, "states")
             return
         damaged = open_store(copy)
     except (ProjectError, sqlite3.Error):
+        _count_lost(repaired, "states")
         return
     with closing(damaged), reading(copy) as source, store.write() as connection:
         for frame_id, target in _targets(source):
@@ -320,10 +350,18 @@ def _last_id(source: sqlite3.Connection, table: str, key: str) -> int:
     try:
         return int(source.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()[0])
     except sqlite3.Error:
+        if given := _given_id(source, table):
+            return given
+        raise
+
+
+def _given_id(source: sqlite3.Connection, table: str) -> int:
+    """The last id that a table has given, whether or not its row is still there; 0 if none is known."""
+    try:
         row = source.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (table,)).fetchone()
-        if row is None:
-            raise
-        return int(row[0])
+        return int(row[0]) if row is not None else 0
+    except (sqlite3.Error, ValueError, TypeError):
+        return 0
 
 
 def _count_lost(repaired: Repaired, table: str) -> None:

@@ -59,6 +59,9 @@ def work_by_day(
 ) -> tuple[WorkOfDay, ...]:
     """The work of all people, in the order of days and names.
 
+    People are those who have labelled or rejected a box, or whose actions the page counted; the other authors are
+    commands, such as `annotator follow`.
+
     Args:
         at_work_s: of each action, as from `seconds_at_work`.
     """
@@ -76,6 +79,7 @@ def work_by_day(
             sums = found.setdefault((_day(time_ns), person), _Sums())
             sums.rejected += box.is_rejected
             sums.boxes += not box.is_rejected
+    people = {person for (_, person), sums in found.items() if sums.boxes or sums.rejected or sums.actions}
     return tuple(
         WorkOfDay(
             day=day,
@@ -88,6 +92,7 @@ def work_by_day(
             hours=sums.at_work_s / 3600,
         )
         for (day, person), sums in sorted(found.items(), key=lambda entry: entry[0])
+        if person in people
     )
 
 

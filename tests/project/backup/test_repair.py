@@ -57,3 +57,44 @@ def test_repair_of_something_that_is_no_database_says_so(full: Path) -> None:
     with pytest.raises(ProjectError, match="nothing can be read"):
         repair(full)
     assert {path.name for path in full.parent.iterdir()} == {"hands"}
+
+
+DELETED = {"all events": "1", "every third": "id % 3 = 0", "the last ones": "id > (SELECT max(id) - 3 FROM events)"}
+
+
+@pytest.mark.parametrize("which", DELETED)
+def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, which: str) -> None:
+    def columns(state: dict[str, list[tuple[object, ...]]], table: str, first: int) -> list[str]:
+        return sorted(str(row[first]) for row in state[table])
+
+    whole = content(full)
+    assert whole["labels"]
+    with closing(sqlite3.connect(full / "project.db")) as connection:
+        triggers = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
+        for name, _ in triggers:
+            connection.execute(f"DROP TRIGGER {name}")
+        count = connection.execute(f"DELETE FROM events WHERE {DELETED[which]}").rowcount
+        for _, sql in triggers:
+            connection.execute(sql)
+        connection.commit()
+    assert count
+    repaired = repair(full, "saved")
+    assert repaired.is_new and repaired.lost["events"] >= count and repaired.restored
+    assert verify(repaired.path, deep=True).problems == ()
+    saved = content(repaired.path)
+    assert columns(saved, "labels", 3) == columns(whole, "labels", 3)
+    assert {table: len(rows) for table, rows in saved.items()} == {table: len(rows) for table, rows in whole.items()}
+
+
+def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:
+    database = full / "project.db"
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    whole = len(content(full)["labels"])
+    size = database.stat().st_size
+    with database.open("r+b") as file:
+        file.truncate(size - 2 * 4096)
+    repaired = repair(full, "saved")
+    assert repaired.is_new and repaired.events
+    assert len(content(repaired.path)["labels"]) == whole
+    assert database.stat().st_size == size - 2 * 4096
