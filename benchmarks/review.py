@@ -168,7 +168,7 @@ def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
         "seconds_per_box": effort["seconds"] / boxes,
         "waiting_per_box": total.waiting_s / boxes,
         "looks_per_box": total.looks / boxes,
-        "by_kind": dict(total.actions.most_common()),
+        "by_kind": total.by_kind,
         "missed": missed,
         "wrong": wrong,
         "failures": (missed + wrong) / boxes,
@@ -190,7 +190,7 @@ def _is_open(frame: StoredFrame) -> bool:
 
 
 def _effort(bill: Bill) -> dict[str, float]:
-    return {"actions": float(bill.actions.total()), "seconds": bill.seconds}
+    return {"actions": bill.count, "seconds": bill.seconds}
 
 
 def main() -> None:

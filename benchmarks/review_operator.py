@@ -49,7 +49,7 @@ from annotator.workflows.workbench.loaded_detectors import ready_view, view_with
 from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.ortho_views import ortho_views
 from annotator.workflows.workbench.refit import find_box, refit
-from benchmarks.keystrokes import CLICK_S, DRAG_S, KEY_S, Bill, M
+from benchmarks.keystrokes import CHORD_S, CLICK_S, DRAG_S, KEY_S, SHIFT_CLICK_S, Bill, M
 from benchmarks.review_moves import VIEW_PX, moves, plan, shaky
 
 AUTHOR = "simulated operator"
@@ -210,7 +210,8 @@ class Operator:
                 self.bills[None].act("reject", KEY_S)
                 self._store(frame, [LabelRejected(uid=label.uid)])
         if together:
-            self.bills[meant[together[0].uid].key].act("accept all", KEY_S)
+            for label in together:
+                self.bills[meant[label.uid].key].act("accept all", CHORD_S, among=len(together))
             self._store(frame, [LabelAccepted(uid=label.uid) for label in together])
         self.bills[None].looks += 1  # is there an object without a box?
         for thing in things:
@@ -220,12 +221,13 @@ class Operator:
     @staticmethod
     def _select(steps: int, boxes: int, bill: Bill) -> None:
         """Selects another box of the frame, with Tab and Shift+Tab or with the mouse."""
-        keys = min(steps % boxes, -steps % boxes)
-        if keys * KEY_S > CLICK_S:
+        ahead, back = steps % boxes, -steps % boxes
+        seconds, keys, kind = min((ahead * KEY_S, ahead, "next box"), (back * CHORD_S, back, "previous box"))
+        if seconds > CLICK_S:
             bill.act("select", CLICK_S)
         else:
             for _ in range(keys):
-                bill.act("next box", KEY_S)
+                bill.act(kind, seconds / keys)
 
     def _seen_together(self, frame: StoredFrame, labels: Sequence[Label], meant: dict[str, Thing]) -> list[Label]:
         """Looks at the small pictures of a frame's proposals, if it has several, but not more than are
@@ -375,10 +377,11 @@ class Operator:
             if thing is not None:
                 self._store(frame, [LabelAccepted(uid=label.uid)])
                 continue
-            bill.act("click out", CLICK_S)
             if label.uid in self._made["follow"] and place + 1 < len(verdicts) and verdicts[place + 1][2] is None:
+                bill.act("click out", SHIFT_CLICK_S)
                 bill.looks += 1
                 break  # it drifted: all from here on are out (Shift)
+            bill.act("click out", CLICK_S)
         bill.act("accept sheet", KEY_S)
 
     def _shown(self, track: int, first: StoredFrame) -> list[tuple[StoredFrame, Label]]:
@@ -428,7 +431,7 @@ class Operator:
                         box, is_new = found, is_new or choice == "redraw"
                     else:
                         self._look(frame, found, bill)
-                        bill.act("undo", KEY_S)
+                        bill.act("undo", CHORD_S)
             self._look(frame, box, bill)
         return box, is_new
 

@@ -87,9 +87,9 @@ def peers(objects: Iterable[Seen], quality: float, hand: Hand) -> dict[str, dict
             missed += not _draw(tool, truth, xyz_m, offered, quality, hand, bill)
         result[name] = {
             "boxes": len(seen),
-            "actions_per_box": bill.actions.total() / max(len(seen), 1),
+            "actions_per_box": bill.count / max(len(seen), 1),
             "seconds_per_box": bill.seconds / max(len(seen), 1),
-            "by_kind": dict(bill.actions.most_common()),
+            "by_kind": bill.by_kind,
             "failures": missed / max(len(seen), 1),
         }
     return result

@@ -130,7 +130,8 @@ def measured_by(project: Project) -> list[str]:
 
 
 def without_labels(project: Project) -> None:
-    """Deletes what a project's frames hold, and lets it use the base detector: a project as it begins.
+    """Deletes what a project's frames hold, and takes its own detectors out of use, so that the base detector measures
+    boxes: a project as it begins.
 
     Raises:
         ProjectError: the store refuses a change.
@@ -141,3 +142,5 @@ def without_labels(project: Project) -> None:
             revision = project.frames.reopen(frame.id, WriteContext(revision, AUTHOR)).revision
         for label in project.labels.of_frame(frame.id):
             revision = project.labels.delete(frame.id, label.uid, WriteContext(revision, AUTHOR)).revision
+    for role in DetectorKind:
+        project.models.deactivate(role)

@@ -245,7 +245,8 @@ def _save(client: httpx.Client, path: str, state: dict[str, Any], seen: Seen, ch
         if response.status_code == 200:
             seen.saves_s.append(seconds)
             return dict(answer)
-        if response.status_code == 409 and answer["state"]["frame"]["revision"] > revision:
+        # other refusals with 409, such as that of a replaced project, have no state
+        if response.status_code == 409 and "state" in answer and answer["state"]["frame"]["revision"] > revision:
             seen.stale += 1
             return dict(answer["state"])
         seen.refused.append(f"{response.status_code} {response.text[:200]}")

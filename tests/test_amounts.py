@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from annotator.types.amounts import amount
+from annotator.types.amounts import amount, duration
 
 
 @pytest.mark.parametrize(
@@ -23,3 +23,18 @@ from annotator.types.amounts import amount
 )
 def test_a_noun_follows_its_number(number: int, words: tuple[str, ...], text: str) -> None:
     assert amount(number, *words) == text
+
+
+@pytest.mark.parametrize(
+    ("hours", "text"),
+    [
+        (0.0, "0 minutes"),
+        (0.002, "under 1 minute"),
+        (1 / 60, "1 minute"),
+        (0.4, "24 minutes"),
+        (0.999, "1.0 hours"),
+        (12.34, "12.3 hours"),
+    ],
+)
+def test_a_time_below_one_hour_is_in_minutes(hours: float, text: str) -> None:
+    assert duration(hours) == text

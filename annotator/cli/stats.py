@@ -10,7 +10,7 @@ from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
 from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.amounts import amount
+from annotator.types.amounts import amount, duration
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.training.held_out import measured_ious
 from annotator.workflows.training.model_report import decision_of
@@ -76,14 +76,13 @@ def _progress(progress: Progress) -> Iterator[tuple[str, object]]:
     for person in sorted({entry.person for entry in progress.days}):
         days = [entry for entry in progress.days if entry.person == person]
         boxes, hours = sum(entry.boxes for entry in days), sum(entry.hours for entry in days)
-        if any(entry.boxes or entry.rejected for entry in days):  # others are commands, such as `annotator follow`
-            yield f"labelled by {person}", f"{amount(boxes, 'box')} in {hours:.1f} hours on {amount(len(days), 'day')}"
+        yield f"labelled by {person}", f"{amount(boxes, 'box')} in {duration(hours)} on {amount(len(days), 'day')}"
     yield "frames left", forecast.frames_left
     if forecast.hours_left is not None and forecast.frames_left > 0:
         left = forecast.hours_left
         yield (
-            "  hours of work left",
-            f"{left.expected:.1f} (between {left.low:.1f} and {left.high:.1f} in 8 of 10 cases)",
+            "  work left",
+            f"{duration(left.expected)} (between {duration(left.low)} and {duration(left.high)} in 8 of 10 cases)",
         )
 
 

@@ -263,6 +263,7 @@ def open_store(
         require_known(version, path, migrations)
         if migrations is MIGRATIONS:
             with explained(path), closing(store.engine.raw_connection()) as raw:
+                assert isinstance(raw.driver_connection, sqlite3.Connection)
                 require_own_triggers(raw.driver_connection, path)
         if version < migrations[-1].version:
             if before_upgrade is not None and store.file.is_writable:

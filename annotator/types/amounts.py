@@ -14,3 +14,11 @@ def amount(number: int, noun: str, plural: str = "") -> str:
     if number == 1:
         return f"1 {noun}"
     return f"{number} {plural or noun + ('es' if noun.endswith(('x', 's', 'ch')) else 's')}"
+
+
+def duration(hours: float) -> str:
+    """A time for people: "1.5 hours", or below one hour "24 minutes"."""
+    minutes = round(60 * hours)
+    if minutes >= 60:
+        return f"{hours:.1f} hours"
+    return "under 1 minute" if minutes == 0 and hours > 0 else amount(minutes, "minute")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +12,16 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, WriteContext, create_project
 from annotator.recordings import open_recording
-from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
+from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.keystrokes import CLICK_S, DRAG_S, KEY_S, Bill, M, number_s
+from benchmarks.keystrokes import CHORD_S, CLICK_S, DRAG_S, KEY_S, SHIFT_CLICK_S, Bill, M, number_s
 from benchmarks.review import Arguments, run
 from benchmarks.review_moves import moves, plan, shaky, steady
 from benchmarks.review_operator import Operator
 from benchmarks.review_peers import peers
+from benchmarks.review_projects import without_labels
 
 QUALITY = 0.7
 BOX = OrientedBox.from_parts(
@@ -40,6 +42,41 @@ def test_the_model_adds_up() -> None:
     assert total.seconds == pytest.approx(0.28 + 2.4 + 3 * 1.35 + 0.5)
     assert total.actions == {"accept": 1, "drag edge": 1}
     assert (CLICK_S, number_s(4)) == (pytest.approx(1.3), pytest.approx(1.3 + 0.8 + 5 * 0.28))
+    # Shift is a keystroke
+    assert pytest.approx(2 * 0.28) == CHORD_S
+    assert pytest.approx(CLICK_S + 0.28) == SHIFT_CLICK_S
+
+
+def test_a_shared_action_is_divided_and_remains_one_in_all() -> None:
+    bills = [Bill() for _ in range(3)]
+    for bill in bills:
+        bill.act("accept all", CHORD_S, among=3)
+        assert (bill.count, bill.seconds) == (pytest.approx(1 / 3), pytest.approx(CHORD_S / 3))
+    bills[0].act("undo", CHORD_S)
+    bills[0].act("undo", CHORD_S)
+    total = sum(bills, Bill())
+    assert total.by_kind == {"undo": 2.0, "accept all": 1.0}
+    assert list(total.by_kind) == ["undo", "accept all"]
+    assert total.count == 3.0
+
+
+@pytest.mark.parametrize(
+    ("steps", "boxes", "actions", "seconds"),
+    [
+        (1, 4, {"next box": 1}, KEY_S),
+        (2, 3, {"previous box": 1}, CHORD_S),
+        (2, 4, {"next box": 2}, 2 * KEY_S),
+        (3, 4, {"previous box": 1}, CHORD_S),
+        (6, 12, {"select": 1}, CLICK_S),
+    ],
+)
+def test_the_way_to_another_box_is_the_quickest(
+    steps: int, boxes: int, actions: dict[str, int], seconds: float
+) -> None:
+    bill = Bill()
+    Operator._select(steps, boxes, bill)
+    assert bill.actions == actions
+    assert bill.hands_s == pytest.approx(seconds)
 
 
 @pytest.mark.parametrize(
@@ -120,9 +157,38 @@ def test_right_proposals_cost_a_look_each_and_a_key_a_frame(room: Project, peopl
     several = sum(len(each) > 1 for each in truths)
     alone = sum(len(each) == 1 for each in truths)
     assert bill.actions == {name: times for name, times in (("accept all", several), ("accept", alone)) if times}
-    assert bill.seconds - bill.waiting_s == pytest.approx(count * M + (several + alone) * KEY_S + len(truths) * M)
+    assert bill.seconds - bill.waiting_s == pytest.approx(
+        count * M + several * CHORD_S + alone * KEY_S + len(truths) * M
+    )
     states = {label.state for frame in room.frames.of() for label in room.labels.of_frame(frame.id)}
     assert states == {ReviewState.ACCEPTED}
+
+
+def test_the_key_that_accepts_several_boxes_is_divided_among_their_tracks(room: Project, people: Path) -> None:
+    truths = truths_of(people)
+    propose(room, [[truth.box for truth in each] for each in truths])
+    operator = reviewed(room)
+    shares: dict[int | None, Fraction] = {}
+    for each in truths:
+        for truth in each:
+            if len(each) > 1:
+                shares[truth.track_id] = shares.get(truth.track_id, Fraction(0)) + Fraction(1, len(each))
+    assert len(shares) > 1
+    booked = {key[1]: bill.actions["accept all"] for key, bill in operator.bills.items() if key is not None}
+    assert booked == shares
+
+
+def test_the_row_from_nothing_uses_no_detector_of_the_project(room: Project, people: Path) -> None:
+    propose(room, [[truth.box for truth in each] for each in truths_of(people)])
+    for role in DetectorKind:
+        weights = room.models_folder / role.value / "detector.safetensors"
+        weights.parent.mkdir(parents=True)
+        weights.touch()
+        room.models.register(role, weights, labels=["person"], box_kind=BoxKind.BOX, metrics={}, fingerprint=role.value)
+        assert room.models.active(role) is not None
+    without_labels(room)
+    assert [room.models.active(role) for role in DetectorKind] == [None, None]
+    assert not room.labels.count(list(ReviewState))
 
 
 def test_wrong_proposals_are_corrected_missing_ones_drawn_others_rejected(room: Project, people: Path) -> None:

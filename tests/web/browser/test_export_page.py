@@ -13,7 +13,7 @@ from browser_page import label_truth, sign_in
 
 from annotator.formats.rcv import read_rcv
 from annotator.project import Effort, NewLabel, Project, WriteContext
-from annotator.types import OrientedBox
+from annotator.types import BoxKind, OrientedBox
 
 if TYPE_CHECKING:
     from conftest import Shop
@@ -101,12 +101,15 @@ def test_statistics_list_people_and_days_and_follow_the_work(signed_in: Page, sh
     # a chart must not take a name for HTML
     bo = WriteContext(frame.revision, "<b>Bo</b>", effort=Effort(3, 7.0))
     room.labels.create(frame.id, [NewLabel("person", box)], bo)
+    room.boxes.set_on_image(frame.id, [], BoxKind.BOX, WriteContext(frame.revision + 1, "simulated operator"))
     signed_in.goto(f"/#/{room.path.name}/statistics")
     cells = signed_in.get_by_test_id("stats-people").locator("tr", has_text="<b>Bo</b>").locator("td")
     expect(cells.nth(1)).to_have_text("1")
+    expect(cells.nth(3)).to_have_text("under 1 min")
+    expect(signed_in.get_by_test_id("stats-people").locator("tbody th")).to_have_text(["<b>Bo</b>"])
     expect(signed_in.get_by_test_id("work-days").locator(".legendtext")).to_have_text("<b>Bo</b>")
-    expect(signed_in.get_by_test_id("stats-days").locator("td").first).to_contain_text("1 in 0.0 h")
-    room.labels.create(frame.id, [NewLabel("person", box)], WriteContext(frame.revision + 1, "<b>Bo</b>"))
+    expect(signed_in.get_by_test_id("stats-days").locator("td").first).to_contain_text("1 in under 1 min")
+    room.labels.create(frame.id, [NewLabel("person", box)], WriteContext(frame.revision + 2, "<b>Bo</b>"))
     expect(cells.nth(1)).to_have_text("2")
 
 

@@ -125,6 +125,17 @@ def test_numbers_change_the_box_and_are_saved_once(desk: Desk, wait_for) -> None
     assert np.degrees(turn) == pytest.approx(20, abs=0.2)
 
 
+@pytest.mark.parametrize("name", ["size-length", "track"])
+def test_typing_into_a_clicked_number_replaces_it(desk: Desk, name: str) -> None:
+    field = desk.page.get_by_test_id(f"field-{name}")
+    field.fill("12")
+    field.blur()
+    desk.settled()
+    field.click()
+    desk.page.keyboard.type("3")
+    assert field.input_value() == "3"
+
+
 def test_escape_restores_an_unsaved_number(desk: Desk) -> None:
     field = desk.page.get_by_test_id("field-center-x")
     was = field.input_value()

@@ -70,6 +70,8 @@ export function createFields(host, desk, { classes, up }) {
       "aria-label": `${label} in ${unit}`,
       title: `${label}: ${help}`,
       "data-testid": `field-${name}`,
+      // a click selects the old number, so that typing replaces it
+      onfocus: () => input.select(),
       oninput: () => {
         typed = input;
         if (Number.isFinite(input.valueAsNumber)) change(input.valueAsNumber);
@@ -129,6 +131,7 @@ export function createFields(host, desk, { classes, up }) {
     "aria-label": "Track id",
     title: "The object's id in the recording",
     "data-testid": "field-track",
+    onfocus: () => track.select(),
     oninput: () => {
       typed = track;
       if (desk.shown)

@@ -8,7 +8,7 @@ import { h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 import { createWork, dayTable, peopleTable, qualityTable, rangeTable } from "./work.js";
-import { number, percent, section, table } from "./tables.js";
+import { duration, number, percent, section, table } from "./tables.js";
 
 /** How long to rest between two readings, relative to the time that one takes. */
 const REST = 20;
@@ -120,7 +120,7 @@ function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, pr
     earliest && latest
       ? `of work: first ${number(earliest.seconds_a_box)}, lately ${number(latest.seconds_a_box)}`
       : "of work";
-  const range = hours_left && `${number(hours_left.low)} to ${number(hours_left.high)}`;
+  const range = hours_left && `${duration(hours_left.low)} to ${duration(hours_left.high)}`;
   const left =
     frames_left === 0
       ? "every frame is done"
@@ -134,7 +134,7 @@ function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, pr
     ["Actions per box", number(effort.actions_a_box), "keys, clicks and drags that change something"],
     ["Accepted untouched", percent(accepted_untouched), "of the reviewed proposals"],
     ["IoU of proposal and final box", number(iou_proposal_to_final, 2), "mean 3D overlap; 1 = same box"],
-    ["Hours of work left", number(hours_left?.expected), left],
+    ["Work left", duration(hours_left?.expected), left],
   ].map(([name, value, help]) =>
     h(
       "div",

@@ -10,6 +10,17 @@ export const number = (value, digits = 1) =>
   value === null || value === undefined
     ? "–"
     : value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+/**
+ * A time: hours, or minutes below one hour.
+ *
+ * @param {number | null | undefined} hours
+ */
+export function duration(hours) {
+  if (hours === null || hours === undefined) return "–";
+  const minutes = Math.round(60 * hours);
+  if (minutes >= 60) return `${number(hours)} h`;
+  return minutes === 0 && hours > 0 ? "under 1 min" : `${minutes} min`;
+}
 /** @param {number | null | undefined} value */
 export const percent = (value) => (value === null || value === undefined ? "–" : `${number(100 * value, 0)} %`);
 /**

@@ -3,7 +3,7 @@
 import { createChart, plain } from "../charts.js";
 import { colorIn } from "../colors.js";
 import { count, h } from "../dom.js";
-import { number, percent, section, table } from "./tables.js";
+import { duration, number, percent, section, table } from "./tables.js";
 
 /** Classes with a line of their own in the chart of distances, those with most boxes. */
 const MOST_CLASSES = 6;
@@ -73,8 +73,8 @@ function dayChart(progress) {
         name: plain(person),
         x: days.map(({ day }) => day),
         y: days.map(({ boxes }) => boxes),
-        customdata: days.map(({ hours }) => hours),
-        hovertemplate: "%{y} boxes in %{customdata:.1f} hours",
+        customdata: days.map(({ hours }) => duration(hours)),
+        hovertemplate: "%{y} boxes in %{customdata}",
         marker: { color: colorIn(people, person) },
       };
     }),
@@ -211,7 +211,7 @@ export function peopleTable(progress) {
     ...workCells(progress.days.filter((entry) => entry.person === person)),
   ]);
   if (rows.length > 1) rows.push(["All", ...workCells(progress.days)]);
-  const heads = ["Person", "Days", "Boxes", "Rejected", "Hours at work", "Boxes per hour", "Actions"];
+  const heads = ["Person", "Days", "Boxes", "Rejected", "Time at work", "Boxes per hour", "Actions"];
   return section("People", table(heads, rows, "stats-people"));
 }
 
@@ -222,7 +222,7 @@ function workCells(entries) {
     number(new Set(entries.map(({ day }) => day)).size, 0),
     number(boxes, 0),
     number(total(entries, "rejected"), 0),
-    number(hours),
+    duration(hours),
     hours > 0 ? number(boxes / hours, 0) : "–",
     number(total(entries, "actions"), 0),
   ];
@@ -245,14 +245,14 @@ export function dayTable(progress) {
   const rows = days.map((day) => {
     const entries = progress.days.filter((entry) => entry.day === day);
     const each = people.map((person) => entries.filter((entry) => entry.person === person));
-    return [dayName(day), ...[...each, entries].map(boxesAndHours)];
+    return [dayName(day), ...[...each, entries].map(boxesAndTime)];
   });
-  return section("Boxes and hours per day", table(["Day", ...people, "All"], rows, "stats-days"));
+  return section("Boxes and time per day", table(["Day", ...people, "All"], rows, "stats-days"));
 }
 
 /** @param {Api.WorkOfDay[]} entries */
-const boxesAndHours = (entries) =>
-  entries.length ? `${number(total(entries, "boxes"), 0)} in ${number(total(entries, "hours"))} h` : "–";
+const boxesAndTime = (entries) =>
+  entries.length ? `${number(total(entries, "boxes"), 0)} in ${duration(total(entries, "hours"))}` : "–";
 
 /** @param {Api.Progress} progress */
 export function qualityTable({ proposals }) {
