@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -32,9 +32,11 @@ from annotator.workflows.importing import (
     import_view_boxes,
     new_attributes,
     read_labels,
+    without_effect,
 )
-from annotator.workflows.importing.label_set import ProposalSet
+from annotator.workflows.importing.label_set import ProposalSet, classes_of
 from annotator.workflows.importing.new_attributes import FoundValues, values_of_labels, values_of_pictures
+from annotator.workflows.importing.picture_labels import read_pictures
 
 FLAT = tuple(FlatFormat)
 ADVICE = "`annotator classes attribute` gives a project attributes, `annotator import --add-attributes` those of a file"
@@ -124,24 +126,35 @@ def run(
             raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {found} contains 3D boxes")
         if as_ is As.FLAT:
             assert not isinstance(found, FlatFormat)
+            if names and path is not None and found is not None:
+                _check_names(names, classes_of(opened, read_labels(found, path)))
             labels = import_as_2d(opened, path, found, recording, names, fraction, seed)
             print_renamed(labels.renamed)
             print_left_out({}, labels.unmatched, "frame")
             print_line(f"next: annotator train {project}")
         elif isinstance(found, FlatFormat):
             assert path is not None
+            if names:
+                _check_names(names, {label for each in read_pictures(found, path).pictures for label in each.labels})
             if add_attributes:
                 _add(opened, values_of_pictures(found, path))
             _flat(opened, path, found, pictures, box_kind, recording, names)
         else:
             assert path is not None and found is not None
             dataset = read_labels(found, path)
+            if names:
+                _check_names(names, classes_of(opened, dataset))
             if add_attributes:
                 _add(opened, values_of_labels(dataset))
             if as_ is As.PROPOSALS:
                 _proposals(opened, dataset, found, source, recording, min_score, names)
             else:
                 _boxes(opened, dataset, found, recording, names)
+
+
+def _check_names(names: Mapping[str, str], present: Collection[str]) -> None:
+    for line in without_effect(names, present):
+        print_line(line)
 
 
 def _add(project: Project, found: FoundValues) -> None:
@@ -209,6 +222,8 @@ def _proposals(
             print_line(what.format(amount(number, "box")))
     if done.finalised:
         print_line(f"unchanged: {amount(done.finalised, 'finalised frame')}")
+    if min_score is not None and done.proposals and not done.scored:
+        print_line("the boxes have no scores, so --min-score has no effect")
     if done.scaled is not None:
         print_line(f"scaled: scores from {done.scaled.low:g} to {done.scaled.high:g} are now 0 to 1")
     for line in done.unreadable:
@@ -216,7 +231,7 @@ def _proposals(
     print_renamed(done.renamed)
     for line in left_out_values(done.values):
         print_line(line)
-    print_left_out(done.other_classes, done.unmatched, "frame")
+    print_left_out(done.other_classes, done.unmatched, "frame", project.config.classes)
     if done.proposals:
         print_line(f"next: annotator serve, to review {project.config.name}")
 

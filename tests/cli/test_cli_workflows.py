@@ -164,6 +164,26 @@ def test_import_of_3d_boxes_as_proposals(project: str, tmp_path: Path, capsys: C
     assert stats(capsys)["labels"]["by_state"]["proposed"] == 2
 
 
+def test_import_of_proposals_says_what_has_no_effect(project: str, tmp_path: Path, capsys: Capture) -> None:
+    """A class of another name, and a lowest score for boxes without scores."""
+    box = {"center": [0, 0, 3], "size": [1, 1, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    boxes = [box | {"label": "person"}, box | {"label": "Person", "center": [2, 0, 3]}]
+    (tmp_path / "mine.json").write_text(json.dumps({"000001": boxes}))
+    options = ("--as", "proposals", "--classes", "Persons=person,dog=person")
+    said = run(capsys, "import", project, "mine.json", *options, "--min-score", "0.5")
+    assert said == (
+        "--classes Persons=person has no effect: the dataset has no class 'Persons'; did you mean 'Person'?\n"
+        "--classes dog=person has no effect: the dataset has no class 'dog'\n"
+        "mine: 1 person proposed on 1 frame\n"
+        "the boxes have no scores, so --min-score has no effect\n"
+        "skipped: 1 box of class Person, which is not in the project; did you mean 'person'?\n"
+        f"next: annotator serve, to review {project}\n"
+    )
+    assert "--min-score" not in run(capsys, "import", project, "mine.json", "--as", "proposals")
+    (tmp_path / "mine.json").write_text(json.dumps({"000001": [each | {"score": 0.7} for each in boxes]}))
+    assert "--min-score" not in run(capsys, "import", project, "mine.json", "--as", "proposals", "--min-score", "0.5")
+
+
 # --- annotate --------------------------------------------------------------------------------------------------------
 
 

@@ -47,6 +47,11 @@ REFUSALS = [
     ("evaluate recordings recordings --protocol oriented", "is no dataset in the format rcv, which has a dataset.json"),
     # import
     ("import room sun --format sunrgbd", "has images and no folder label/, so there are no labels to import"),
+    ("import room sun", "has images and no folder label/, so there are no labels to import"),
+    ("import room labels --classes car=person", "the dataset has no class 'car'; did you mean 'Car'?"),
+    ("import room labels --classes car=person --as proposals", "the dataset has no class 'car'; did you mean 'Car'?"),
+    ("import room labels --classes car=person --as 2d", "the dataset has no class 'car'; did you mean 'Car'?"),
+    ("import room flat.json --classes car=person", "the dataset has no class 'car'; did you mean 'Car'?"),
     ("import room labels --format rcv", "labels: is no dataset in the format rcv, which has a dataset.json"),
     ("import room other", "no format of boxes was recognised; if it has one of these, name it: --format coco|yolo|"),
     ("import room far", "the project has none of the dataset's frames (999999); first add their recording"),
@@ -76,6 +81,10 @@ def place(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / path).write_text(ROW)
     (folder / "boxes.csv").write_text("image,class,cx,cy,cz,l,w,h,yaw\n1,car,0,0,1,1,1,1,0\n")
     (folder / "boxes.json").write_text("{}")
+    flat = {"images": [{"id": 1, "file_name": "000000.png", "width": 320, "height": 240}]}
+    flat |= {"categories": [{"id": 1, "name": "Car"}]}
+    flat |= {"annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1, 1, 9, 9]}]}
+    (folder / "flat.json").write_text(json.dumps(flat))
     (folder / "other/thesis.pdf").touch()
     return folder
 

@@ -141,11 +141,16 @@ def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(
         rows = {first: row.format(0.0, -2.5) + row.format(5.0, 7.5), second: "", "elsewhere": ""}
         sent = send(live, "mine.zip", packed({f"label_2/{key}.txt": text for key, text in rows.items()}))
         low, high = -2.5, 7.5
+        said = (
+            "scores from -2.5 to 7.5 are now 0 to 1, 2 values of attributes left out: "
+            "occlusion (not an attribute of the project; exports measure it), "
+            "truncation (not an attribute of the project; exports measure it), "
+        )
     else:
         entry = {"label": "Car", "size": [4.0, 1.6, 1.5], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
         boxes = [entry | {"center": [x, 0.0, 9.0], "score": score} for x, score in ((0.0, 0.25), (5.0, 0.75))]
         sent = send(live, "mine.json", json.dumps({first: boxes, second: [], "elsewhere": []}).encode())
-        low, high = 0.25, 0.75
+        low, high, said = 0.25, 0.75, ""
     known = {key: sent[key] for key in ("images", "unmatched_names", "boxes", "labelled", "scores", "source")}
     assert known == {
         "images": 3,
@@ -157,7 +162,7 @@ def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(
     }
     done = run(project, tmp_path, upload=sent["id"], names={"Car": "person"}, source="mine", min_score=low + 0.1)
     assert done.message == (
-        "1 box of mine proposed in 2 frames, 1 box with a lower score left out, "
+        f"1 box of mine proposed in 2 frames, 1 box with a lower score left out, {said}"
         "1 frame that the project does not have left out"
     )
     (stored,) = project.labels.select()
@@ -175,6 +180,27 @@ def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(
     assert project.history.next("Ada")[0] == f"import 3D boxes (frames {first} to {second})"
     project.history.undo("Ada")
     assert project.labels.select() == ()
+
+
+@pytest.mark.parametrize("become", ["labels", "proposals"])
+def test_an_import_of_3d_boxes_says_which_values_and_scores_it_leaves_out(
+    live: Live, tmp_path: Path, become: str
+) -> None:
+    project = live.context.project("room")
+    entry = {"label": "person", "size": [4.0, 1.6, 1.5], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    entry |= {"center": [0.0, 0.0, 9.0], "score": 7.5, "attributes": {"pose": "sitting", "age": 7}}
+    sent = send(live, "mine.json", json.dumps({project.frames.of()[0].key: [entry]}).encode())
+    done = run(project, tmp_path, upload=sent["id"], become=become, source="mine")
+    values = (
+        "2 values of attributes left out: age (not an attribute of the project), pose (not an attribute of the project)"
+    )
+    assert (
+        done.message
+        == {
+            "labels": f"1 label imported in 1 frame, 1 score outside 0..1 dropped, {values}",
+            "proposals": f"1 box of mine proposed in 1 frame, scores from 7.5 to 7.5 are now 0 to 1, {values}",
+        }[become]
+    )
 
 
 @pytest.mark.usefixtures("jobs_on_path")

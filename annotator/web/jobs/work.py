@@ -245,6 +245,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
             f"{amount(done.unsure, 'box')} with a lower score left out" if done.unsure else "",
             f"{amount(done.rejected, 'rejected box')} left out" if done.rejected else "",
             f"{amount(done.finalised, 'finalised frame')} left unchanged" if done.finalised else "",
+            "" if done.scaled is None else f"scores from {done.scaled.low:g} to {done.scaled.high:g} are now 0 to 1",
         ]
     else:
         done = import_labels(job.project, dataset, recording, progress, request.names, importer)
@@ -253,6 +254,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
             f"{amount(boxes, 'label')} imported in {amount(done.frames, 'frame')}",
             f"{amount(done.already, 'frame')} with labels left unchanged" if done.already else "",
             f"{amount(done.not_reviewed, 'box')} left out as not accepted" if done.not_reviewed else "",
+            f"{amount(done.scores, 'score')} outside 0..1 dropped" if done.scores else "",
         ]
     left_out, renamed = done.other_classes.total(), done.renamed
     parts += [
@@ -261,6 +263,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         if left_out
         else "",
         f"{amount(done.unseen, 'box')} outside the images of these frames left out" if done.unseen else "",
+        _left_out(done.values),
         f"{amount(len(done.unmatched), 'frame')} that the project does not have left out" if done.unmatched else "",
         f"{amount(len(done.unreadable), 'frame')} could not be read" if done.unreadable else "",
     ]

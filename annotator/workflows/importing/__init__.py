@@ -2,7 +2,7 @@
 
 from annotator.workflows.importing.boxes_2d import Imported, import_image_boxes, import_view_boxes
 from annotator.workflows.importing.boxes_3d import ImportedLabels, Importer, import_labels
-from annotator.workflows.importing.class_names import class_names
+from annotator.workflows.importing.class_names import class_names, without_effect
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.picture_labels import FlatFormat
@@ -31,4 +31,5 @@ __all__ = [
     "preview",
     "preview_3d",
     "read_labels",
+    "without_effect",
 ]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
 from annotator.project import Project
 from annotator.types.errors import ConfigError
-from annotator.types.names import alternatives
+from annotator.types.names import alternatives, folded, nearest
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
@@ -35,3 +35,26 @@ def class_names(text: str, project: Project) -> dict[str, str]:
             raise ConfigError(f"--classes {text}: the project has no class {ours!r}; {others}")
         names[theirs] = ours
     return names
+
+
+def without_effect(names: Mapping[str, str], present: Collection[str]) -> list[str]:
+    """Returns a line for each class in `names` that a dataset does not have.
+
+    Args:
+        names: as `class_names` returns them.
+        present: classes of the dataset's boxes.
+
+    Raises:
+        ConfigError: the dataset has such a class in another spelling only, which `names` does not have.
+    """
+    lines = []
+    others = set(present) - names.keys()
+    for theirs, ours in names.items():
+        if theirs in present or not present:
+            continue
+        near = nearest(theirs, sorted(others))
+        missing = f"the dataset has no class {theirs!r}" + ("" if near is None else f"; did you mean {near!r}?")
+        if near is not None and folded(near) == folded(theirs):
+            raise ConfigError(f"--classes {theirs}={ours}: {missing}")
+        lines.append(f"--classes {theirs}={ours} has no effect: {missing}")
+    return lines

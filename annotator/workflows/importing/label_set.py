@@ -114,6 +114,12 @@ class FoundInProject(Protocol):
         """
 
 
+def classes_of(project: Project, dataset: ProposalSet) -> set[str]:
+    """Returns the classes of all boxes of a dataset; no frame is read. Raises as `FoundInProject.in_project`."""
+    found = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
+    return {label for name in found.frames for label in found.classes(name)}
+
+
 @runtime_checkable
 class HasFrameValues(Protocol):
     """A `LabelSet` whose frames have attributes."""

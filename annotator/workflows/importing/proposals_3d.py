@@ -39,6 +39,7 @@ class ImportedProposals:
         other_classes: boxes left out because the project has no such class, by class of the file.
         finalised: number of frames left unchanged because they are finalised.
         unmatched, unreadable, renamed, values, unseen: as in `ImportedLabels`.
+        scored: whether any box of the dataset has a score.
         scaled: the range of the scores if they are not confidences; it was scaled to 0..1.
     """
 
@@ -54,6 +55,7 @@ class ImportedProposals:
     unmatched: tuple[str, ...] = ()
     unreadable: list[str] = field(default_factory=list)
     renamed: Renamed | None = None
+    scored: bool = False
     scaled: ScoreRange | None = None
     values: Counter[str] = field(default_factory=Counter)
     unseen: int = 0
@@ -94,6 +96,7 @@ def import_proposals(
     frames = match_frames(project, dataset.path, dataset.frames, recording)
     scores = dataset.scores
     done = ImportedProposals(source, unmatched=frames.unmatched, renamed=frames.renamed)
+    done.scored = scores is not None
     done.scaled = None if scores is None or scores.are_confidences else scores
     reader = _Importer(project, dataset, source, scores, min_score, names, importer, done)
     for number, (name, stored) in enumerate(frames.matched, 1):

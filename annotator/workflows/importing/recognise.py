@@ -46,7 +46,9 @@ def format_of(path: Path) -> Format:
     if missing is not None:
         raise FormatError(path, missing)
     if path.is_dir():
-        fitting = [format for format, fits in _FOLDERS.items() if fits(path)] or _of_files_in(path)
+        fitting = (
+            [format for format, fits in _FOLDERS.items() if fits(path)] or _of_files_in(path) or _of_images_in(path)
+        )
     else:
         fitting = _of_file(path)
     if len(fitting) == 1:
@@ -80,6 +82,11 @@ def _of_files_in(folder: Path) -> list[Format]:
             if file.name not in ("frames.csv", CLASSES_FILE) and (found := _of_file(file)):
                 return found
     return []
+
+
+def _of_images_in(folder: Path) -> list[Format]:
+    """SUN RGB-D as VoteNet extracts it, without labels: its reader says what to do."""
+    return [BoxFormat.SUNRGBD] if all((folder / name).is_dir() for name in ("image", "calib")) else []
 
 
 def _of_file(file: Path) -> list[Format]:
