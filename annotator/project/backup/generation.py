@@ -13,9 +13,11 @@ process that has the database open notices an older copy, too.
 
 from __future__ import annotations
 
+import logging
 import re
 import sqlite3
 import struct
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -29,6 +31,9 @@ from annotator.files import open_file
 NO_TOKEN = "0" * 32
 # Attempts to read both files while another process writes.
 _ATTEMPTS = 5
+# Looks that must find a database written over, and the time between them.
+_LOOKS, _LOOKS_AGAIN_AFTER_S = 4, 0.05
+LOG = logging.getLogger("annotator.project")
 _ADVANCE = (
     "UPDATE generation SET chain = 'annotator-generation ' || substr(chain, -32) || ' ' "
     "|| printf('%016d', CAST(substr(chain, -32, 16) AS INTEGER) + 1) || lower(hex(randomblob(8)))"
@@ -86,8 +91,12 @@ class Lineage:
         """Takes the present content of the database `path` for the right one."""
         self._path, self._stamp, self._stored = path, _stamp(path), _stored(path) or NO_TOKEN
 
-    def is_broken(self) -> bool:
-        """True if what the file contains does not come from what it contained before."""
+    def is_broken(self, looks: int = _LOOKS) -> bool:
+        """True if what the file contains does not come from what it contained before.
+
+        Args:
+            looks: number of looks that must agree.
+        """
         # only a checkpoint or a copy writes to the file itself, so this is rarely more than one `stat`
         stamp = None if self._is_broken or self._path is None else _stamp(self._path)
         if stamp is not None and stamp != self._stamp:
@@ -98,11 +107,23 @@ class Lineage:
             if seen is None or (stored is None and known != NO_TOKEN):  # locked, or damaged: SQLite reports it
                 return False
             stored = stored or NO_TOKEN
-            if _is_older(stored, known) or _is_older(seen, newest) or has_foreign_wal(self._path):
-                self._is_broken = True
-            else:
+            if not (_is_older(stored, known) or _is_older(seen, newest) or has_foreign_wal(self._path)):
                 self._stamp, self._stored = stamp, stored
                 self.written(seen)
+            elif looks > 1:
+                # the files are not read at one moment, and a verdict empties the `-wal`: another look must agree
+                time.sleep(_LOOKS_AGAIN_AFTER_S)
+                return self.is_broken(looks - 1)
+            else:
+                LOG.error(
+                    "%s: another database was written over it: it has %s and %s; known were %s and %s",
+                    self._path,
+                    stored,
+                    seen,
+                    known,
+                    newest,
+                )
+                self._is_broken = True
         return self._is_broken
 
     def written(self, token: str) -> None:
