@@ -41,11 +41,11 @@ EXCEPT = {
     "cli/main.py": "os.devnull",
     "project/backup/archive.py": "a backup's list of files may be long; its file is opened through the door",
     "project/backup/content.py": "SQLite, on a copy of our own",
-    "project/backup/database_check.py": "SQLite, in memory",
     "project/backup/generation.py": "SQLite; a `-wal` is read through the door",
     "project/backup/snapshot.py": "SQLite; the path is checked to be a regular file",
     "project/backup/take_in.py": "regular files only, and no links",
     "project/backup/unfinished.py": "folders of our own",
+    "project/database/expected.py": "SQLite, in memory",
     "project/database/replaced.py": "SQLite, on a copy of our own",
     "web/tokens.py": "the token may come from a pipe",
 }

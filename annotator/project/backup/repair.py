@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import time
@@ -15,6 +16,7 @@ from typing import Any
 from sqlalchemy import Connection, func, insert, select
 from sqlalchemy.exc import DBAPIError
 
+from annotator.files import open_file
 from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.content import folder_files, is_content, is_regular, stored_files
 from annotator.project.backup.database_check import database_problems
@@ -142,16 +144,16 @@ def _salvage(project: Path, name: str) -> Repaired:
 
 def _fill_up(database: Path) -> None:
     """Appends the pages that a truncated database has lost: SQLite refuses to read a shorter file than it expects."""
-    with database.open("r+b") as file:
+    with open_file(database) as file:
         header = file.read(32)
-        if len(header) < 32 or not header.startswith(b"SQLite format 3\0"):
-            return
-        page = int.from_bytes(header[16:18], "big")
-        size = (65536 if page == 1 else page) * int.from_bytes(header[28:32], "big")
-        length = file.seek(0, 2)
-        # a damaged header may name any size; the file remains sparse
-        if length < size <= length + MOST_FILLED:
-            file.truncate(size)
+    if len(header) < 32 or not header.startswith(b"SQLite format 3\0"):
+        return
+    page = int.from_bytes(header[16:18], "big")
+    size = (65536 if page == 1 else page) * int.from_bytes(header[28:32], "big")
+    length = database.stat().st_size
+    # a damaged header may name any size; the file remains sparse
+    if length < size <= length + MOST_FILLED:
+        os.truncate(database, size)
 
 
 def _copy_plain(source: sqlite3.Connection, store: Store, repaired: Repaired) -> None:
