@@ -58,17 +58,28 @@ def advance(connection: Connection) -> str:
 def has_foreign_wal(path: Path) -> bool:
     """True if the `-wal` file beside the database `path` belongs to another database, or to another state of it.
 
-    Databases before version 15 have no tokens; for them the answer is False.
+    Databases before version 15 have no tokens; for them the answer is False. It is False, too, for a database that
+    cannot be read: SQLite reports what is wrong with it.
     """
+    for look in range(_LOOKS):
+        if not _looks_foreign(path):
+            return False
+        if look < _LOOKS - 1:
+            time.sleep(_LOOKS_AGAIN_AFTER_S)
+    return True
+
+
+def _looks_foreign(path: Path) -> bool:
+    """The same at one look. It can be wrong while a process writes, as the files are not read at one moment."""
     wal = wal_of(path)
     for _ in range(_ATTEMPTS):
         before, token = _read_wal(wal), _stored(path)
         after = _read_wal(wal)
-        # else another process has begun the file anew in the meantime
-        if after is not None and before is not None and before.salts == after.salts and token == _stored(path):
-            return not after.follows(token)
-        if before is None or after is None:
+        if before is None or after is None or token is None:
             return False
+        # else another process has begun the file anew in the meantime
+        if before.salts == after.salts and token == _stored(path):
+            return not after.follows(token)
     return False  # in use, and thus not left over
 
 
@@ -104,10 +115,9 @@ class Lineage:
             # known before the file is read: other threads look and write, too
             known, newest = self._stored, self._newest
             stored, seen = _stored(self._path), _seen(self._path)
-            if seen is None or (stored is None and known != NO_TOKEN):  # locked, or damaged: SQLite reports it
+            if seen is None or stored is None:  # locked, or damaged: SQLite reports it
                 return False
-            stored = stored or NO_TOKEN
-            if not (_is_older(stored, known) or _is_older(seen, newest) or has_foreign_wal(self._path)):
+            if not (_is_older(stored, known) or _is_older(seen, newest) or _looks_foreign(self._path)):
                 self._stamp, self._stored = stamp, stored
                 self.written(seen)
             elif looks > 1:
@@ -175,13 +185,13 @@ class _Wal:
     chain: tuple[tuple[str, str], ...]
     has_commits: bool
 
-    def follows(self, token: str | None) -> bool:
-        """Whether it can be applied to a database whose last transaction had that token; None = it has no tokens."""
+    def follows(self, token: str) -> bool:
+        """Whether it can be applied to a database whose last transaction had that token."""
         if not self.has_commits:
             return True
         if not self.chain:
-            return token is None
-        return (token or NO_TOKEN) in {self.chain[0][0], *(own for _, own in self.chain)}
+            return token == NO_TOKEN
+        return token in {self.chain[0][0], *(own for _, own in self.chain)}
 
 
 def _read_wal(path: Path) -> _Wal | None:
@@ -218,12 +228,12 @@ def _links(page: bytes) -> Iterator[tuple[str, str]]:
 
 
 def _stored(path: Path) -> str | None:
-    """The last token in the database file itself, without the WAL; None if it has none or cannot be read."""
+    """The last token in the database file itself, without the WAL; NO_TOKEN if it has none, None if unreadable."""
     return _token(path, "immutable=1")
 
 
 def _seen(path: Path) -> str | None:
-    """The last token that a new connection sees, so without cached pages; None if it cannot be read."""
+    """The last token that a new connection sees, so without cached pages; NO_TOKEN or None as for `_stored`."""
     return _token(path, "mode=ro")
 
 
@@ -231,6 +241,11 @@ def _token(path: Path, how: str) -> str | None:
     # through SQLite, because closing an own file handle would release SQLite's locks
     try:
         with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?{how}", uri=True)) as connection:
+            # A checkpoint that a reader or writer limits moves only the pages that have not changed since. The first
+            # page can then give a larger size than the file has, which SQLite takes for damage without this setting.
+            connection.execute("PRAGMA writable_schema = ON")
+            if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'generation'").fetchone() is None:
+                return NO_TOKEN
             row = connection.execute("SELECT chain FROM generation").fetchone()
     except sqlite3.Error:
         return None

@@ -14,6 +14,7 @@ from store_samples import box_at, by_hand
 from time_limit import time_limit
 
 from annotator.project import NewLabel, open_project
+from annotator.project.backup.generation import has_foreign_wal
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.types.errors import ProjectError
@@ -68,6 +69,28 @@ def test_a_database_copied_in_the_middle_of_a_session_is_not_mixed_with_a_later_
     shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
     with pytest.raises(ProjectError, match="does not belong"):
         open_project(full)
+
+
+def test_a_database_in_the_middle_of_a_checkpoint_is_not_taken_for_another(full: Path) -> None:
+    # A reader holds the checkpoint up: it moves the first page, but not the last ones, which have changed since. So the
+    # file is shorter than its first page says.
+    with open_project(full) as project, closing(sqlite3.connect(full / "project.db")) as reader:
+        store = project.store
+        with store.write() as connection:
+            connection.exec_driver_sql("CREATE TABLE filler (x BLOB)")
+            connection.exec_driver_sql("INSERT INTO filler VALUES (zeroblob(400000))")
+        reader.execute("BEGIN")
+        reader.execute("SELECT count(*) FROM filler").fetchone()
+        with store.write() as connection:
+            connection.exec_driver_sql("UPDATE filler SET x = randomblob(400000)")
+        with closing(sqlite3.connect(full / "project.db")) as other:
+            other.execute("PRAGMA wal_checkpoint(PASSIVE)")
+        first_page = (full / "project.db").read_bytes()[:32]
+        assert int.from_bytes(first_page[28:32], "big") * 4096 > (full / "project.db").stat().st_size
+        assert not has_foreign_wal(full / "project.db")
+        assert store.file.is_current()
+        with store.write() as connection:
+            connection.exec_driver_sql("DROP TABLE filler")
 
 
 @pytest.mark.parametrize(
