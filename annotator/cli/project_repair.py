@@ -24,7 +24,7 @@ def run(project: ProjectName, new_name: str | None = None, /, *, projects: Proje
         return
     print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
-        lost = ", ".join(f"{count} {table}" for table, count in sorted(done.lost.items()))
+        lost = ", ".join(amount(count, table.removesuffix("s")) for table, count in sorted(done.lost.items()))
         print_line(f"missing, unreadable or unusable: {lost}; compare with the newest backup")
     if done.restored:
         print_line(f"taken from the damaged tables, because their events are lost: {amount(done.restored, 'state')}")

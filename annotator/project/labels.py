@@ -21,11 +21,13 @@ from annotator.project.event_types import (
     LabelDeleted,
     LabelEdited,
     LabelRejected,
+    LabelRestored,
     Origin,
 )
 from annotator.project.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
 from annotator.project.review.waiting import By, Formula, WaitingProposal, waiting, waiting_sources, worst_of_frames
 from annotator.project.schema import AnyRow, frames, labels
+from annotator.project.undo_state import label_state
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
@@ -323,6 +325,18 @@ class Labels:
         """Uids of the frame's proposals that no automatic pass replaces, as `kept_proposals`."""
         with self.writer.store.read() as connection:
             return kept_proposals(connection, read_config(self.writer.folder).attributes, frame_id)
+
+    def with_box(self, uid: str, box: OrientedBox) -> LabelRestored:
+        """The event that gives a label another box, and keeps all else that is known of it, its review state too.
+
+        Raises:
+            NotFoundError: no such label.
+        """
+        with self.writer.store.read() as connection:
+            former = label_state(connection, uid)
+        if former is None:
+            raise NotFoundError(f"the project has no label {uid}; it may have been deleted")
+        return LabelRestored(uid=uid, former=former.model_copy(update={"box": BoxRecord.of(box)}))
 
     def reject(self, frame_id: int, uid: str, context: WriteContext) -> Receipt:
         """Rejects a label: the object does not exist, and is not proposed again."""

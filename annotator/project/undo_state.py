@@ -95,8 +95,8 @@ def read_state(connection: Connection, frame_id: int | None, target: str) -> str
     """The state of a target as JSON; equal texts are equal states. None for an absent target and for an open frame."""
     kind, _, key = target.partition(":")
     if kind == LABEL:
-        row = connection.execute(select(labels).where(labels.c.uid == key)).first()
-        return None if row is None else _label_state(row).model_dump_json()
+        state = label_state(connection, key)
+        return None if state is None else state.model_dump_json()
     if kind == IMAGE:
         row = connection.execute(select(image_labels).where(image_labels.c.frame_id == frame_id)).first()
         return None if row is None else ImageBoxesState.model_validate(_boxes(row)).model_dump_json()
@@ -252,7 +252,11 @@ def _same_view(first: ViewBoxesState, second: ViewBoxesState) -> bool:
     return np.allclose(a, b, rtol=0, atol=SAME_VIEW) and first.model_copy(update={"geometry": geometry}) == second
 
 
-def _label_state(row: AnyRow) -> LabelState:
+def label_state(connection: Connection, uid: str) -> LabelState | None:
+    """The state of a label; None if there is none of this uid."""
+    row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
+    if row is None:
+        return None
     return LabelState(
         label=row.label,
         box=parsed(BoxRecord.model_validate_json, row.box),

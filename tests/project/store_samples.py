@@ -36,7 +36,7 @@ from annotator.types import (
 NOT_AXIS_ALIGNED = Rotation.from_euler("xyz", [0.3, -0.7, 1.1]).as_matrix()
 DERIVED_TABLES = ("labels", "image_labels", "view_labels", "frames", "adjustments", "frame_attributes")
 ATTRIBUTES = (
-    Attribute(name="occlusion", kind=AttributeKind.INTEGER, minimum=0.0, maximum=3.0, default=0),
+    Attribute(name="severity", kind=AttributeKind.INTEGER, minimum=0.0, maximum=3.0, default=0),
     Attribute(name="pose", kind=AttributeKind.CHOICE, choices=("sitting", "lying"), classes=("person",)),
     Attribute(name="side", kind=AttributeKind.TEXT, of=AttributeOf.TRACK),
     Attribute(name="weather", kind=AttributeKind.NUMBER, of=AttributeOf.FRAME),
@@ -231,7 +231,7 @@ def actions(project: Project, views: list[str], step: Step) -> dict[str, Callabl
             frame.recording_id, Correction((0.1 * a, 0.0, -0.2 * b), (0.0, 0.3 * b, 0.1 * a)), "ann"
         ),
         "values": lambda: project.labels.set_attributes(
-            frame.id, uid, {"occlusion": a or None, "side": f"side {b}"}, change
+            frame.id, uid, {"severity": a or None, "side": f"side {b}"}, change
         ),
         "frame values": lambda: project.frames.set_attributes(frame.id, {"weather": float(a) or None}, change),
         "classes": lambda: project.change_classes(lambda config: CLASS_EDITS[a](config, b), "ann"),

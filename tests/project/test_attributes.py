@@ -74,11 +74,11 @@ def test_an_attribute_that_contradicts_itself_is_refused(changes: dict[str, Any]
 
 def test_a_file_that_contradicts_itself_is_refused_with_its_place(project: Project) -> None:
     path = project.path / "project.json"
-    content = path.read_text().replace('"pose"', '"occlusion"')
+    content = path.read_text().replace('"pose"', '"severity"')
     path.write_text(content)
-    with pytest.raises(ProjectError, match=r"project\.json: two attributes have the name 'occlusion'"):
+    with pytest.raises(ProjectError, match=r"project\.json: two attributes have the name 'severity'"):
         project.config  # noqa: B018
-    start, _, end = content.replace('"name": "occlusion"', '"name": "pose"', 1).rpartition('"person"')
+    start, _, end = content.replace('"name": "severity"', '"name": "pose"', 1).rpartition('"person"')
     path.write_text(f'{start}"dog"{end}')
     with pytest.raises(ProjectError, match="'dog', which is not in classes"):
         project.config  # noqa: B018
@@ -113,19 +113,19 @@ def test_values_of_files_are_read_where_they_can_be(kind: str, given: Any, read:
 def test_new_labels_get_defaults_and_values_of_their_track(project: Project, recording: StoredRecording) -> None:
     first, second = (frame.id for frame in project.frames.of([recording.id])[:2])
     uid = create(project, first, track_id=7, attributes={"side": "left"})
-    assert of(project, uid) == {"occlusion": 0, "side": "left"}
-    assert of(project, create(project, second, track_id=7)) == {"occlusion": 0, "side": "left"}
-    assert of(project, create(project, second, track_id=8, attributes={"occlusion": 3})) == {"occlusion": 3}
+    assert of(project, uid) == {"severity": 0, "side": "left"}
+    assert of(project, create(project, second, track_id=7)) == {"severity": 0, "side": "left"}
+    assert of(project, create(project, second, track_id=8, attributes={"severity": 3})) == {"severity": 3}
     assert project.proposals.replace(first, [proposal_at(9.0)], by_machine(1), track_ids=[8]).uids[0] is not None
     (proposed,) = [label for label in project.labels.of_frame(first) if label.uid != uid]
-    assert proposed.attributes == {"occlusion": 0}
+    assert proposed.attributes == {"severity": 0}
 
 
 @pytest.mark.parametrize(
     ("values", "problem"),
     [
-        ({"occlusion": 4}, "occlusion must be a whole number from 0 to 3, not 4"),
-        ({"pose": "sitting"}, "hand has no attribute 'pose' (it has: occlusion, side)"),
+        ({"severity": 4}, "severity must be a whole number from 0 to 3, not 4"),
+        ({"pose": "sitting"}, "hand has no attribute 'pose' (it has: severity, side)"),
         ({"colour": "red"}, "hand has no attribute 'colour'"),
     ],
 )
@@ -140,10 +140,10 @@ def test_values_that_the_schema_lacks_are_refused(
         with pytest.raises(ProjectError, match=problem.replace("(", r"\(").replace(")", r"\)")):
             change()
     # what is carried along is no mistake of the operator
-    assert of(project, create(project, frame, attributes=values, origin=Origin.COPIED)) == {"occlusion": 0}
+    assert of(project, create(project, frame, attributes=values, origin=Origin.COPIED)) == {"severity": 0}
     carried = LabelProposed(uid="carried", label="hand", box=BoxRecord.of(box_at(4.0)), attributes=values)
     project.log.append(frame, [carried], revised(project, frame))
-    assert of(project, "carried") == {"occlusion": 0}
+    assert of(project, "carried") == {"severity": 0}
 
 
 def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
@@ -152,12 +152,12 @@ def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
     ids = [frame.id for frame in project.frames.of([recording.id])[:3]]
     uids = [create(project, id, track_id=7) for id in ids]
     other = create(project, ids[2], track_id=8)
-    changed = project.labels.set_attributes(ids[1], uids[1], {"side": "left", "occlusion": 2}, revised(project, ids[1]))
+    changed = project.labels.set_attributes(ids[1], uids[1], {"side": "left", "severity": 2}, revised(project, ids[1]))
     assert [id for id, _ in changed] == [ids[1], ids[0], ids[2]]
     assert [of(project, uid).get("side") for uid in (*uids, other)] == ["left", "left", "left", None]
-    assert [of(project, uid)["occlusion"] for uid in uids] == [0, 2, 0]
+    assert [of(project, uid)["severity"] for uid in uids] == [0, 2, 0]
     assert project.history.undo("ann").words == "set attributes of 3 labels (frames 1 to 2)"
-    assert [of(project, uid) for uid in uids] == [{"occlusion": 0}] * 3
+    assert [of(project, uid) for uid in uids] == [{"severity": 0}] * 3
     project.history.redo("ann")
     assert of(project, uids[0])["side"] == "left"
     # a label that enters the track takes its values, one that leaves it keeps them
@@ -171,12 +171,12 @@ def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
 def test_a_class_change_takes_away_what_the_new_class_lacks_and_undo_brings_it_back(
     project: Project, frame: int
 ) -> None:
-    uid = create(project, frame, "person", attributes={"pose": "lying", "occlusion": 2})
+    uid = create(project, frame, "person", attributes={"pose": "lying", "severity": 2})
     edited = LabelEdited(uid=uid, label="hand", box=BoxRecord.of(box_at(1.0)))
     project.log.append(frame, [edited], revised(project, frame))
-    assert of(project, uid) == {"occlusion": 2}
+    assert of(project, uid) == {"severity": 2}
     project.history.undo("ann")
-    assert of(project, uid) == {"occlusion": 2, "pose": "lying"}
+    assert of(project, uid) == {"severity": 2, "pose": "lying"}
 
 
 def test_values_of_frames_are_set_undone_and_kept_by_a_rebuild(project: Project, frame: int) -> None:
@@ -189,8 +189,8 @@ def test_values_of_frames_are_set_undone_and_kept_by_a_rebuild(project: Project,
     assert project.frames.attributes() == {frame: {"weather": 1.0}}
     project.history.undo("ann")
     assert project.frames.attributes() == {}
-    with pytest.raises(ProjectError, match="a frame has no attribute 'occlusion'"):
-        project.frames.set_attributes(frame, {"occlusion": 1}, revised(project, frame))
+    with pytest.raises(ProjectError, match="a frame has no attribute 'severity'"):
+        project.frames.set_attributes(frame, {"severity": 1}, revised(project, frame))
 
 
 def labels(project: Project) -> dict[str, Label]:
@@ -205,7 +205,7 @@ def test_a_renamed_class_keeps_all_that_is_stored(project: Project, frame: int) 
     config = project.change_classes(lambda config: edit.rename_class(config, "hand", "palm"), "ann")
     assert (config.classes, config.class_styles["palm"].key) == (("palm", "person"), "h")
     assert labels(project)[uid].label == "palm"
-    assert labels(project)[uid].attributes == {"occlusion": 0, "side": "left"}
+    assert labels(project)[uid].attributes == {"severity": 0, "side": "left"}
     boxes = project.boxes.on_image(frame)
     assert boxes is not None
     assert [box.label for box in boxes.boxes] == ["palm", "palm"]
@@ -256,14 +256,14 @@ def test_a_class_in_use_is_removed_only_with_its_boxes(project: Project, frame: 
 
 
 def test_attributes_are_renamed_narrowed_and_removed(project: Project, frame: int) -> None:
-    uid = create(project, frame, "person", attributes={"pose": "lying", "occlusion": 3})
+    uid = create(project, frame, "person", attributes={"pose": "lying", "severity": 3})
     project.change_classes(lambda config: edit.rename_choice(config, "pose", "lying", "prone"), "ann")
     project.change_classes(lambda config: edit.rename_attribute(config, "pose", "posture"), "ann")
-    assert of(project, uid) == {"posture": "prone", "occlusion": 3}
-    narrow = Attribute(name="occlusion", kind=AttributeKind.INTEGER, minimum=0.0, maximum=2.0)
-    with pytest.raises(ProjectError, match="1 stored value of occlusion would not fit, such as 3"):
+    assert of(project, uid) == {"posture": "prone", "severity": 3}
+    narrow = Attribute(name="severity", kind=AttributeKind.INTEGER, minimum=0.0, maximum=2.0)
+    with pytest.raises(ProjectError, match="1 stored value of severity would not fit, such as 3"):
         project.change_classes(lambda config: edit.put_attribute(config, narrow), "ann")
-    assert of(project, uid)["occlusion"] == 3
+    assert of(project, uid)["severity"] == 3
     project.change_classes(lambda config: edit.put_attribute(config, narrow, drop=True), "ann")
     assert of(project, uid) == {"posture": "prone"}
     # undo restores the label as it would be now
@@ -272,10 +272,21 @@ def test_attributes_are_renamed_narrowed_and_removed(project: Project, frame: in
     assert of(project, uid) == {"posture": "prone"}
     project.change_classes(lambda config: edit.remove_attribute(config, "posture"), "ann")
     assert of(project, uid) == {}
-    default = narrow.model_copy(update={"default": 1})
+    default = narrow.model_copy(update={"name": "grip", "default": 1})
     project.change_classes(lambda config: edit.put_attribute(config, default), "ann")
-    assert of(project, uid) == {"occlusion": 1}
+    assert of(project, uid) == {"grip": 1}
     assert verify(project.path, deep=True).problems == ()
+
+
+def test_values_that_exports_measure_have_no_default(project: Project, frame: int) -> None:
+    uid = create(project, frame, "person", attributes={"pose": "lying"})
+    before = of(project, uid)
+    truncation = Attribute(name="truncation", kind=AttributeKind.NUMBER, minimum=0.0, maximum=1.0, default=0.0)
+    with pytest.raises(ConfigError, match="exports measure it for boxes without a value"):
+        project.change_classes(lambda config: edit.put_attribute(config, truncation), "ann")
+    without = truncation.model_copy(update={"default": None})
+    project.change_classes(lambda config: edit.put_attribute(config, without), "ann")
+    assert of(project, uid) == before
 
 
 def proposals(project: Project) -> list[tuple[str, float]]:
@@ -287,7 +298,7 @@ def test_a_pass_keeps_proposals_of_which_a_person_has_set_values(project: Projec
     kept, other = project.proposals.replace(frame, [proposal_at(0.0), proposal_at(5.0)], by_machine()).uids
     assert kept is not None
     assert other is not None
-    project.labels.set_attributes(frame, kept, {"occlusion": 2}, revised(project, frame))
+    project.labels.set_attributes(frame, kept, {"severity": 2}, revised(project, frame))
     again = [proposal_at(0.05), proposal_at(5.05), proposal_at(9.0)]
 
     def second_pass() -> tuple[str | None, ...]:
@@ -296,7 +307,7 @@ def test_a_pass_keeps_proposals_of_which_a_person_has_set_values(project: Projec
     covered, *new = second_pass()
     assert covered is None
     assert proposals(project) == sorted([(kept, 0.0), (new[0], 5.05), (new[1], 9.0)])
-    assert of(project, kept)["occlusion"] == 2
+    assert of(project, kept)["severity"] == 2
     before = state_of(project)
     project.log.rebuild()
     assert state_of(project) == before
@@ -312,14 +323,14 @@ def test_a_pass_keeps_proposals_of_which_a_person_has_set_values(project: Projec
 def test_imported_proposals_with_values_stay_too(project: Project, frame: int) -> None:
     project.proposals.bring("mine", {frame: [NewLabel("hand", box_at(0.0), 0.5), NewLabel("hand", box_at(5.0), 0.5)]})
     (kept, _), (other, _) = sorted(proposals(project), key=lambda each: each[1])
-    project.labels.set_attributes(frame, kept, {"occlusion": 3}, revised(project, frame))
+    project.labels.set_attributes(frame, kept, {"severity": 3}, revised(project, frame))
     revision = project.frames.get(frame).revision
     ours = project.proposals.replace(frame, [proposal_at(0.02), proposal_at(20.0)], by_machine(revision))
     assert ours.uids[0] is None
-    assert (of(project, kept)["occlusion"], len(proposals(project))) == (3, 3)
+    assert (of(project, kept)["severity"], len(proposals(project))) == (3, 3)
     brought = project.proposals.bring("mine", {frame: [NewLabel("hand", box_at(0.1), 0.9)]})[frame]
     assert brought.is_open == (False,)
-    assert (of(project, kept)["occlusion"], other in dict(proposals(project))) == (3, False)
+    assert (of(project, kept)["severity"], other in dict(proposals(project))) == (3, False)
     assert [each.source for each in project.labels.get(kept).said] == ["mine"]
     before = state_of(project)
     project.log.rebuild()

@@ -240,7 +240,9 @@ def test_a_start_removes_what_killed_processes_left(
     left = [root / f".new.{mark}.unfinished", root / "room" / f".project.json.{mark}.tmp"]
     left.append(root / "room" / "views" / f".{mark}.png.{mark}.tmp")
     young, others = root / f".young.{mark}.tmp", root / "room" / "views" / f"{mark}.tmp"
+    left += [root / ".replaced" / f".room.until-1.db.{mark}.tmp{suffix}" for suffix in ("", "-wal")]
     left[0].mkdir()
+    left[-1].parent.mkdir()
     for path in (*left[1:], young, others):
         path.touch()
         if path is not young:

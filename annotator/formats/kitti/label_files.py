@@ -11,7 +11,7 @@ returned in annotator's convention: x along the heading, y across, z up, in the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,8 @@ DONT_CARE = "DontCare"
 FIELDS = 15
 DECIMALS = 2
 TRACKING_FIELDS = 2
+# those that are not a fraction, too
+TRUNCATION_LEVELS = ("1", "2")
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class KittiLabel:
 
     Attributes:
         label: KITTI's `type`, such as "Car"; "DontCare" for an unlabelled area.
-        truncated: fraction of the object outside the image, 0..1 (tracking: 0, 1 or 2); -1 if unknown.
+        truncated: fraction of the object outside the image, 0..1; -1 if unknown.
         occluded: 0 visible, 1 partly, 2 largely hidden, 3 unknown; -1 for DontCare.
         alpha: observation angle.
         left, top, right, bottom: 2D box.
@@ -164,6 +166,9 @@ def read_tracking_areas(path: Path) -> dict[int, list[KittiLabel]]:
 def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int, int, KittiLabel]:
     """Returns frame number, track id and row of a line of a tracking file.
 
+    KITTI's own tracking files have levels of truncation, the whole numbers 0, 1 and 2, where other files have a
+    fraction with decimals (KITTI tracking devkit, readme.txt). The fraction of levels 1 and 2 is unknown.
+
     Raises:
         FormatError: as `parse_label_line`.
     """
@@ -172,7 +177,9 @@ def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int
         raise FormatError(
             path, f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track_id:.6g}", line
         )
-    return frame, track_id, parse_fields(fields[TRACKING_FIELDS:], path, line)
+    row = parse_fields(fields[TRACKING_FIELDS:], path, line)
+    is_level = fields[TRACKING_FIELDS + 1] in TRUNCATION_LEVELS
+    return frame, track_id, replace(row, truncated=-1.0) if is_level else row
 
 
 def _leading(fields: list[str], path: Path, line: int) -> list[str]:

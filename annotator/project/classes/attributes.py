@@ -17,6 +17,8 @@ MOST_TEXT = 1000
 MOST_CHOICES = 200
 # Integers that JSON, SQLite and JavaScript represent exactly.
 MOST_INTEGER = MOST_TRACK
+# Values that some formats have for every box, measured by their tools; exports measure them again.
+MEASURED = frozenset({"truncation", "occlusion", "visibility"})
 YES, NO = ("true", "yes", "1"), ("false", "no", "0")
 
 

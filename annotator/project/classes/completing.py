@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, select
 
 from annotator.project.classes.applying import frame_values, values_of
-from annotator.project.classes.attributes import Attribute, AttributeOf, fitting
+from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
 from annotator.project.event_types import (
     FrameAttributesSet,
     LabelAttributesSet,
@@ -30,8 +30,6 @@ from annotator.types.label import AttributeValue
 from annotator.types.names import alternatives
 
 Values = dict[str, AttributeValue]
-# Values that some formats have for every box, measured by their tools; exports measure them again.
-MEASURED = frozenset({"truncation", "occlusion", "visibility"})
 
 
 def completed(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pydantic import ValidationError
 
-from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
+from annotator.project.classes.attributes import MEASURED, Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.classes.relabelling import Filled, Relabelling
 from annotator.project.config import ProjectConfig, first_problem
 from annotator.types.errors import ConfigError, NotFoundError
@@ -124,10 +124,16 @@ def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = F
         drop: remove stored values that do not fit.
 
     Raises:
-        ConfigError: an unknown class, or a key that is taken.
+        ConfigError: an unknown class, a key that is taken, or a default for a value that exports measure.
     """
     known = {each.name: each for each in config.attributes}
     before = known.get(attribute.name)
+    has_new_default = attribute.default is not None and (before is None or before.default != attribute.default)
+    if has_new_default and attribute.name in MEASURED and attribute.of is not AttributeOf.FRAME:
+        raise ConfigError(
+            f"attribute {attribute.name} cannot have a default: exports measure it for boxes without a value, and a "
+            "default would replace what they measure; leave the default out"
+        )
     if before is not None and before.of is not attribute.of and AttributeOf.FRAME in (before.of, attribute.of):
         raise ConfigError(
             f"attribute {attribute.name} belongs to a {before.of}; its values cannot move to a {attribute.of}; remove "

@@ -6,6 +6,7 @@ import glob
 import logging
 import os
 import sqlite3
+import uuid
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,7 +17,7 @@ from annotator.project.database.file import SHARED_MEMORY, WAL, DatabaseFile
 LOG = logging.getLogger("annotator.project")
 
 # Beside the projects: a file that appears in a folder would disturb those who remove or replace it.
-_FOLDER = ".replaced"
+FOLDER = ".replaced"
 
 
 def keep_replaced(source: sqlite3.Connection, file: DatabaseFile) -> None:
@@ -47,7 +48,7 @@ def keep_replaced(source: sqlite3.Connection, file: DatabaseFile) -> None:
 
 def kept_copies(project: Path) -> list[Path]:
     """The copies of a project's database, the newest last."""
-    return sorted((project.parent / _FOLDER).glob(f"{glob.escape(project.name)}.until-*.db"))
+    return sorted((project.parent / FOLDER).glob(f"{glob.escape(project.name)}.until-*.db"))
 
 
 def _copied(source: sqlite3.Connection, project: Path, is_checked: bool) -> Path | None:
@@ -59,14 +60,14 @@ def _copied(source: sqlite3.Connection, project: Path, is_checked: bool) -> Path
     (newest_ns,) = source.execute("SELECT max(time_ns) FROM events").fetchone()
     if newest_ns is None:
         return None
-    folder = project.parent / _FOLDER
+    folder = project.parent / FOLDER
     folder.mkdir(exist_ok=True)
     # named by its content, so that several processes that had it open keep one copy
     stamp = datetime.fromtimestamp(newest_ns // 10**9, UTC).strftime("%Y%m%dT%H%M%S")
     path = folder / f"{project.name}.until-{stamp}.{newest_ns % 10**9:09}.db"
     if path.exists():
         return path
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
         # not for others, whatever the rights of the folder are
         unfinished.touch(0o600)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt
+from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel
+from annotator.project.event_types import Payload
 from annotator.project.overview import read_page
+from annotator.project.sources.covering import covered_by
 from annotator.rcv.axes import with_axes_like
-from annotator.types import OrientedBox, ReviewState
+from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
 
@@ -65,21 +69,34 @@ def carry_correction(
             break
         if other.label.state is not ReviewState.PROPOSED or at.finalised:
             continue
-        new = NewProposal(
-            other.label.label,
-            corrected_alike(other.label.box, was, label.box),
-            label.track_id,
-            box_kind=other.label.box_kind,
-            attributes=other.label.attributes,
-            said=other.said,
-        )
-        payloads = proposal_events(project, at, [new])
+        payloads = _corrected(project, at, other, corrected_alike(other.label.box, was, label.box))
         if payloads:
             parts.append(part_of(at, payloads, author, None if parts else effort))
     if not parts:
         raise ConfigError(f"track {label.track_id} has no later proposal to correct before its next reviewed box")
     receipts = project.log.append_to_frames(parts)
     return tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
+
+
+def _corrected(project: Project, frame: StoredFrame, stored: StoredLabel, box: OrientedBox) -> list[Payload]:
+    """The events that give an open proposal another box; empty if a reviewed or rejected label covers that box."""
+    label = stored.label
+    if label.source is Source.AUTO:
+        decided = [each for each in project.labels.of_frame(frame.id) if each.state is not ReviewState.PROPOSED]
+        if covered_by([replace(label, box=box)], decided) != [None]:
+            return []
+        # It stays the same proposal, so its score, its doubt and the effort for it stay with it.
+        return [project.labels.with_box(label.uid, box)]
+    # Of other software's proposals, what it said stays as it is, so the corrected box becomes a proposal of ours.
+    new = NewProposal(
+        label.label,
+        box,
+        label.track_id,
+        box_kind=label.box_kind,
+        attributes=label.attributes,
+        said=stored.said,
+    )
+    return proposal_events(project, frame, [new])
 
 
 def corrected_alike(box: OrientedBox, was: OrientedBox, now: OrientedBox) -> OrientedBox:

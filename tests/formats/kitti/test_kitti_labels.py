@@ -98,6 +98,14 @@ def test_tracking_rows_keep_frame_and_track(tmp_path: Path):
     assert {frame: [truth.track_id for truth in truths] for frame, truths in frames.items()} == {0: [7], 3: [7, 8]}
 
 
+@pytest.mark.parametrize(("written", "read"), [("0", 0.0), ("1", None), ("2", None), ("0.25", 0.25), ("1.00", 1.0)])
+def test_levels_of_truncation_in_tracking_files_are_no_fractions(tmp_path: Path, written: str, read: float | None):
+    path = tmp_path / "label_02.txt"
+    path.write_text(f"0 7 {CAR.replace('0.25', written, 1)}\n")
+    ((truth,),) = read_tracking_labels(path, None).values()
+    assert truth.attributes.get("truncation") == read
+
+
 @pytest.mark.shared
 def test_real_label_files_have_the_object_counts_of_their_readme(shared: Path):
     folder = shared / "data" / "kitti" / "training" / "label_2"

@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.project import NewLabel, WriteContext
+from annotator.project import Effort, NewLabel, WriteContext
 from annotator.project.project import create_project
-from annotator.types import OrientedBox, ReviewState
+from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState
 from annotator.workflows.tracks.carry_correction import carry_correction, corrected_alike
+from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
 
 
 def box(center: tuple[float, float, float], yaw_deg: float, size: tuple[float, float, float]) -> OrientedBox:
@@ -63,3 +65,31 @@ def test_who_proposed_a_corrected_box_stays_known(tmp_path: Path) -> None:
     assert [each.source for each in stored.said] == ["two"]
     project.log.rebuild()
     assert project.labels.select(states=[ReviewState.PROPOSED])[0].said == stored.said
+
+
+def test_a_corrected_proposal_stays_the_same_one(tmp_path: Path) -> None:
+    project = create_project(tmp_path, "p", ["car"])
+    recording = project.recordings.add(tmp_path / "recording", "folder", "r", ["000000", "000001"], True)
+    first, second = project.frames.of([recording.id])
+    was, now = box((0.0, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0)), box((0.2, 0.0, 5.0), 0.0, (1.0, 1.0, 1.0))
+    (uid,) = project.labels.create(first.id, [NewLabel("car", now, track_id=4)], WriteContext(0, "me")).uids
+    trusted = Proposal("car", 0.7, was, Box2D("car", 1.0, 2.0, 3.0, 4.0, 0.7), (), Quality(0.1, 1.0, 0.0, 0.9, 0.4))
+    payloads = proposal_events(project, second, [NewProposal("car", was, 4, trusted)])
+    project.log.append_to_frames([part_of(second, payloads, "me")])
+    (before,) = project.labels.select(states=[ReviewState.PROPOSED])
+    effort = Effort(1, 2.0)
+    carry_correction(project, first.id, uid, project.frames.get(first.id).revision, was, "me", effort=effort)
+    (after,) = project.labels.select(states=[ReviewState.PROPOSED])
+    np.testing.assert_allclose(after.label.box.center_m, now.center_m)
+    assert (after.label.uid, after.label.score, after.label.expected_iou_loss) == (before.label.uid, 0.7, 0.4)
+    revision = project.frames.get(second.id).revision
+    project.labels.accept(second.id, before.label.uid, WriteContext(revision, "me", effort=effort))
+    figures = project.statistics()
+    assert figures.iou_proposal_to_final == pytest.approx(iou_3d(was, now))
+    assert figures.effort.actions_a_box == pytest.approx(2.0), "the correction and the accepting"
+    project.log.rebuild()
+    np.testing.assert_allclose(project.labels.get(before.label.uid).label.box.center_m, now.center_m)
+    for _ in range(2):
+        project.history.undo("me")
+    (restored,) = project.labels.select(states=[ReviewState.PROPOSED])
+    np.testing.assert_allclose(restored.label.box.center_m, was.center_m)
