@@ -21,8 +21,10 @@ from annotator.workflows.workbench.open_frame import OpenFrame
 
 LOG = logging.getLogger("annotator.web")
 
-# Enough for a few operators, each with the current, the previous and the next frame.
-MAX_FRAMES = 8
+# Frames that are always kept: the current, the previous and the next one of a few operators.
+KEPT_FRAMES = 8
+# Others are kept within this memory. Ten operators on twenty frames otherwise wait for each other's reading.
+KEPT_BYTES = 512 * 2**20
 # Delay before reading ahead, so that the requests of the current frame go first, seconds.
 PAUSE_S = 0.4
 
@@ -43,8 +45,8 @@ class _ReadAhead:
 class FrameCache:
     """Caches the most recently used frames and reads the neighbours of open frames ahead. Thread-safe."""
 
-    def __init__(self, max_frames: int = MAX_FRAMES) -> None:
-        self._max_frames = max_frames
+    def __init__(self, kept_frames: int = KEPT_FRAMES, kept_bytes: int = KEPT_BYTES) -> None:
+        self._kept_frames, self._kept_bytes = kept_frames, kept_bytes
         self._lock = threading.Lock()
         self._frames: OrderedDict[tuple[Project, int], OpenFrame] = OrderedDict()
         self._sources: dict[Project, tuple[threading.Lock, FrameSource]] = {}
@@ -144,8 +146,9 @@ class FrameCache:
             # stored before the lock is released, so that the next thread does not read the frame again
             with self._lock:
                 self._frames[key] = opened
-                while len(self._frames) > self._max_frames:
-                    self._frames.popitem(last=False)
+                total = sum(each.memory_bytes for each in self._frames.values())
+                while len(self._frames) > self._kept_frames and total > self._kept_bytes:
+                    total -= self._frames.popitem(last=False)[1].memory_bytes
         return opened
 
     def _read(self, project: Project, source: FrameSource, stored: StoredFrame) -> Frame:

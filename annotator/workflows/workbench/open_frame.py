@@ -6,8 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
@@ -24,8 +23,31 @@ JPEG_QUALITY = 92
 # Cached frustums, views, pictures and found boxes of one frame: enough to go back and forth between a few objects.
 MAX_RESULTS = 80
 
+# Position, color, pixel and normal of a point, and its position and number in the index.
+BYTES_A_POINT = 12 + 3 + 4 + 12 + 12 + 8
+
 T = TypeVar("T")
 Views = tuple[PseudoView, PseudoView]
+
+
+class _Once(Generic[T]):
+    """A result that one thread computes while others wait for it.
+
+    `functools.cached_property` shares one lock between all objects before Python 3.12, so frames waited for each other.
+    """
+
+    def __init__(self, compute: Callable[[], T]) -> None:
+        self._compute = compute
+        self._lock = threading.Lock()
+        self._results: list[T] = []
+
+    def get(self) -> T:
+        """Returns the result; an error is raised to each caller, and the next one tries again."""
+        if not self._results:
+            with self._lock:
+                if not self._results:
+                    self._results.append(self._compute())
+        return self._results[0]
 
 
 class OpenFrame:
@@ -43,35 +65,35 @@ class OpenFrame:
         self.adjusted = adjusted
         self.is_prepared = False
         self.page: FramePage | None = None
+        self._jpeg = _Once(lambda: _jpeg(frame))
+        self._index = _Once(lambda: PointIndex.of(frame.cloud.xyz_m))
+        self._with_normals = _Once(lambda: _with_normals(frame))
         self._counts: dict[bytes, int] = {}
         self._lock = threading.Lock()
         self._results: OrderedDict[Hashable, Any] = OrderedDict()
         self._newest: dict[str, tuple[int, Any]] = {}
 
-    @cached_property
+    @property
+    def memory_bytes(self) -> int:
+        """Memory that the frame takes with its index and its normals, roughly."""
+        frame = self.frame
+        depth_bytes = 0 if frame.depth_m is None else frame.depth_m.nbytes
+        return frame.rgb.nbytes + depth_bytes + BYTES_A_POINT * len(frame.cloud)
+
+    @property
     def jpeg(self) -> bytes:
         """The image as a JPEG file."""
-        import cv2
+        return self._jpeg.get()
 
-        bgr = np.ascontiguousarray(self.frame.rgb[..., ::-1])
-        written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        if not written:
-            raise AnnotatorError(f"frame {self.frame.key}: the image cannot be written as JPEG")
-        return content.tobytes()
-
-    @cached_property
+    @property
     def index(self) -> PointIndex:
         """The cloud, indexed for queries of single boxes."""
-        return PointIndex.of(self.frame.cloud.xyz_m)
+        return self._index.get()
 
-    @cached_property
+    @property
     def with_normals(self) -> Frame:
         """The frame with normals from its depth image; unchanged if it has normals already or no depth image."""
-        frame, cloud = self.frame, self.frame.cloud
-        if cloud.normals is not None or frame.depth_m is None or cloud.pixel_index is None:
-            return frame
-        grid = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
-        return replace(frame, cloud=replace(cloud, normals=grid[cloud.pixel_index]))
+        return self._with_normals.get()
 
     def points_in(self, box: OrientedBox) -> int:
         """Returns the number of points in a box; counted once for each box."""
@@ -126,3 +148,21 @@ class OpenFrame:
             while len(self._results) > MAX_RESULTS:
                 self._results.popitem(last=False)
         return result
+
+
+def _jpeg(frame: Frame) -> bytes:
+    import cv2
+
+    bgr = np.ascontiguousarray(frame.rgb[..., ::-1])
+    written, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not written:
+        raise AnnotatorError(f"frame {frame.key}: the image cannot be written as JPEG")
+    return content.tobytes()
+
+
+def _with_normals(frame: Frame) -> Frame:
+    cloud = frame.cloud
+    if cloud.normals is not None or frame.depth_m is None or cloud.pixel_index is None:
+        return frame
+    grid = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
+    return replace(frame, cloud=replace(cloud, normals=grid[cloud.pixel_index]))

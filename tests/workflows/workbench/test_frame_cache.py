@@ -6,12 +6,15 @@ import threading
 import time
 import weakref
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from live_server import wait_until
 
+from annotator.geometry.point_index import PointIndex
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
 from annotator.types import Frame
@@ -20,6 +23,7 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.workbench import frame_cache
 from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache
+from annotator.workflows.workbench.open_frame import OpenFrame
 
 
 @pytest.fixture
@@ -61,11 +65,40 @@ def test_a_frame_is_read_once_and_the_next_ahead(project: Project, reads: list[s
 
 
 def test_only_the_latest_frames_are_cached(project: Project, reads: list[str]) -> None:
-    cache = FrameCache(max_frames=2)
+    cache = FrameCache(2, kept_bytes=0)
     cache.close()
     for frame in (1, 2, 3, 1):
         cache.read(project, frame)
     assert reads == ["000000", "000001", "000002", "000000"]
+
+
+def test_more_frames_are_cached_as_long_as_memory_allows(project: Project, reads: list[str]) -> None:
+    size = OpenFrame(FrameSource(project).read(project.frames.get(1))).memory_bytes
+    reads.clear()
+    cache = FrameCache(1, kept_bytes=2 * size)
+    cache.close()
+    for frame in (1, 2, 1, 2, 3, 1, 2):
+        cache.read(project, frame)
+    assert reads == ["000000", "000001", "000002", "000000", "000001"]
+
+
+def test_a_frame_does_not_wait_for_the_results_of_another(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    slow, fast = (OpenFrame(FrameSource(project).read(project.frames.get(frame))) for frame in (1, 2))
+    began, ends, make_index = threading.Event(), threading.Event(), PointIndex.of
+
+    def held_up(xyz_m: Any) -> PointIndex:
+        if xyz_m is slow.frame.cloud.xyz_m:
+            began.set()
+            assert ends.wait(30)
+        return make_index(xyz_m)
+
+    monkeypatch.setattr(PointIndex, "of", held_up)
+    with ThreadPoolExecutor(3) as pool:
+        first, second = pool.submit(lambda: slow.index), pool.submit(lambda: slow.index)
+        assert began.wait(30)
+        assert pool.submit(lambda: fast.index).result(30) is fast.index
+        ends.set()
+        assert first.result(30) is second.result(30), "computed once"
 
 
 def test_reading_ahead_waits_for_a_pause_and_keeps_no_frame(
@@ -73,7 +106,7 @@ def test_reading_ahead_waits_for_a_pause_and_keeps_no_frame(
 ) -> None:
     now_s = [0.0]
     monkeypatch.setattr(frame_cache, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-    cache = FrameCache(max_frames=3)
+    cache = FrameCache(3, kept_bytes=0)
     left = weakref.ref(cache.open(project, 1, "Ada"))
     for frame in (2, 3, 4, 5, 2, 3, 4, 5, 2, 3, 4, 5, 2, 3):
         cache.open(project, frame, "Ada")
