@@ -12,7 +12,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, WriteContext
 from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.recordings import open_recording
-from annotator.types import ReviewState, Truth
+from annotator.types import Box2D, Proposal, Quality, ReviewState, Source, Truth
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_frames import Follower
 
@@ -127,10 +127,18 @@ def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> 
 @pytest.mark.usefixtures("following_view")
 def test_a_run_that_a_restarted_server_does_not_know_is_no_longer_shown(desk: Desk) -> None:
     (uid,) = accept_truth(desk, 0)
+    frame = desk.project.frames.of()[0]
+    other = Proposal(
+        "person", 0.8, truths(desk, 0)[1].box, Box2D("person", 1.0, 2.0, 30.0, 40.0), (), Quality(0.1, 0.9, 0.1)
+    )
+    desk.project.proposals.replace(frame.id, [other], WriteContext(frame.revision, "rcv", Source.AUTO))
     show(desk, 0, uid)
     desk.press("v")
     panel = desk.page.get_by_test_id("follow")
     expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward with the project's detector")
+    # what is open in this frame comes before the first new box
+    desk.page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
     desk.live.context.follow_runs._runs.clear()
     # ends all connections; the page connects again
     desk.live.context.hub.close()

@@ -11,7 +11,7 @@ import { createFrameProblem } from "../frame_problem.js";
 import { createActions } from "./actions.js";
 import { bindings } from "./bindings.js";
 import { createCommands } from "./commands.js";
-import { createDesk } from "./desk.js";
+import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
 import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
@@ -69,6 +69,11 @@ export function mount(root, app) {
   });
   const follow = createFollow(parts.boxes, app, desk, {
     open: go,
+    onFirst(target) {
+      // what is open here comes first
+      if (desk.labels().some(isOpen)) opening.pick(null);
+      else void go(target);
+    },
     onProgress: () => tracks.refresh(),
   });
   const image = createImagePanel(parts.image, app, desk, {
