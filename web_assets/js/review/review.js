@@ -63,13 +63,17 @@ export function mount(root, app) {
   const sheet = createSheet(app, { desk, queue, open: go });
   const tracks = createTracks(parts.boxes, app, desk, {
     open: go,
-    sheet: () => commands.whenCalm(sheet),
-    // they have new uids
-    onCarried: () => queue.load(),
+    sheet: () => commands.whenCalm(sheet.show),
+    async onCarried() {
+      // they have new uids
+      await queue.load();
+      sheet.again(false);
+    },
   });
   const follow = createFollow(parts.boxes, app, desk, {
     open: go,
-    onFirst(target) {
+    onFirst(target, isRunning) {
+      if (sheet.again(isRunning)) return;
       // what is open here comes first
       if (desk.labels().some(isOpen)) opening.pick(null);
       else void go(target);
