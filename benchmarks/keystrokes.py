@@ -23,6 +23,7 @@ KEY_S = K
 # A key with Shift or Ctrl: the paper counts these as keystrokes of their own.
 CHORD_S = 2 * K
 CLICK_S = P + 2 * B
+# Also with Ctrl.
 SHIFT_CLICK_S = K + CLICK_S
 DRAG_S = 2 * (P + B)
 

@@ -123,6 +123,8 @@ class Operator:
         self._ahead_since_s = 0.0
         self._things: dict[int, list[Thing]] = {}
         self._on_sheets: set[int] = set()
+        # tracks whose sheet was left to correct a box: it comes back when that is followed, or the later ones corrected
+        self._left_sheets: set[int] = set()
         # uids of boxes that a key has made, by what it did
         self._made: dict[str, set[str]] = {"follow": set(), "alike": set()}
         self._right: Counter[object] = Counter()
@@ -140,7 +142,7 @@ class Operator:
             if with_sheets:
                 tracks = {label.track_id for label in self._open_labels(frame) if label.track_id is not None}
                 for track in sorted(tracks - self._on_sheets):
-                    self._use_sheet(track, number)
+                    self._use_sheet(track, frame)
             if number and not self._open_labels(frame):
                 # the queue opens only frames with proposals
                 self.bills[None].act("next frame", KEY_S)
@@ -265,18 +267,22 @@ class Operator:
         was_right = self._is_right(label, thing)
         self._count(label, was_right)
         box, is_new = self._corrected(frame, label.box, thing, bill, can_redraw=True)
-        if is_new or moves_on:
-            bill.act("accept", KEY_S)
         if is_new:
-            bill.act("reject", KEY_S)
+            # the new box stays selected
+            for kind in ("accept", "next box", "reject"):
+                bill.act(kind, KEY_S)
             self._store(frame, [LabelRejected(uid=label.uid), self._created(thing, box, label.track_id)])
         elif box is label.box and name == thing.label:
+            if moves_on:
+                bill.act("accept", KEY_S)
             self._store(frame, [LabelAccepted(uid=label.uid)])
         else:
+            # the page saves a correction by itself
             record = BoxRecord.of(box)
             self._store(frame, [LabelEdited(uid=label.uid, label=thing.label, box=record, track_id=label.track_id)])
-            if not was_right:
-                self._help_later(frame, label, bill)
+            has_moved = not was_right and self._help_later(frame, label, bill)
+            if moves_on and not has_moved:
+                bill.act("accept", KEY_S)
         return iou_3d(box, thing.box) >= self._quality
 
     def _count(self, label: Label, is_right: bool) -> None:
@@ -285,24 +291,29 @@ class Operator:
             self._seen[what] += 1
             self._right[what] += is_right
 
-    def _help_later(self, frame: StoredFrame, label: Label, bill: Bill) -> None:
-        """Replaces the later proposals of a corrected box's track with the key that has helped most, if one helps."""
+    def _help_later(self, frame: StoredFrame, label: Label, bill: Bill) -> bool:
+        """Replaces the later proposals of a corrected box's track with the key that has helped most, if one helps.
+
+        Returns whether the page has gone on to the next box.
+        """
         if label.track_id is None or len(self._shown(label.track_id, frame)) < FOLLOW_FROM:
-            return
+            return False
         made_by = next((key for key, uids in self._made.items() if label.uid in uids), None)
         # one key: worth a try; what it made before drifts, or was corrected too far: begin anew
         chances = {key: (self._right[key] + OPTIMISM) / (self._seen[key] + OPTIMISM) for key in self._made}
         key = max(chances, key=lambda key: (round(chances[key], 6), -self._waits[key]))
         own = (self._right[label.track_id] + 1) / (self._seen[label.track_id] + 2)
         if made_by is None and chances[key] <= own:
-            return
-        if key == "follow":
-            self._follow(frame, label.uid, bill)
-        else:
-            self._correct_alike(frame, label, bill)
+            return False
+        helped = self._follow(frame, label.uid, bill) if key == "follow" else self._correct_alike(frame, label, bill)
+        if helped and label.track_id in self._left_sheets:
+            # the page shows the sheet again
+            self._use_sheet(label.track_id, frame, is_back=True)
+            return True
+        return helped and key == "follow"
 
-    def _correct_alike(self, frame: StoredFrame, label: Label, bill: Bill) -> None:
-        """Corrects the later proposals of a track like a box.
+    def _correct_alike(self, frame: StoredFrame, label: Label, bill: Bill) -> bool:
+        """Corrects the later proposals of a track like a box; returns False if there is none.
 
         Args:
             label: as it was before it was corrected.
@@ -315,7 +326,7 @@ class Operator:
             carry_correction(self._project, frame.id, label.uid, revision, label.box, AUTHOR, effort=Effort(0, 0.0))
             return time.perf_counter() - begin
 
-        self._replace_later("alike", bill, run)
+        return self._replace_later("alike", bill, run)
 
     def _draw_missing(self, frame: StoredFrame, thing: Thing) -> None:
         """Draws an object, and follows it if the recording has later frames."""
@@ -325,13 +336,16 @@ class Operator:
             return
         self._look(frame, box, bill)
         box, _ = self._corrected(frame, box, thing, bill, can_redraw=False)
-        bill.act("accept", KEY_S)
         created = self._created(thing, box, None)
         self._store(frame, [created])
-        if frame.id != self._frames[-1].id:
+        if frame.id == self._frames[-1].id:
+            bill.act("accept", KEY_S)
+        else:
+            # this key also accepts a new box
             self._follow(frame, created.uid, bill)
 
-    def _follow(self, frame: StoredFrame, uid: str, bill: Bill) -> None:
+    def _follow(self, frame: StoredFrame, uid: str, bill: Bill) -> bool:
+        """Follows a reviewed or new box; returns False if there is no later frame."""
         bill.act("follow", KEY_S)
         view = view_with_classes(self._project)
 
@@ -345,42 +359,54 @@ class Operator:
             later = pairwise(times_s)
             return times_s[0] + sum(max(0.0, after - before - (M + KEY_S)) for before, after in later)
 
-        self._replace_later("follow", bill, run)
+        return self._replace_later("follow", bill, run)
 
-    def _replace_later(self, key: str, bill: Bill, run: Callable[[], float]) -> None:
-        """Waits for a key's work as long as `run` returns, and remembers which boxes it made."""
+    def _replace_later(self, key: str, bill: Bill, run: Callable[[], float]) -> bool:
+        """Waits for a key's work as long as `run` returns, and remembers which boxes it made; returns False if there is
+        nothing to do."""
         before = {label.uid for _, label in self._all_open()}
         try:
             self._waits[key] = run()
         except ConfigError:
-            return  # there is no later box: the page says so
+            return False  # there is no later box: the page says so
         bill.waiting_s += self._waits[key]
         new = [label for _, label in self._all_open() if label.uid not in before]
         self._made[key] |= {label.uid for label in new}
         self._on_sheets -= {label.track_id for label in new if label.track_id is not None}
+        return True
 
     # -- contact sheets
 
-    def _use_sheet(self, track: int, first: int) -> None:
-        """Accepts the right boxes of a track on its contact sheet; the others stay proposals."""
-        shown = self._shown(track, self._frames[first])
-        if len(shown) < SHEET_FROM:
+    def _use_sheet(self, track: int, first: StoredFrame, *, is_back: bool = False) -> None:
+        """Accepts the right boxes of a track on its contact sheet; the others stay proposals.
+
+        Args:
+            is_back: the page has opened the sheet by itself.
+        """
+        shown = self._shown(track, first)
+        self._left_sheets.discard(track)
+        if len(shown) < (1 if is_back else SHEET_FROM):
             return
         self._on_sheets.add(track)
         verdicts = [(frame, label, self._thing_at(frame, label)) for frame, label in shown]
         keys = Counter(thing.key for _, _, thing in verdicts if thing is not None)
         bill = self.bills[keys.most_common(1)[0][0] if keys else None]
-        bill.act("open sheet", KEY_S)
+        if not is_back:
+            bill.act("open sheet", KEY_S)
+        if any(thing is None for _, _, thing in verdicts):
+            self._left_sheets.add(track)
         for place, (frame, label, thing) in enumerate(verdicts):
             bill.looks += 1
             self._count(label, thing is not None)
             if thing is not None:
                 self._store(frame, [LabelAccepted(uid=label.uid)])
                 continue
-            if label.uid in self._made["follow"] and place + 1 < len(verdicts) and verdicts[place + 1][2] is None:
-                bill.act("click out", SHIFT_CLICK_S)
-                bill.looks += 1
-                break  # it drifted: all from here on are out (Shift)
+            is_last = place + 1 == len(verdicts)
+            if is_last or (label.uid in self._made["follow"] and verdicts[place + 1][2] is None):
+                # it drifted, or no other comes: one click (Ctrl) accepts what is before it, and opens it
+                bill.act("correct from here", SHIFT_CLICK_S)
+                bill.looks += not is_last
+                return
             bill.act("click out", CLICK_S)
         bill.act("accept sheet", KEY_S)
 

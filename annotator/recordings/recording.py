@@ -71,12 +71,14 @@ class KeyedFrames:
     Attributes:
         path: the path that was opened.
         keys: the frames' names, in order.
+        is_parallel: several threads may call `frame` at the same time.
     """
 
     path: Path
     keys: tuple[str, ...]
     format: ClassVar[str]
     is_sequence: ClassVar[bool]
+    is_parallel: ClassVar[bool] = False
 
     @property
     def root(self) -> Path:
@@ -102,3 +104,8 @@ class KeyedFrames:
         if not 0 <= i < len(self.keys):
             raise IndexError(f"frame {i} of a recording with {len(self.keys)} frames")
         return self.keys[i]
+
+
+def is_parallel(recording: Recording) -> bool:
+    """True if several threads may read frames of a recording at the same time."""
+    return isinstance(recording, KeyedFrames) and recording.is_parallel

@@ -58,6 +58,7 @@ class RgbdFolder(KeyedFrames):
     times_ns: Times | None = None
     format: ClassVar[str] = "rgbd_folder"
     is_sequence: ClassVar[bool] = True
+    is_parallel: ClassVar[bool] = True
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered.

@@ -19,7 +19,8 @@ def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
 
 def looks_rotated(raw: UInt16[np.ndarray, "h w"], depth_scale: float) -> bool:
     """True if a depth image of so many units per metre is rather one of SUN RGB-D."""
-    values = raw[raw > 0]
-    if len(values) == 0 or (values % 8 == 0).mean() < LEAST_MULTIPLES:
+    measured = np.count_nonzero(raw)
+    # counted without a copy of the values: nearly all images end here
+    if measured == 0 or 1 - np.count_nonzero(raw & np.uint16(7)) / measured < LEAST_MULTIPLES:
         return False
-    return bool(np.quantile(values, FAR_SHARE) / depth_scale > FAR_M)
+    return bool(np.quantile(raw[raw > 0], FAR_SHARE) / depth_scale > FAR_M)

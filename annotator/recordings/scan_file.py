@@ -71,7 +71,8 @@ class Scans:
         return tuple(
             f"points in {folder.name}/*{SCAN_SUFFIX} have {found.columns} values each, which only their values say; "
             "--columns sets another number"
-            for folder, found in self._found.items()
+            # a copy: another thread may be reading the first scan of a folder
+            for folder, found in [*self._found.items()]
             if found.columns is not None
         )
 

@@ -91,6 +91,7 @@ class TumRgbd(KeyedFrames):
     poses: Poses | None
     format: ClassVar[str] = "tum_rgbd"
     is_sequence: ClassVar[bool] = True
+    is_parallel: ClassVar[bool] = True
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -138,15 +138,19 @@ class FrameSource:
             FrameError: the frame cannot be read, or no longer exists.
             RecordingError: the recording is missing or cannot be read.
         """
-        return self._adjusted(frame.recording_id).read(frame.key)
+        return self.adjusted(frame.recording_id).read(frame.key)
 
     def recorded(self, frame: StoredFrame) -> Frame:
         """Reads a frame as the recording's files give it; errors as in `read`."""
         opened = self._open(frame.recording_id)
         return opened.recording.frame(opened.index(frame.key))
 
-    def _adjusted(self, recording_id: int) -> OpenedRecording:
-        """The open recording with its present adjustment, which may have changed since it was opened."""
+    def adjusted(self, recording_id: int) -> OpenedRecording:
+        """The open recording with its present adjustment, which may have changed since it was opened.
+
+        Raises:
+            RecordingError: the recording is missing or cannot be read.
+        """
         opened = self._open(recording_id)
         if self._project.adjustments.newest(recording_id) != self.stored(recording_id).adjusted:
             stored = self._stored[recording_id] = self._project.recordings.get(recording_id)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, WriteContext, create_project
+from annotator.project.event_types import LabelTracked
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError
@@ -206,6 +207,26 @@ def test_wrong_proposals_are_corrected_missing_ones_drawn_others_rejected(room: 
     assert sum(bill.actions[kind] for kind in ("drag box", "drag edge", "drag corner", "refit", "draw on view")) >= 1
     drawn = room.labels.of_frame(room.frames.of()[1].id)
     assert max(iou_3d(label.box, missing) for label in drawn) >= QUALITY
+
+
+def test_one_click_on_a_sheet_accepts_what_is_before_a_lost_object(room: Project, people: Path) -> None:
+    boxes = [each[0].box for each in truths_of(people)]
+    boxes[-1] = moved(boxes[-1], (3.0, 0.0, 0.0))
+    propose(room, [[box] for box in boxes])
+    frames = room.frames.of()
+    for frame in frames:
+        (label,) = room.labels.of_frame(frame.id)
+        revision = room.frames.get(frame.id).revision
+        room.log.append(frame.id, [LabelTracked(uid=label.uid, track_id=7)], WriteContext(revision, "Ada"))
+    operator = Operator(room, frames, QUALITY, 2.0, 0)
+    operator._use_sheet(7, frames[0])
+    assert total(operator).actions == {"open sheet": 1, "correct from here": 1}
+    assert operator._left_sheets == {7}
+    states = [room.labels.of_frame(frame.id)[0].state for frame in frames]
+    assert states == [ReviewState.ACCEPTED] * (len(frames) - 1) + [ReviewState.PROPOSED]
+    # the page shows the sheet again, which costs no key
+    operator._use_sheet(7, frames[0], is_back=True)
+    assert total(operator).actions == {"open sheet": 1, "correct from here": 2}
 
 
 def test_peers_pay_for_each_box() -> None:

@@ -127,7 +127,7 @@ export const KEYS = [
   {
     id: "follow",
     keys: ["V"],
-    label: "Follow this reviewed box through the recording",
+    label: "Follow this reviewed or new box through the recording",
     modes: ["review"],
     group: "Tracks",
   },

@@ -37,6 +37,7 @@ class KittiFolder(KeyedFrames, ABC):
     reader: Scans = field(default_factory=Scans, kw_only=True)
     images: ClassVar[str]
     scans: ClassVar[str]
+    is_parallel: ClassVar[bool] = True
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`).

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from annotator.project import Project, StoredFrame
 from annotator.project.overview import neighbours
 from annotator.recordings import Recording
+from annotator.recordings.recording import is_parallel
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
@@ -84,7 +85,15 @@ class FrameCache:
             return opened.frame
         lock, source = self._source(project)
         with lock:
-            return self._read(project, source, stored)
+            opened_recording = source.adjusted(stored.recording_id)
+            if not is_parallel(opened_recording.recording):
+                return self._read(project, source, stored)
+        # without the lock: threads that draw many frames read them side by side, and no frame is opened later
+        try:
+            return opened_recording.read(stored.key)
+        except FrameError:
+            with lock:
+                return self._read(project, source, stored)
 
     def rigs(self, project: Project) -> Rigs:
         """Returns the rigs of a project, with its present recordings."""

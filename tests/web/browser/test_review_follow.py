@@ -12,7 +12,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, WriteContext
 from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.recordings import open_recording
-from annotator.types import ReviewState, Truth
+from annotator.types import Box2D, Proposal, Quality, ReviewState, Source, Truth
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.tracks.follow_frames import Follower
 
@@ -75,6 +75,43 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     for frame in project.frames.of()[1:]:
         assert [label for label in project.labels.of_frame(frame.id) if label.track_id == truth.track_id] == []
 
+    # on the contact sheet, one click accepts what is before a wrong box and opens it
+    show(desk, 0, uid)
+    desk.press("v")
+    following_gate.release(4)
+    expect(page.get_by_test_id("track-tick")).to_have_count(5)
+    desk.settled()
+    desk.press("s")
+    tiles = page.get_by_test_id("sheet-box")
+    expect(tiles).to_have_count(5)
+    tiles.nth(2).click(modifiers=["Control"])
+    expect(page.get_by_test_id("frame-position")).to_have_text("3 / 5")
+
+    def states() -> list[ReviewState]:
+        labels = [label for frame in project.frames.of() for label in project.labels.of_frame(frame.id)]
+        return [label.state for label in labels if label.track_id == truth.track_id]
+
+    open_, accepted = ReviewState.PROPOSED, ReviewState.ACCEPTED
+    assert states() == [accepted] * 2 + [open_] * 3
+    # once it is corrected and followed, the sheet comes back, and shows each new box
+    desk.settled()
+    page.get_by_test_id("field-size-length").fill("0.6")
+    desk.press("Enter")
+    desk.settled()
+    desk.press("v")
+    following_gate.release()
+    note = page.get_by_test_id("sheet-note")
+    expect(note).to_contain_text("still being followed")
+    page.keyboard.press("Enter")
+    expect(page.locator("dialog .error-box")).to_contain_text("Wait for the last boxes")
+    following_gate.release()
+    expect(note).to_contain_text("2 proposals of 5 boxes. Top")
+    page.wait_for_function("() => [...document.querySelectorAll('.sheet img')].every((image) => image.naturalWidth)")
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("sheet")).to_have_count(0)
+    wait_for(lambda: states() == [accepted] * 2 + [ReviewState.EDITED] + [accepted] * 2)
+    desk.settled()
+
 
 @pytest.mark.usefixtures("following_view")
 def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, following_gate: threading.Semaphore) -> None:
@@ -127,10 +164,18 @@ def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> 
 @pytest.mark.usefixtures("following_view")
 def test_a_run_that_a_restarted_server_does_not_know_is_no_longer_shown(desk: Desk) -> None:
     (uid,) = accept_truth(desk, 0)
+    frame = desk.project.frames.of()[0]
+    other = Proposal(
+        "person", 0.8, truths(desk, 0)[1].box, Box2D("person", 1.0, 2.0, 30.0, 40.0), (), Quality(0.1, 0.9, 0.1)
+    )
+    desk.project.proposals.replace(frame.id, [other], WriteContext(frame.revision, "rcv", Source.AUTO))
     show(desk, 0, uid)
     desk.press("v")
     panel = desk.page.get_by_test_id("follow")
     expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward with the project's detector")
+    # what is open in this frame comes before the first new box
+    desk.page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
     desk.live.context.follow_runs._runs.clear()
     # ends all connections; the page connects again
     desk.live.context.hub.close()

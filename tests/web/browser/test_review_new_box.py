@@ -117,6 +117,16 @@ def test_a_new_box_is_drawn_on_the_image(
         statistics["effort"]["by_origin"]["from nothing"]["actions_a_box"] == 4
     )  # the drag, the number, the arrow, Space
     assert page.evaluate(ACCEPTED_TWICE) == [["create"], []]
+    # it stays selected, so that it can be followed
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{made.label.uid}"]').wait_for()
+    expect(page.get_by_test_id("act-follow")).to_be_enabled()
+    # one key accepts a new box and follows it
+    desk.settled()
+    draw_on_image(desk, scene.image_box(1))
+    expect(page.get_by_test_id("label-state")).to_have_text("new")
+    desk.press("v")
+    expect(page.get_by_test_id("follow-title")).to_contain_text("Followed forward")
+    assert desk.project.labels.count([ReviewState.ACCEPTED]) == 2
 
     # without a detector, the box is continued in Label, unless the operator stays and opens Label later
     monkeypatch.setattr(detectors, "readiness", lambda project, role, wait_s=None: Readiness("none"))

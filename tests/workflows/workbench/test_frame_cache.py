@@ -7,6 +7,7 @@ import time
 import weakref
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,6 +18,7 @@ from live_server import wait_until
 from annotator.geometry.point_index import PointIndex
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
+from annotator.recordings.rgbd_folder import RgbdFolder
 from annotator.types import Frame
 from annotator.types.errors import FrameError, NotFoundError
 from annotator.workflows.add_recordings import register_recording
@@ -189,3 +191,27 @@ def test_forgotten_frames_are_read_again(project: Project, reads: list[str]) -> 
     cache.forget(project)
     cache.read(project, 1)
     assert reads == ["000000", "000000"]
+
+
+@pytest.mark.parametrize("is_parallel", [True, False])
+def test_frames_that_are_only_looked_at_are_read_side_by_side_where_the_reader_can(
+    project: Project, monkeypatch: pytest.MonkeyPatch, is_parallel: bool
+) -> None:
+    both = threading.Barrier(2)
+    met: list[bool] = []
+    frame = RgbdFolder.frame
+
+    def together(self: RgbdFolder, i: int) -> Frame:
+        with suppress(threading.BrokenBarrierError):
+            both.wait(30 if is_parallel else 0.05)
+        met.append(not both.broken)
+        return frame(self, i)
+
+    cache = FrameCache()
+    monkeypatch.setattr(RgbdFolder, "is_parallel", is_parallel)
+    monkeypatch.setattr(RgbdFolder, "frame", together)
+    with ThreadPoolExecutor(2) as threads:
+        found = list(threads.map(lambda stored: cache.look(project, stored), project.frames.of()[:2]))
+    assert [each.key for each in found] == ["000000", "000001"]
+    assert met == [is_parallel] * 2
+    cache.close()

@@ -38,7 +38,7 @@ export function bindings({ commands, opening, tracks, sheet, scene, image, ortho
     carry: once(() => commands.whenCalm(() => tracks.carry())),
     interpolate: once(() => commands.whenCalm(() => tracks.interpolate())),
     "interpolate-refit": once(() => commands.whenCalm(() => tracks.interpolate(true))),
-    sheet: once(() => commands.whenCalm(sheet)),
+    sheet: once(() => commands.whenCalm(sheet.show)),
     "next-of-track": once(() => commands.whenCalm(() => tracks.step(1))),
     "previous-of-track": once(() => commands.whenCalm(() => tracks.step(-1))),
     "next-box": () => commands.stepBox(1),

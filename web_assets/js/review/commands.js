@@ -30,7 +30,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   }
 
   /**
-   * Accepts, rejects or deletes the selected box, and goes to the next one. Saving a draft counts as accepting.
+   * Accepts, rejects or deletes the selected box, and goes to the next one. Saving a draft counts as accepting. A new
+   * box stays selected when it is accepted, since the next step is often to follow it.
    *
    * @param {"accept" | "reject" | "delete"} kind
    */
@@ -40,7 +41,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const { id: frame } = currentFrame(app).frame;
     const before = opening.openings;
     const saved = save(kind, label);
-    const next = queue.after(label.uid);
+    const next = kind === "accept" && label.isNew ? null : queue.after(label.uid);
     // a box of the same frame is selected at once; another frame is opened after saving
     if (next?.frame === frame) desk.select(next.uid);
     else if (next) opening.setLoading(true);
@@ -119,9 +120,11 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
 
   /** @param {"forward" | "backward"} direction */
   const followOne = (direction) =>
-    whenCalm(() => {
+    whenCalm(async () => {
+      // a new box is right when it is followed: it was just drawn
+      if (desk.shown?.isNew && !(await desk.decide("accept", desk.shown.uid))) return;
       const label = desk.shown;
-      if (label && !label.isNew && isReviewed(label)) void follow.start(direction, label.uid);
+      if (label && isReviewed(label)) void follow.start(direction, label.uid);
       else app.toast("Select a reviewed box to follow, or accept this one first.", "warn");
     });
 

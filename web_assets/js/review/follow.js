@@ -12,14 +12,16 @@ import { currentFrame } from "../frame_state.js";
 const closed = new Set();
 
 /**
- * `open` shows a box, or a frame (uid null). `onProgress` is called after each new box.
+ * `open` shows a box, or a frame (uid null). `onFirst` is called with the first new box of a run that the operator has
+ * just begun, unless the operator has gone elsewhere; `onProgress` after each new box.
  *
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
- * @param {{ open: (target: Target) => unknown, onProgress: () => unknown }} options
+ * @param {{ open: (target: Target) => unknown, onFirst: (target: Target, isRunning: boolean) => unknown,
+ *     onProgress: () => unknown }} options
  */
-export function createFollow(host, app, desk, { open, onProgress }) {
+export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
   const title = h("span", { class: "grow", "data-testid": "follow-title" });
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   const stop = h(
@@ -44,8 +46,7 @@ export function createFollow(host, app, desk, { open, onProgress }) {
    */
   let run = null;
   /**
-   * The frame where the operator has just begun to follow, and the number of the run once it is known. The page goes
-   * to its first box.
+   * The frame where the operator has just begun to follow, and the number of the run once it is known.
    *
    * @type {{ frame: number, number: number | null } | null}
    */
@@ -81,14 +82,13 @@ export function createFollow(host, app, desk, { open, onProgress }) {
     visitFirst();
   }
 
-  /** Goes to the first new box of the run that the operator has just begun, unless the operator has gone elsewhere. */
   function visitFirst() {
     if (begun === null || run === null || begun.number !== run.number) return;
     if (run.first) {
       const [frame, uid] = run.first;
       const isStillThere = app.state.frame?.frame.id === begun.frame && !desk.hasDraft;
       begun = null;
-      if (isStillThere) open({ frame, uid });
+      if (isStillThere) onFirst({ frame, uid }, run.state === "running");
     } else if (run.state !== "running") {
       begun = null;
       app.toast(run.message ?? "No box was found; the panel says why.", "warn");

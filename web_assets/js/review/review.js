@@ -11,7 +11,7 @@ import { createFrameProblem } from "../frame_problem.js";
 import { createActions } from "./actions.js";
 import { bindings } from "./bindings.js";
 import { createCommands } from "./commands.js";
-import { createDesk } from "./desk.js";
+import { createDesk, isOpen } from "./desk.js";
 import { createFields } from "./fields.js";
 import { createFollow } from "./follow.js";
 import { createImagePanel } from "./image_panel.js";
@@ -63,12 +63,21 @@ export function mount(root, app) {
   const sheet = createSheet(app, { desk, queue, open: go });
   const tracks = createTracks(parts.boxes, app, desk, {
     open: go,
-    sheet: () => commands.whenCalm(sheet),
-    // they have new uids
-    onCarried: () => queue.load(),
+    sheet: () => commands.whenCalm(sheet.show),
+    async onCarried() {
+      // they have new uids
+      await queue.load();
+      sheet.again(false);
+    },
   });
   const follow = createFollow(parts.boxes, app, desk, {
     open: go,
+    onFirst(target, isRunning) {
+      if (sheet.again(isRunning)) return;
+      // what is open here comes first
+      if (desk.labels().some(isOpen)) opening.pick(null);
+      else void go(target);
+    },
     onProgress: () => tracks.refresh(),
   });
   const image = createImagePanel(parts.image, app, desk, {
