@@ -236,7 +236,7 @@ class Labels:
         *,
         recordings: Collection[int] | None = None,
         classes: Collection[str] | None = None,
-        attribute: tuple[str, str | None] | None = None,
+        attribute: ValueFilter | None = None,
         source: str | None = None,
         most: int | None = None,
     ) -> tuple[tuple[WaitingProposal, ...], int]:

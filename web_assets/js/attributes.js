@@ -35,6 +35,16 @@ export const schemaOf = (app) =>
 export const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
 
 /**
+ * The values of a box in one line, such as "pose=sitting, mass=80".
+ *
+ * @param {{ attributes?: Record<string, string | number | boolean> }} label
+ */
+export const valuesText = ({ attributes = {} }) =>
+  Object.entries(attributes)
+    .map(([name, value]) => `${name}=${nameOf(value)}`)
+    .join(", ");
+
+/**
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {object} target what has the values.

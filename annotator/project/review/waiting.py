@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import ColumnElement, Float, Integer, Select, Text, and_, case, cast, func, literal, null, select, true
+from sqlalchemy import ColumnElement, Float, Integer, Select, and_, case, cast, func, literal, null, select, true
 
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.records import OWN, sources_of
+from annotator.project.review.value_filter import ValueFilter
 from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.store import Store
 from annotator.types import ReviewState, Source
@@ -66,7 +67,7 @@ def waiting(
     by: By,
     recordings: Collection[int] | None,
     classes: Collection[str] | None,
-    attribute: tuple[str, str | None] | None,
+    attribute: ValueFilter | None,
     source: str | None,
     most: int | None,
 ) -> tuple[tuple[WaitingProposal, ...], int]:
@@ -74,14 +75,14 @@ def waiting(
 
     Args:
         recordings, classes: only of these; None = all.
-        attribute: only with this value of an attribute, given as name and text; with None as the text, without a value.
+        attribute: only with these values of an attribute.
         source: only of objects that this source sees; `OWN` for annotator itself.
         most: number of proposals to return; None = all.
     """
     doubt = _doubt(formula)
     is_open = _is_open(recordings, classes)
     if attribute is not None:
-        is_open &= _has_value(*attribute)
+        is_open &= attribute.clause()
     if source is not None:
         is_open &= _is_said_by(source)
     order = _order(by, doubt)
@@ -129,13 +130,6 @@ def _is_open(recordings: Collection[int] | None, classes: Collection[str] | None
     if recordings is not None:
         is_open &= frames.c.recording_id.in_(recordings)
     return is_open if classes is None else is_open & labels.c.label.in_(classes)
-
-
-def _has_value(name: str, text: str | None) -> ColumnElement[bool]:
-    values = func.json_each(labels.c.attributes).table_valued("key", "value", "type")
-    known = case((values.c.type.in_(("true", "false")), values.c.type), else_=cast(values.c.value, Text))
-    found = select(known).select_from(values).where(values.c.key == name).scalar_subquery()
-    return found.is_(None) if text is None else found == text
 
 
 def _is_said_by(source: str) -> ColumnElement[bool]:

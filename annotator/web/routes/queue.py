@@ -6,6 +6,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
+from annotator.project.classes.attributes import AttributeOf
+from annotator.project.review.value_filter import ValueFilter
 from annotator.web.context import Ctx
 from annotator.web.schemas import ClassName, RowId, Schema
 from annotator.workflows.importing.proposals_3d import MOST_NAME
@@ -16,6 +18,8 @@ router = APIRouter(tags=["queue"])
 
 # The page requests the queue again long before it has shown this many items.
 MOST_ITEMS = 500
+ValueText = Annotated[str | None, Query(max_length=1000)]
+Bound = Annotated[float | None, Query(allow_inf_nan=False)]
 SourceName = Annotated[str, Query(min_length=1, max_length=MOST_NAME)]
 
 
@@ -46,15 +50,28 @@ def queue(
     recording: RowId | None = None,
     label: ClassName | None = None,
     attribute: ClassName | None = None,
-    value: Annotated[str | None, Query(max_length=1000)] = None,
+    value: ValueText = None,
+    contains: ValueText = None,
+    low: Bound = None,
+    high: Bound = None,
+    known: bool = False,
     source: SourceName | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST_ITEMS)] = MOST_ITEMS,
 ) -> QueueOut:
     """Proposals to review, or the frames whose labels would improve the detectors most.
 
-    `attribute` without `value`: those that have no value of it. `source`: those of objects that it sees.
+    `attribute` is one of boxes, tracks or frames: those with this `value`, with one that `contains` a text, or from
+    `low` to `high`; with any value (`known`), or without one. `source`: those of objects that it sees.
     """
-    queued = all_items(ctx.project(name), order, recording, label, attribute, value, source, limit)
+    project = ctx.project(name)
+    wanted = None
+    if attribute is not None:
+        of_frame = {each.name: each for each in project.config.attributes if each.of is AttributeOf.FRAME}.get(
+            attribute
+        )
+        usual = None if of_frame is None else of_frame.default
+        wanted = ValueFilter(attribute, of_frame is not None, usual, known, value, contains, low, high)
+    queued = all_items(project, order, recording, label, wanted, source, limit)
     items = [
         ItemJson(
             frame=item.frame.id,

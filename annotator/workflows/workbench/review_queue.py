@@ -10,6 +10,7 @@ from enum import StrEnum
 from itertools import zip_longest
 
 from annotator.project import REVIEWED, Project, StoredFrame
+from annotator.project.review.value_filter import ValueFilter
 from annotator.project.review.waiting import By
 from annotator.workflows.workbench.review_priority import FORMULA
 
@@ -69,8 +70,7 @@ def queue(
     order: Order,
     recording: int | None = None,
     label: str | None = None,
-    attribute: str | None = None,
-    value: str | None = None,
+    attribute: ValueFilter | None = None,
     source: str | None = None,
     most: int | None = None,
 ) -> Queue:
@@ -80,8 +80,7 @@ def queue(
         recording: only this recording.
         label: only proposals of this class; ignored by TEACH.
         most: number of items to return; None = all.
-        attribute, value: only proposals with this value of an attribute, as text; None: without a value of it. Ignored
-            by TEACH.
+        attribute: only proposals with these values of an attribute; ignored by TEACH.
         source: only proposals of objects that this source sees; ignored by TEACH.
 
     Raises:
@@ -101,7 +100,7 @@ def queue(
         _BY[order],
         recordings=chosen,
         classes=classes,
-        attribute=None if attribute is None else (attribute, value),
+        attribute=attribute,
         source=source,
         most=most,
     )

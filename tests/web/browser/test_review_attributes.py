@@ -61,7 +61,24 @@ def test_fields_and_keys_set_values_and_the_queue_filters_by_them(desk: Desk, wa
     page.get_by_test_id("queue-attribute").select_option("pose=sitting")
     expect(page.get_by_test_id("queue-item")).to_have_count(1)
     assert desk.uid == uid
+    # the values are at the box, and in its row
+    expect(page.get_by_test_id("review-image").get_by_text("pose=sitting, mass=81.5")).to_be_visible()
+    expect(page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]')).to_have_attribute(
+        "title", "pose=sitting, mass=81.5"
+    )
+    page.get_by_test_id("queue-attribute").select_option("mass~")
+    expect(page.get_by_test_id("queue-low")).to_be_focused()
+    page.keyboard.type("82")
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("queue-remaining")).to_have_text("0 proposals")
+    page.get_by_test_id("queue-low").fill("81")
+    page.keyboard.press("Enter")
+    expect(page.get_by_test_id("queue-remaining")).to_have_text("1 proposal")
+    page.get_by_test_id("queue-attribute").select_option("rain=true")
+    expect(page.get_by_test_id("queue-remaining")).to_have_text("0 proposals")
+    expect(page.get_by_test_id("queue-low")).to_be_hidden()
     page.get_by_test_id("queue-attribute").select_option("pose=")
+    expect(page.get_by_test_id("queue-remaining")).not_to_have_text("0 proposals")
     expect(page.get_by_test_id("queue-remaining")).not_to_have_text("1 proposal")
     wait_for(lambda: desk.uid != uid)
     desk.settled()

@@ -1,5 +1,6 @@
 /** Beside the image: the class to draw, what boxes enclose, the frame's objects, and the buttons to other frames. */
 
+import { valuesText } from "../attributes.js";
 import { editClasses } from "../classes/classes.js";
 import { classColor } from "../colors.js";
 import { count, glyph, h, iconButton } from "../dom.js";
@@ -164,6 +165,9 @@ function objectRow(app, item, isCurrent, isReadonly, { onOpen, onDelete }) {
   );
 }
 
+/** @param {Api.LabelJson} label */
+const labelTitle = (label) => ["Open in Review", valuesText(label)].filter(Boolean).join("\n");
+
 /**
  * @param {ModeApp} app
  * @param {Api.LabelJson} label
@@ -178,7 +182,7 @@ function labelRow(app, label, onReview) {
     {},
     h(
       "button",
-      { type: "button", class: "quiet entry", title: "Open in Review", onclick: () => onReview(label.uid) },
+      { type: "button", class: "quiet entry", title: labelTitle(label), onclick: () => onReview(label.uid) },
       swatch,
       h("span", { class: "grow ellipsis" }, label.label),
       h("span", { class: `state-${label.state}` }, label.state + score),

@@ -1,5 +1,6 @@
 /** How a 3D box is drawn: its colour, its outline on the image, and its heading in a view. */
 
+import { valuesText } from "../attributes.js";
 import { headingLine, toView } from "../box3d.js";
 import { line, outline } from "../camera.js";
 
@@ -9,6 +10,9 @@ import { line, outline } from "../camera.js";
  * @type {Record<Api.ReviewState, string>}
  */
 export const STATE_COLORS = { proposed: "#f0ad4e", accepted: "#5fca85", edited: "#6aaef5", rejected: "#9aa1ad" };
+
+/** Characters of the values at a box on the image. */
+const MOST_VALUES = 40;
 
 /**
  * A short name for a label: its class with its track id, or with the beginning of its uid.
@@ -21,6 +25,17 @@ export function shortName(label) {
 }
 
 /**
+ * What is written at the selected box: also its state, and the values of its attributes as far as they are short.
+ *
+ * @param {PageLabel} label
+ */
+function selectedTag(label) {
+  const values = valuesText(label);
+  const shown = values.length > MOST_VALUES ? `${values.slice(0, MOST_VALUES - 1)}…` : values;
+  return [shortName(label), label.isNew ? "" : label.state, shown].filter(Boolean).join(" · ");
+}
+
+/**
  * Lines of a label on the camera image. `box` replaces the stored box, `color` the colour of the state.
  *
  * @param {Camera} camera
@@ -30,7 +45,7 @@ export function shortName(label) {
  */
 export function imageOverlays(camera, label, { selected, box, color = STATE_COLORS[label.state] }) {
   const segments = box ? outline(camera, box) : label.outline;
-  const tag = selected && !label.isNew ? `${shortName(label)} · ${label.state}` : shortName(label);
+  const tag = selected ? selectedTag(label) : shortName(label);
   const body = { id: label.uid, segments, color, dash: label.state === "rejected", strong: selected, tag };
   if (!selected) return [body];
   const [middle, front] = headingLine(box ?? label.box);

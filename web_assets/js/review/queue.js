@@ -15,11 +15,7 @@ const CALM_MS = 1500;
 /** The server sends a few hundred items; more are read when fewer than these are left. */
 const FEW = 100;
 
-/** @param {string} value */
-function split(value) {
-  const at = value.indexOf("=");
-  return at < 0 ? ["", ""] : [value.slice(0, at), value.slice(at + 1)];
-}
+/** @typedef {Partial<Record<"attribute" | "value" | "contains" | "low" | "high" | "known", string>>} ValueQuery */
 
 /**
  * @param {App} app
@@ -29,8 +25,8 @@ export function createQueue(app, onChange) {
   const kept = localStorage.getItem("queue-order");
   let order = ORDERS.find(([name]) => name === kept)?.[0] ?? "worst";
   let label = "";
-  /** A value of an attribute as "name=value", "name=" for none; "": all. */
-  let value = "";
+  /** What is asked of the values of an attribute, as the server's query has it; nothing: all. @type {ValueQuery} */
+  let value = {};
   /** The source whose objects are shown; "": all. */
   let source = "";
   /** The number of objects that each source sees. @type {Record<string, number>} */
@@ -43,10 +39,7 @@ export function createQueue(app, onChange) {
   let ended = false;
 
   async function load() {
-    const query = new URLSearchParams(label ? { order, label } : { order });
-    const [attribute, wanted] = split(value);
-    if (attribute) query.set("attribute", attribute);
-    if (attribute && wanted) query.set("value", wanted);
+    const query = new URLSearchParams({ order, ...(label ? { label } : {}), ...value });
     if (source) query.set("source", source);
     /** @type {Api.QueueOut} */
     const answer = await app.api.get(`${app.path("queue")}?${query}`);
@@ -85,13 +78,13 @@ export function createQueue(app, onChange) {
     },
     /** True if proposals may wait that are not shown. */
     get isFiltered() {
-      return Boolean(label || value || source);
+      return Boolean(label || value.attribute || source);
     },
 
     /**
      * Chooses another order or filter, and starts at the beginning of the queue.
      *
-     * @param {{ order?: string, label?: string, value?: string, source?: string }} changes
+     * @param {{ order?: string, label?: string, value?: ValueQuery, source?: string }} changes
      */
     async choose(changes) {
       order = changes.order ?? order;

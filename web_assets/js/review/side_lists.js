@@ -1,12 +1,14 @@
 /** The column on the left: the queue of proposals, and the boxes of the open frame. */
 
-import { nameOf, schemaOf, steps } from "../attributes.js";
+import { valuesText } from "../attributes.js";
 import { count, h } from "../dom.js";
 import { isAborted } from "../errors.js";
 import { isOpen } from "./desk.js";
 import { shortName } from "./drawing.js";
 import { summary } from "./fields.js";
 import { ORDERS, OWN } from "./queue.js";
+import { refill } from "./refill.js";
+import { createValueFilter } from "./value_filter.js";
 
 /** Rows of the queue that are shown around the current one. */
 const ROWS = 120;
@@ -34,12 +36,7 @@ export function createQueueList(host, app, queue, { open }) {
     "data-testid": "queue-class",
     onchange: () => choose(label, { label: label.value }),
   });
-  /** @type {HTMLSelectElement} */
-  const value = h("select", {
-    "aria-label": "Attribute in the queue",
-    "data-testid": "queue-attribute",
-    onchange: () => choose(value, { value: value.value }),
-  });
+  const values = createValueFilter(app, (value) => choose(null, { value }));
   /** @type {HTMLSelectElement} */
   const source = h("select", {
     "aria-label": "Source in the queue",
@@ -52,30 +49,27 @@ export function createQueueList(host, app, queue, { open }) {
   order.value = queue.order;
   host.replaceChildren(
     h("header", {}, h("h2", {}, "To review"), h("span", { class: "grow" }), left),
-    h("div", { class: "choices" }, order, label, source, value),
+    h("div", { class: "choices" }, order, label, source, values.root),
     list,
   );
 
   /** Fills in the classes and values of the project. A filter by one that is gone ends. */
   function fill() {
     const { classes } = app.state.project;
-    const values = valuesOf(app);
     label.hidden = classes.length < 2;
-    value.hidden = values.size === 0;
-    const isEnded = [
-      refill(label, "All classes", new Map(classes.map((name) => [name, name]))),
-      refill(value, "All attributes", values),
-    ].some(Boolean);
-    if (isEnded) choose(label, { label: label.value, value: value.value });
+    const isEnded = [refill(label, "All classes", new Map(classes.map((name) => [name, name]))), values.fill()].some(
+      Boolean,
+    );
+    if (isEnded) choose(label, { label: label.value, value: values.query() });
   }
 
   /**
-   * @param {HTMLSelectElement} select
-   * @param {{ order?: string, label?: string, value?: string, source?: string }} changes
+   * @param {HTMLSelectElement | null} select
+   * @param {Parameters<Queue["choose"]>[0]} changes
    */
   function choose(select, changes) {
     // so that Space and the digits are keys of the mode again
-    select.blur();
+    select?.blur();
     queue.choose(changes).then(() => queue.items[0] && open(queue.items[0]), app.toast);
   }
 
@@ -96,8 +90,9 @@ export function createQueueList(host, app, queue, { open }) {
   function nothing() {
     if (!queue.isFiltered) return ["No proposals left to review."];
     const clear = () => {
-      for (const select of [label, value, source]) select.value = "";
-      choose(label, { label: "", value: "", source: "" });
+      for (const select of [label, source]) select.value = "";
+      values.clear();
+      choose(label, { label: "", value: {}, source: "" });
     };
     return [
       h("p", {}, "No proposal matches the filter."),
@@ -251,7 +246,7 @@ function boxRow(label, desk, picture) {
         type: "button",
         class: "quiet row-button",
         "aria-current": label.uid === desk.uid ? "true" : null,
-        title: problem ? `Not saved. ${problem}` : null,
+        title: problem ? `Not saved. ${problem}` : valuesText(label) || null,
         onclick: () => desk.select(label.uid),
         "data-testid": "frame-box",
         "data-uid": label.uid,
@@ -263,38 +258,4 @@ function boxRow(label, desk, picture) {
       picture && label.state !== "rejected" ? h("img", { src: picture, alt: "", class: "small-views" }) : null,
     ),
   );
-}
-
-/**
- * Gives a select other options; true if the chosen one is gone.
- *
- * @param {HTMLSelectElement} select
- * @param {string} all the option without a value.
- * @param {Map<string, string>} texts of the other options, by their values.
- */
-function refill(select, all, texts) {
-  const chosen = select.value;
-  select.replaceChildren(
-    h("option", { value: "" }, all),
-    ...[...texts].map(([value, text]) => h("option", { value }, text)),
-  );
-  select.value = texts.has(chosen) ? chosen : "";
-  return select.value !== chosen;
-}
-
-/**
- * The values that the queue can be filtered by, as "name=value" ("name=" for boxes without one), and their texts.
- *
- * @param {ModeApp} app
- * @returns {Map<string, string>}
- */
-function valuesOf(app) {
-  /** @type {Map<string, string>} */
-  const texts = new Map();
-  for (const attribute of schemaOf(app).filter(({ of }) => of !== "frame")) {
-    const { name } = attribute;
-    texts.set(`${name}=`, `${name}: none`);
-    for (const value of steps(attribute) ?? []) texts.set(`${name}=${value}`, `${name}: ${nameOf(value)}`);
-  }
-  return texts;
 }
