@@ -224,6 +224,10 @@ def _proposals(
     ):
         if number:
             print_line(what.format(amount(number, "box")))
+    if done.conflicts:
+        print_line(
+            f"in conflict with other sources: {amount(done.conflicts, 'value')}; those of the surer boxes are shown"
+        )
     if done.finalised:
         print_line(f"unchanged: {amount(done.finalised, 'finalised frame')}")
     if min_score is not None and done.proposals and not done.scored:

@@ -247,6 +247,9 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         parts = [
             f"{amount(boxes, 'box')} of {done.source} proposed in {amount(done.frames, 'frame')}",
             f"{done.merged} of them also seen by other sources" if done.merged else "",
+            f"{amount(done.conflicts, 'value')} in conflict with other sources: the surer box's is shown"
+            if done.conflicts
+            else "",
             f"{amount(done.covered, 'box')} of reviewed objects left out" if done.covered else "",
             f"{amount(done.unsure, 'box')} with a lower score left out" if done.unsure else "",
             f"{amount(done.rejected, 'rejected box')} left out" if done.rejected else "",
