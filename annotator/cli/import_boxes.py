@@ -39,7 +39,10 @@ from annotator.workflows.importing.new_attributes import FoundValues, values_of_
 from annotator.workflows.importing.picture_labels import read_pictures
 
 FLAT = tuple(FlatFormat)
-ADVICE = "`annotator classes attribute` gives a project attributes, `annotator import --add-attributes` those of a file"
+ADVICE = (
+    "`annotator classes attribute` gives a project attributes; `annotator import PROJECT PATH --add-attributes` gives "
+    "it those of a file, and its labels their values"
+)
 OUTSIDE = "skipped: {} outside the images of these frames"
 # One enumeration of all formats, so that tyro lists them in the help.
 Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
@@ -93,7 +96,8 @@ def run(
             name of the file or folder.
         min_score: with --as proposals: leave out boxes with a lower score; scores as in the file.
         classes: the project's classes of the file's classes, such as Car=car,Van=car; others keep their names.
-        add_attributes: give the project the attributes of the file that it lacks, with the kind that their values have.
+        add_attributes: give the project the attributes of the file that it lacks, with the kind that their values have,
+            and labels that it has already the values that they lack.
         pictures: with coco and yolo: folder of the labelled pseudo-views, written by `annotator views`. Without this
             option, the boxes are on camera images named like the project's frames, and on the pseudo-views listed in a
             `views.json` in the folder of those images.
@@ -149,7 +153,7 @@ def run(
             if as_ is As.PROPOSALS:
                 _proposals(opened, dataset, found, source, recording, min_score, names)
             else:
-                _boxes(opened, dataset, found, recording, names)
+                _boxes(opened, dataset, found, recording, names, add_attributes)
 
 
 def _check_names(names: Mapping[str, str], present: Collection[str]) -> None:
@@ -220,6 +224,10 @@ def _proposals(
     ):
         if number:
             print_line(what.format(amount(number, "box")))
+    if done.conflicts:
+        print_line(
+            f"in conflict with other sources: {amount(done.conflicts, 'value')}; those of the surer boxes are shown"
+        )
     if done.finalised:
         print_line(f"unchanged: {amount(done.finalised, 'finalised frame')}")
     if min_score is not None and done.proposals and not done.scored:
@@ -241,14 +249,16 @@ def _by_class(counts: Mapping[str, int]) -> str:
 
 
 def _boxes(
-    project: Project, labels: LabelSet, format: BoxFormat, recording: str | None, names: Mapping[str, str]
+    project: Project, labels: LabelSet, format: BoxFormat, recording: str | None, names: Mapping[str, str], fill: bool
 ) -> None:
     with counted(f"import {format}") as progress:
-        done = import_labels(project, labels, recording, progress, names)
+        done = import_labels(project, labels, recording, progress, names, fill=fill)
     print_line(f"{amount(done.frames, 'frame')}: {_by_class(done.labels)}")
     if done.already:
         already = amount(done.already, "frame")
         print_line(f"unchanged: {already} with labels already, or finalised; --as proposals adds boxes beside labels")
+    if done.filled:
+        print_line(f"attributes: {amount(done.filled, 'value')} for labels and frames that had none")
     if done.not_reviewed:
         print_line(f"skipped: {amount(done.not_reviewed, 'box')} not accepted")
     if done.unseen:

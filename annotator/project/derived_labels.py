@@ -63,7 +63,8 @@ def put_imported(connection: Connection, event: Event, payload: ProposalsImporte
     connection.execute(delete(labels).where(_is_open(event), hidden, labels.c.uid.not_in(payload.kept)))
     for own in payload.ours:
         same = _is_open(event) & (labels.c.uid == own.uid)
-        connection.execute(update(labels).where(same).values(said=said_json(own.said)))
+        values = {} if own.attributes is None else {"attributes": values_json(own.attributes)}
+        connection.execute(update(labels).where(same).values(said=said_json(own.said), **values))
     groups = [tuple(_with_columns(each, columns.get(each.uid)) for each in group) for group in payload.objects]
     if rows := [_imported_row(event, group) for group in groups]:
         _insert(connection, rows)

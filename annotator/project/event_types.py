@@ -6,10 +6,11 @@ changed meaning needs a new kind.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, TypeAdapter, model_validator
+from pydantic import BaseModel, Field, TypeAdapter, model_serializer, model_validator
 
 from annotator.project.classes.attributes import Attribute, AttributeName, ClassStyle, Value
 from annotator.project.classes.relabelling import Relabelling
@@ -181,12 +182,23 @@ class ProposalsReplaced(_Payload):
 
 
 class OwnProposal(BaseModel):
-    """An open proposal of ours, and what other sources say of its object."""
+    """An open proposal of ours, and what other sources say of its object.
+
+    Attributes:
+        attributes: its values, with those that others lend; None: they stay.
+    """
 
     model_config = EXACT
 
     uid: Uid
     said: tuple[SaidRecord, ...]
+    attributes: dict[str, bool | int | Finite | str] | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        # as in projects from before values were lent
+        content = handler(self)
+        return content if self.attributes is not None else {"uid": content["uid"], "said": content["said"]}
 
 
 class CoveredBox(BaseModel):

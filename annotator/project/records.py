@@ -157,6 +157,7 @@ class SaidRecord(BaseModel):
         box_kind: what the box encloses.
         attributes: values by name.
         own: further columns of a hidden proposal of ours.
+        lent: names of the attributes whose values a hidden box lends to the shown one.
     """
 
     model_config = EXACT
@@ -171,6 +172,7 @@ class SaidRecord(BaseModel):
     attributes: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
     own: OwnColumns | None = None
     file_track_id: int | None = None
+    lent: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, said: Said) -> SaidRecord:
@@ -187,9 +189,10 @@ class SaidRecord(BaseModel):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # as in projects from before these had attributes, columns of ours, or ids of files
+        # as in projects from before these had attributes, columns of ours, ids of files, or lent values
         content = handler(self)
-        empty = {name for name in ("attributes", "own", "file_track_id") if getattr(self, name) in (None, {})}
+        optional = ("attributes", "own", "file_track_id", "lent")
+        empty = {name for name in optional if getattr(self, name) in (None, {}, ())}
         return {name: value for name, value in content.items() if name not in empty}
 
     def said(self) -> Said:

@@ -52,6 +52,7 @@ from annotator.project.records import (
     suggestion_of,
 )
 from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
+from annotator.project.sources.lending import given_back
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
@@ -114,8 +115,8 @@ def read_state(connection: Connection, frame_id: int | None, target: str) -> str
         return values_json(values) if values else None
     if kind == SOURCE:
         is_open = (labels.c.frame_id == frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
-        columns = connection.execute(select(labels.c.said).where(is_open, labels.c.said.is_not(None))).scalars()
-        said = [each for content in columns for each in said_of(content) if each.source == key]
+        rows = connection.execute(select(labels.c.uid, labels.c.said).where(is_open, labels.c.said.is_not(None)))
+        said = [each for row in rows for each in given_back(row.uid, said_of(row.said)) if each.source == key]
         return said_json(tuple(sorted(said, key=lambda each: each.uid)))
     finalised = connection.execute(select(frames.c.finalised).where(frames.c.id == frame_id)).scalar_one()
     return FINALISED if finalised else None

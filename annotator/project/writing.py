@@ -43,7 +43,7 @@ from annotator.types.errors import (
 from annotator.types.names import alternatives
 
 # Events without class names that concern attributes.
-_OF_ATTRIBUTES = (LabelTracked, LabelAttributesSet, FrameAttributesSet)
+_OF_ATTRIBUTES = (LabelTracked, LabelAttributesSet, FrameAttributesSet, ProposalsImported)
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class Writer:
             if context.undoes is None:
                 whole = completed(connection, attributes, frame_id, whole)
             else:
-                whole = restored(attributes, whole)
+                whole = restored(connection, attributes, frame_id, whole)
             content, stored = _encoded(where, whole)
             event = insert_event(
                 connection,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 from sqlalchemy import select
@@ -263,6 +264,50 @@ def test_values_that_sources_gave_follow_their_attributes(
     assert of("two") == after
     bring(project, frame, "one")
     assert project.labels.select()[0].label.attributes == after
+    assert verify(project.path, deep=True).problems == ()
+
+
+@pytest.mark.parametrize("ours", [False, True])
+def test_a_proposal_has_the_values_of_all_its_sources(project: Project, frame: int, ours: bool) -> None:
+    pose = Attribute(name="pose", kind=AttributeKind.TEXT, default="standing")
+    worn = Attribute(name="worn", kind=AttributeKind.BOOLEAN)
+    for attribute in (COLOUR, pose, worn):
+        project.change_classes(partial(edit.put_attribute, attribute=attribute), "ann")
+
+    def say(source: str, score: float, **values: str | bool) -> int:
+        boxes = [NewLabel("hand", box_at(0.02), score, attributes=values)]
+        return project.proposals.bring(source, {frame: boxes}, "ann", new_action())[frame].conflicts
+
+    def values() -> dict[str, object]:
+        (stored,) = project.labels.select()
+        return dict(stored.label.attributes)
+
+    if ours:
+        project.proposals.replace(frame, [proposal_at(0.0, "hand", 0.95)], by_machine())
+        own: dict[str, object] = {"pose": "standing"}
+    else:
+        say("one", 0.9, colour="red")
+        own = {"pose": "standing", "colour": "red"}
+    assert say("two", 0.5, colour="blue", worn=True) == (0 if ours else 1)
+    assert say("three", 0.4, pose="sitting", worn=False, colour="blue") == (1 if ours else 2)
+    every = {"colour": "blue", "pose": "sitting", "worn": True} | {k: v for k, v in own.items() if k != "pose"}
+    assert values() == every
+    # each source takes its own words back, and says them again
+    project.history.undo("ann")
+    project.history.undo("ann")
+    assert values() == own
+    project.history.redo("ann")
+    project.history.redo("ann")
+    assert values() == every
+    project.proposals.bring("two", {frame: []})
+    assert values() == every | {"worn": False}
+    state = state_of(project)
+    project.log.rebuild()
+    assert state_of(project) == state
+    (stored,) = project.labels.select()
+    project.change_classes(lambda config: edit.rename_attribute(config, "worn", "carried"), "ann")
+    project.labels.accept(frame, stored.label.uid, by_hand(project.frames.get(frame).revision))
+    assert values() == {"carried": False} | {k: v for k, v in every.items() if k != "worn"}
     assert verify(project.path, deep=True).problems == ()
 
 

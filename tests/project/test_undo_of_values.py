@@ -130,7 +130,7 @@ def test_undo_leaves_out_values_of_another_source_that_it_shows_again(
     put(project, "box", before)
     project.proposals.bring("mine", {frame: [NewLabel("hand", box_at(), 0.2, attributes={"state": value})]})
     project.proposals.bring("better", {frame: [NewLabel("hand", box_at(), 0.9)]}, "ann", new_action())
-    assert [each.label.attributes for each in project.labels.select()] == [{}]
+    assert [each.label.attributes for each in project.labels.select()] == [{"state": value}]
     put(project, "box", after)
     project.history.undo("ann")
     (shown,) = project.labels.select()

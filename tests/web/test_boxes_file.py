@@ -201,6 +201,13 @@ def test_an_import_of_3d_boxes_says_which_values_and_scores_it_leaves_out(
             "proposals": f"1 box of mine proposed in 1 frame, scores from 7.5 to 7.5 are now 0 to 1, {values}",
         }[become]
     )
+    sent = send(live, "mine.json", json.dumps({project.frames.of()[0].key: [entry]}).encode())
+    done = run(project, tmp_path, upload=sent["id"], become=become, source="mine", add_attributes=True)
+    if become == "labels":
+        filled = "2 values of attributes for labels and frames that had none"
+        assert done.message == f"0 labels imported in 0 frames, 1 frame with labels left unchanged, {filled}"
+    (label,) = project.labels.of_frame(project.frames.of()[0].id)
+    assert dict(label.attributes) == {"age": 7, "pose": "sitting"}
 
 
 @pytest.mark.usefixtures("jobs_on_path")

@@ -29,8 +29,12 @@ DONT_CARE = "DontCare"
 FIELDS = 15
 DECIMALS = 2
 TRACKING_FIELDS = 2
+# Levels of truncation in tracking files: not, partly, largely outside the image.
+INSIDE, PARTLY_OUTSIDE, LARGELY_OUTSIDE = 0, 1, 2
+# Share outside the image above which an object is partly and largely truncated (docs/formats.md).
+PARTLY_OUTSIDE_SHARE, LARGELY_OUTSIDE_SHARE = 0.5, 0.9
 # those that are not a fraction, too
-TRUNCATION_LEVELS = ("1", "2")
+LEVELS_ALONE = tuple(str(level) for level in (PARTLY_OUTSIDE, LARGELY_OUTSIDE))
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,21 @@ def dump_label_line(row: KittiLabel) -> str:
     score = [] if row.score is None else [f"{row.score:.6g}"]
     first = [row.label, _decimal(row.truncated), str(row.occluded), _decimal(row.alpha)]
     return " ".join([*first, *edges, *map(_decimal, solid), *score])
+
+
+def dump_tracking_line(frame: int, track_id: int, row: KittiLabel) -> str:
+    """Returns a row of a tracking file as text; arguments as in `dump_label_line`. Truncation is written as a level."""
+    label, truncated, rest = dump_label_line(row).split(" ", 2)
+    if row.label != DONT_CARE:
+        truncated = str(truncation_level(row.truncated))
+    return f"{frame} {track_id} {label} {truncated} {rest}"
+
+
+def truncation_level(share: float) -> int:
+    """Returns the level of truncation of an object, a share of which is outside the image."""
+    if share <= PARTLY_OUTSIDE_SHARE:
+        return INSIDE
+    return PARTLY_OUTSIDE if share <= LARGELY_OUTSIDE_SHARE else LARGELY_OUTSIDE
 
 
 def _decimal(value: float) -> str:
@@ -178,7 +197,7 @@ def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int
             path, f"frame and track id must be at most {MOST_TRACK}, not {frame:.6g} and {track_id:.6g}", line
         )
     row = parse_fields(fields[TRACKING_FIELDS:], path, line)
-    is_level = fields[TRACKING_FIELDS + 1] in TRUNCATION_LEVELS
+    is_level = fields[TRACKING_FIELDS + 1] in LEVELS_ALONE
     return frame, track_id, replace(row, truncated=-1.0) if is_level else row
 
 

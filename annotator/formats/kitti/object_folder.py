@@ -20,7 +20,7 @@ from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import new_folder
-from annotator.formats.attributes import held_by_kitti
+from annotator.formats.attributes import TRUNCATION, held_by_kitti
 from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
 from annotator.formats.frame_class_names import CLASS_NAMES, ClassWords
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
@@ -118,12 +118,15 @@ def _rows(item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Lo
 
 
 def item_rows(
-    item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses
+    item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses, *, levels: bool = False
 ) -> Iterator[tuple[Label, KittiLabel]]:
     """Yields the labels inside the image with their rows, and counts boxes and losses.
 
     All fields of a row follow from its rounded 3D box, so the row is consistent when read back; but truncation and
     occlusion are those of the label's attributes, if it has them.
+
+    Args:
+        levels: the truncation is going to be written as a level, as in tracking files.
     """
     sight = Sight(item.frame.cloud.xyz_m)
     losses.add_values(item.attributes)
@@ -138,11 +141,22 @@ def item_rows(
         losses.add_rounding(upright, rounded)
         held = held_by_kitti(label.attributes)
         losses.add_values(label.attributes.keys() - held.keys())
-        losses.add_values(f"{name}, rounded" for name, value in held.items() if round(value, DECIMALS) != value)
+        losses.add_values(_approximated(held, levels))
         if words.is_changed(label.label):
             losses.add(Lost.NAME)
         counts[label.label] += 1
         yield label, row
+
+
+def _approximated(held: Mapping[str, float], levels: bool) -> Iterator[str]:
+    """Yields what happens to values that are not written as they are."""
+    for name, value in held.items():
+        if levels and name == TRUNCATION:
+            # only "not truncated" is read again as a share
+            if value != 0:
+                yield f"{name}, as a level"
+        elif round(value, DECIMALS) != value:
+            yield f"{name}, rounded"
 
 
 def _write_frame(training: Path, frame_id: str, frame: Frame, rows: str) -> None:

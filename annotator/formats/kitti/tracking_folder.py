@@ -2,7 +2,7 @@
 
 training/image_02/SEQ/FRAME.png  velodyne/SEQ/FRAME.bin  calib/SEQ.txt  label_02/SEQ.txt  and frames.csv with the origin
 of each frame (KITTI tracking devkit, readme.txt). SEQ has four digits and FRAME six. Boxes, scans and calibrations are
-as in `object_folder.py`. Track ids are unique within a sequence.
+as in `object_folder.py`, but a truncation is one of three levels. Track ids are unique within a sequence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from annotator.formats.dataset_writing import DatasetItem, encoded_image, writin
 from annotator.formats.frame_class_names import CLASS_NAMES, ClassWords, DatasetNames
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
 from annotator.formats.kitti.box_rows import label_frame
-from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, dump_label_line, parse_tracking_fields, row_truth
+from annotator.formats.kitti.label_files import (
+    DONT_CARE,
+    KittiLabel,
+    dump_tracking_line,
+    parse_tracking_fields,
+    row_truth,
+)
 from annotator.formats.kitti.label_folders import CALIBRATIONS, Frames, read_shift
 from annotator.formats.kitti.object_folder import NOT_HELD, TRAINING, calibration_text, item_rows, lidar_points
 from annotator.formats.losses import Losses, Lost, count_lost
@@ -137,9 +143,9 @@ def _add_rows(
     areas: Sequence[KittiLabel],
 ) -> None:
     in_frame: set[int] = set()
-    for label, row in item_rows(item, words, counts, losses):
-        sequence.rows.append(f"{number} {sequence.track_of(label, in_frame)} {dump_label_line(row)}\n")
-    sequence.rows += [f"{number} {NO_TRACK} {dump_label_line(row)}\n" for row in areas]
+    for label, row in item_rows(item, words, counts, losses, levels=True):
+        sequence.rows.append(f"{dump_tracking_line(number, sequence.track_of(label, in_frame), row)}\n")
+    sequence.rows += [f"{dump_tracking_line(number, NO_TRACK, row)}\n" for row in areas]
 
 
 def _write_frame(out: Path, root: Path, sequence: TrackingSequence, number: int, frame: Frame) -> None:

@@ -200,7 +200,13 @@ def _said(change: Relabelling, said: Iterable[SaidRecord]) -> tuple[SaidRecord, 
     """What sources say of an object; nothing of removed classes."""
     named = ((each, change.label(each.label)) for each in said)
     return tuple(
-        each.model_copy(update={"label": name, "attributes": change.values_of(name, each.attributes)})
+        each.model_copy(
+            update={
+                "label": name,
+                "attributes": change.values_of(name, each.attributes),
+                "lent": tuple(sorted(change.values_of(name, {of: each.attributes[of] for of in each.lent}))),
+            }
+        )
         for each, name in named
         if name is not None
     )

@@ -18,12 +18,14 @@ from annotator.project.event_types import (
     LabelProposed,
     LabelTracked,
     Origin,
+    OwnProposal,
     Payload,
     ProposalsImported,
     ProposalsReplaced,
 )
-from annotator.project.records import track_of
+from annotator.project.records import SaidRecord, track_of
 from annotator.project.schema import AnyRow, frames, labels
+from annotator.project.sources.lending import lend
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
@@ -84,32 +86,49 @@ def completed(
             )
             return payload.model_copy(update={"objects": objects})
         case ProposalsImported() if attributes:
-            ids = [track_of(group) for group in payload.objects]
-            tracks = _of_tracks(connection, attributes, frame_id, ids)
-            groups = []
-            for (shown, *others), track_id in zip(payload.objects, ids, strict=True):
-                of_label = [each for each in attributes if each.is_of(shown.label)]
-                given = fitting(of_label, shown.attributes)
-                values = _new_values(of_label, tracks.get(track_id, {}), given)
-                groups.append((shown.model_copy(update={"attributes": values}), *others))
-            return payload.model_copy(update={"objects": tuple(groups)})
+            return _with_lent(connection, attributes, frame_id, payload)
         case LabelEdited() | LabelTracked() if attributes:
             return payload.model_copy(update={"attributes": _after_edit(connection, attributes, frame_id, payload)})
     return payload
 
 
-def restored(attributes: Sequence[Attribute], payload: Payload) -> Payload:
+def restored(
+    connection: Connection, attributes: Sequence[Attribute], frame_id: int | None, payload: Payload
+) -> Payload:
     """An event of an undo: proposals that it shows again have no values that the schema no longer allows.
 
     Other states that undo restores are without these already (`undo_state.AllowedValues`).
     """
     if not isinstance(payload, ProposalsImported):
         return payload
-    groups = []
-    for shown, *others in payload.objects:
-        values = fitting([each for each in attributes if each.is_of(shown.label)], shown.attributes)
-        groups.append((shown.model_copy(update={"attributes": values}), *others))
-    return payload.model_copy(update={"objects": tuple(groups)})
+    return _with_lent(connection, attributes, frame_id, payload)
+
+
+def _with_lent(
+    connection: Connection, attributes: Sequence[Attribute], frame_id: int | None, payload: ProposalsImported
+) -> ProposalsImported:
+    """The event with the values of each object: what its sources gave, else those of its track, else the defaults."""
+    ids = [track_of(group) for group in payload.objects]
+    own_rows = select(labels.c.uid, labels.c.label, labels.c.track_id)
+    rows = {
+        row.uid: row
+        for row in connection.execute(own_rows.where(labels.c.uid.in_([each.uid for each in payload.ours]))).all()
+    }
+    tracks = _of_tracks(connection, attributes, frame_id, [*ids, *(row.track_id for row in rows.values())])
+    groups, ours = list[tuple[SaidRecord, ...]](), list[OwnProposal]()
+    for (shown, *others), track_id in zip(payload.objects, ids, strict=True):
+        of_label = [each for each in attributes if each.is_of(shown.label)]
+        lent = lend(of_label, shown.attributes, others)
+        values = _new_values(of_label, tracks.get(track_id, {}), lent.values)
+        groups.append((shown.model_copy(update={"attributes": values}), *lent.others))
+    for own in payload.ours:
+        if own.attributes is not None and (row := rows.get(own.uid)) is not None:
+            of_label = [each for each in attributes if each.is_of(row.label)]
+            lent = lend(of_label, own.attributes, own.said)
+            values = _new_values(of_label, tracks.get(row.track_id, {}), lent.values)
+            own = own.model_copy(update={"attributes": values, "said": lent.others})
+        ours.append(own)
+    return payload.model_copy(update={"objects": tuple(groups), "ours": tuple(ours)})
 
 
 class ValueReader:

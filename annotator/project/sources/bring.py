@@ -17,6 +17,7 @@ from annotator.project.labels import NewLabel, stored_label
 from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable
 from annotator.project.schema import frames, labels
 from annotator.project.sources.covering import covered_by
+from annotator.project.sources.lending import given_back, lend, lent_names, without
 from annotator.project.sources.merge import merged
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import BoxKind, Label, ReviewState, Source
@@ -29,11 +30,13 @@ class Brought:
     Attributes:
         is_open: for each of them, False if a reviewed label covers it, so that it is not proposed.
         merged: number of the others that other sources see as well, or our own proposals.
+        conflicts: number of values in which they and other sources differ; the surest box's are shown.
         receipt: of the write.
     """
 
     is_open: tuple[bool, ...]
     merged: int
+    conflicts: int
     receipt: Receipt
 
 
@@ -112,7 +115,17 @@ def _bring(
     receipt = writer.to_frame_in(connection, place.frame_id, (payload,), context, action)
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in payload.objects)
     together += sum(any(each.source == source for each in own.said) for own in payload.ours)
-    return Brought(tuple(uid is None for uid in covering), together, receipt)
+    objects = [(group[0], group[1:]) for group in payload.objects]
+    objects += [(each, own.said) for own in payload.ours for each in proposed.ours if each.uid == own.uid]
+    conflicts = sum(_conflicts(shown, others, source, place.config) for shown, others in objects)
+    return Brought(tuple(uid is None for uid in covering), together, conflicts, receipt)
+
+
+def _conflicts(shown: SaidRecord, others: Sequence[SaidRecord], source: str, config: ProjectConfig) -> int:
+    """Number of values of an object in which `source` and another one differ."""
+    of_label = [each for each in config.attributes if each.is_of(shown.label)]
+    conflicts = lend(of_label, shown.attributes, others).conflicts
+    return conflicts.total() if shown.source == source else conflicts[source]
 
 
 def said_again(
@@ -153,7 +166,7 @@ def without_classes(
         proposed = _Open.of(connection, frame_id, staying, kept)
         ours = [each for each in proposed.ours if each.label not in removed]
         hidden = [each for each in proposed.others if each.source == OWN]
-        yield frame_id, _Open(proposed.others, ours, kept).after(OWN, hidden, [])
+        yield frame_id, _Open(proposed.others, ours, kept, proposed.borrows).after(OWN, hidden, [])
 
 
 def _staying(connection: Connection, frame_id: int, kept: Collection[str]) -> list[Label]:
@@ -239,25 +252,29 @@ class _Open:
         others: boxes of other software; boxes of ours that one of them hides, as well.
         ours: our own open proposals.
         kept: uids of proposals that stay as they are; neither list has them.
+        borrows: uids of the proposals to which hidden boxes have lent values.
     """
 
     others: list[SaidRecord]
     ours: list[SaidRecord]
     kept: frozenset[str]
+    borrows: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, connection: Connection, frame_id: int, classes: Collection[str], kept: frozenset[str]) -> _Open:
         """Reads them; boxes of classes that the project no longer has are left out."""
         is_open = (labels.c.frame_id == frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
-        others, ours = list[SaidRecord](), list[SaidRecord]()
+        others, ours, borrows = list[SaidRecord](), list[SaidRecord](), set[str]()
         query = select(labels).where(is_open, labels.c.uid.not_in(kept)).order_by(labels.c.id)
         for row in connection.execute(query):
+            said = said_of(row.said)
             # values of the shown one may have changed since
-            values = values_of(row.attributes)
+            values = without(values_of(row.attributes), lent_names(said))
             others += [
                 each.model_copy(update={"attributes": values}) if each.uid == row.uid else each
-                for each in said_of(row.said)
+                for each in given_back(row.uid, said)
             ]
+            borrows |= {row.uid} if lent_names(said) else set()
             if row.source != Source.IMPORTED.value:
                 box = parsed(BoxRecord.model_validate_json, row.box)
                 score, track_id, kind = row.score, row.track_id, BoxKind(row.box_kind)
@@ -273,7 +290,7 @@ class _Open:
                         attributes=values,
                     )
                 )
-        return cls([each for each in others if each.label in classes], ours, kept)
+        return cls([each for each in others if each.label in classes], ours, kept, frozenset(borrows))
 
     def after(self, source: str, new: Sequence[SaidRecord], covered: Sequence[CoveredBox]) -> ProposalsImported:
         """Returns the event that replaces what `source` says by `new`."""
@@ -282,9 +299,14 @@ class _Open:
         return ProposalsImported(
             source=source,
             objects=tuple(group for group in groups if group[0].uid not in uids),
-            ours=tuple(OwnProposal(uid=group[0].uid, said=group[1:]) for group in groups if group[0].uid in uids),
+            ours=tuple(self._own(*group) for group in groups if group[0].uid in uids),
             hidden=tuple(each.uid for group in groups for each in group[1:] if each.uid in uids),
             covered=tuple(covered),
             kept=tuple(sorted(self.kept)),
             keeps_ours=True,
         )
+
+    def _own(self, shown: SaidRecord, *others: SaidRecord) -> OwnProposal:
+        """Our proposal of an object; its values change only where other sources lend some, or did so before."""
+        changes = shown.uid in self.borrows or any(each.attributes for each in others)
+        return OwnProposal(uid=shown.uid, said=others, attributes=shown.attributes if changes else None)

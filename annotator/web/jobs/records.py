@@ -74,6 +74,7 @@ class BoxesRequest(_Request):
         become: what 3D boxes become: proposals, or labels on frames without labels.
         source: name of 3D boxes as a source of proposals; null: that of the file.
         min_score: proposals with lower scores, as in the file, are left out.
+        add_attributes: give the project the attributes of the file that it lacks, and labels the values that they lack.
     """
 
     kind: Literal["boxes"]
@@ -85,6 +86,7 @@ class BoxesRequest(_Request):
     become: Literal["proposals", "labels"] = "proposals"
     source: Annotated[str, Field(min_length=1, max_length=MOST_NAME)] | None = None
     min_score: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    add_attributes: bool = False
 
 
 class SplitRequest(_Request):

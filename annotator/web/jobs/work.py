@@ -40,8 +40,10 @@ from annotator.workflows.importing import (
     import_image_boxes,
     import_labels,
     import_proposals,
+    new_attributes,
     read_labels,
 )
+from annotator.workflows.importing.new_attributes import values_of_labels, values_of_pictures
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
@@ -197,6 +199,8 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
     if view is not None:
         given = boxes_of_file(project, upload.path, upload.format, recording, request.names, request.box_kind)
         require_known(view, {box.label for boxes in given.of_frame.values() for box in boxes})
+    if request.add_attributes:
+        new_attributes.add_attributes(project, values_of_pictures(upload.format, upload.path), job.operator)
     done = import_image_boxes(
         project,
         upload.path,
@@ -224,6 +228,8 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
     """Imports 3D boxes as proposals or labels."""
     job.progress("read the file")
     dataset, importer = read_labels(format, path), Importer(job.operator, new_action())
+    if request.add_attributes:
+        new_attributes.add_attributes(job.project, values_of_labels(dataset), job.operator)
     progress = job.counter("store the boxes")
     done: ImportedProposals | ImportedLabels
     if request.become == "proposals":
@@ -241,6 +247,9 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         parts = [
             f"{amount(boxes, 'box')} of {done.source} proposed in {amount(done.frames, 'frame')}",
             f"{done.merged} of them also seen by other sources" if done.merged else "",
+            f"{amount(done.conflicts, 'value')} in conflict with other sources: the surer box's is shown"
+            if done.conflicts
+            else "",
             f"{amount(done.covered, 'box')} of reviewed objects left out" if done.covered else "",
             f"{amount(done.unsure, 'box')} with a lower score left out" if done.unsure else "",
             f"{amount(done.rejected, 'rejected box')} left out" if done.rejected else "",
@@ -248,11 +257,14 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
             "" if done.scaled is None else f"scores from {done.scaled.low:g} to {done.scaled.high:g} are now 0 to 1",
         ]
     else:
-        done = import_labels(job.project, dataset, recording, progress, request.names, importer)
+        done = import_labels(
+            job.project, dataset, recording, progress, request.names, importer, fill=request.add_attributes
+        )
         boxes = done.labels.total()
         parts = [
             f"{amount(boxes, 'label')} imported in {amount(done.frames, 'frame')}",
             f"{amount(done.already, 'frame')} with labels left unchanged" if done.already else "",
+            f"{amount(done.filled, 'value')} of attributes for labels and frames that had none" if done.filled else "",
             f"{amount(done.not_reviewed, 'box')} left out as not accepted" if done.not_reviewed else "",
             f"{amount(done.scores, 'score')} outside 0..1 dropped" if done.scores else "",
         ]

@@ -17,7 +17,8 @@ from annotator.types.label import AttributeValue, Said
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
-from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, HasUnseen, LabelSet
+from annotator.workflows.importing.label_set import FoundInProject, HasBoxValues, HasFrameValues, HasUnseen, LabelSet
+from annotator.workflows.importing.missing_values import give_missing_values
 
 AUTHOR = "import"
 
@@ -52,6 +53,7 @@ class ImportedLabels:
         unseen: number of boxes left out because they are outside the images of all frames that were read.
         scores: number of scores on `frames` left out because they are not confidences in 0..1.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
+        filled: number of values that labels and frames among `already` got.
         renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
@@ -65,6 +67,7 @@ class ImportedLabels:
     unseen: int = 0
     scores: int = 0
     values: Counter[str] = field(default_factory=Counter)
+    filled: int = 0
     renamed: Renamed | None = None
 
 
@@ -90,6 +93,7 @@ def import_labels(
     progress: Callable[[int, int], None] | None = None,
     names: Mapping[str, str] = NO_NAMES,
     importer: Importer = PROGRAM,
+    fill: bool = False,
 ) -> ImportedLabels:
     """Imports the boxes of every frame without labels; each becomes an accepted label with the source imported.
 
@@ -97,6 +101,8 @@ def import_labels(
         recording: name of the recording of plain frame names, if several recordings have such frames.
         progress: called with (frames done, frames).
         names: the project's class of each class of the dataset; classes that are not listed keep their names.
+        fill: give labels that frames have already, and these frames, the values of attributes that they lack. Finalised
+            frames stay as they are.
 
     Raises:
         FormatError: none of the labelled frames is in the project, or a name fits several.
@@ -106,47 +112,91 @@ def import_labels(
     dataset = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
     frames = match_frames(project, dataset.path, dataset.frames, recording)
     source, done = FrameSource(project), ImportedLabels(unmatched=frames.unmatched, renamed=frames.renamed)
-    config = project.config
-    classes, reader = set(config.classes), ValueReader(config.attributes)
+    reader = _Importer(project, dataset, names, importer, done)
     for number, (name, stored) in enumerate(frames.matched, 1):
-        if stored.finalised or project.labels.of_frame(stored.id):
+        is_labelled = stored.finalised or bool(project.labels.of_frame(stored.id))
+        if is_labelled:
             done.already += 1
-        else:
+        if not is_labelled or (fill and not stored.finalised and reader.has_values(name)):
             try:
                 truths = truths_of(dataset, name, source.read(stored))
             except FrameError as error:
                 done.unreadable.append(f"{stored.key}: {error}")
             else:
-                named = [(t, renamed_class(t.label, names)) for t in truths]
-                done.other_classes.update(t.label for t, label in named if label not in classes)
-                new = [
-                    NewLabel(
-                        label,
-                        t.box,
-                        t.score,
-                        t.track_id,
-                        box_kind=t.box_kind,
-                        attributes=reader.of_label(label, t.attributes),
-                        said=_known(t.said, names, classes),
-                    )
-                    for t, label in named
-                    if label in classes
-                ]
-                if create_if_unlabelled(project, stored.id, new, importer.author, importer.action):
-                    if isinstance(dataset, HasFrameValues) and (values := reader.of_frame(dataset.values_of(name))):
-                        _set_values(project, stored.id, values, importer)
-                    done.frames += 1
-                    done.labels.update(label.label for label in new)
-                    left_out = dataset.left_out_of(name)
-                    done.not_reviewed += left_out.not_reviewed
-                    done.scores += left_out.scores
-                else:
-                    done.already += 1
+                (reader.fill if is_labelled else reader.add)(name, stored, truths)
         if progress is not None:
             progress(number, len(frames.matched))
     done.values = reader.left_out
     done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
     return done
+
+
+class _Importer:
+    def __init__(
+        self, project: Project, dataset: LabelSet, names: Mapping[str, str], importer: Importer, done: ImportedLabels
+    ) -> None:
+        self._project, self._dataset, self._names = project, dataset, names
+        self._importer, self._done = importer, done
+        config = project.config
+        self._classes = set(config.classes)
+        self._attributes = {each.name for each in config.attributes}
+        self._reader = ValueReader(config.attributes)
+
+    @property
+    def left_out(self) -> Counter[str]:
+        """Values that the project cannot hold."""
+        return self._reader.left_out
+
+    def has_values(self, name: str) -> bool:
+        """Whether a frame of the dataset has values of the project's attributes; no frame is read."""
+        of_boxes = self._dataset.values_of_boxes(name) if isinstance(self._dataset, HasBoxValues) else ()
+        of_frame = self._dataset.values_of(name) if isinstance(self._dataset, HasFrameValues) else {}
+        return any(self._attributes & values.keys() for values in (of_frame, *of_boxes))
+
+    def add(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
+        """Stores the labels and values of a frame without labels."""
+        done = self._done
+        named = [(t, renamed_class(t.label, self._names)) for t in truths]
+        done.other_classes.update(t.label for t, label in named if label not in self._classes)
+        new = self._labels(truths)
+        if create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):
+            self._give_frame(name, stored)
+            done.frames += 1
+            done.labels.update(label.label for label in new)
+            left_out = self._dataset.left_out_of(name)
+            done.not_reviewed += left_out.not_reviewed
+            done.scores += left_out.scores
+        else:
+            done.already += 1
+
+    def fill(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
+        """Stores the values that a frame and its labels lack."""
+        given = self._labels(truths)
+        importer = self._importer
+        self._done.filled += give_missing_values(self._project, stored.id, given, importer.author, importer.action)
+        self._done.filled += self._give_frame(name, stored)
+
+    def _labels(self, truths: Sequence[Truth]) -> list[NewLabel]:
+        named = [(t, renamed_class(t.label, self._names)) for t in truths]
+        return [
+            NewLabel(
+                label,
+                t.box,
+                t.score,
+                t.track_id,
+                box_kind=t.box_kind,
+                attributes=self._reader.of_label(label, t.attributes),
+                said=_known(t.said, self._names, self._classes),
+            )
+            for t, label in named
+            if label in self._classes
+        ]
+
+    def _give_frame(self, name: str, stored: StoredFrame) -> int:
+        if not isinstance(self._dataset, HasFrameValues):
+            return 0
+        values = self._reader.of_frame(self._dataset.values_of(name))
+        return _set_values(self._project, stored.id, values, self._importer) if values else 0
 
 
 def _known(said: Sequence[Said], names: Mapping[str, str], classes: Collection[str]) -> tuple[Said, ...]:
@@ -155,16 +205,19 @@ def _known(said: Sequence[Said], names: Mapping[str, str], classes: Collection[s
     return tuple(each for each in named if each.label in classes)
 
 
-def _set_values(project: Project, frame_id: int, values: Mapping[str, AttributeValue], importer: Importer) -> None:
-    """Gives a frame the values that it lacks."""
+def _set_values(project: Project, frame_id: int, values: Mapping[str, AttributeValue], importer: Importer) -> int:
+    """Gives a frame the values that it lacks; returns how many."""
     while True:
-        missing = dict(values) | project.frames.attributes_of(frame_id)
+        present = project.frames.attributes_of(frame_id)
+        missing = dict(values) | present
+        if len(missing) == len(present):
+            return 0
         revision = project.frames.get(frame_id).revision
         with suppress(StaleRevisionError):
             context = WriteContext(revision, importer.author, Source.IMPORTED)
             part = FramePart(frame_id, [FrameAttributesSet(attributes=missing)], context)
             project.log.append_to_frames([part], importer.action)
-            return
+            return len(missing) - len(present)
 
 
 def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:

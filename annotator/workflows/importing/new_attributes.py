@@ -54,7 +54,7 @@ def values_of_pictures(format: FlatFormat, path: Path) -> FoundValues:
     return found
 
 
-def add_attributes(project: Project, found: FoundValues) -> tuple[Attribute, ...]:
+def add_attributes(project: Project, found: FoundValues, author: str = AUTHOR) -> tuple[Attribute, ...]:
     """Adds the attributes that the project lacks; returns them.
 
     Those of boxes are not of tracks, since a file does not say what never changes. Names that an attribute cannot have
@@ -69,7 +69,7 @@ def add_attributes(project: Project, found: FoundValues) -> tuple[Attribute, ...
         *_attributes(found.of_frames, known | found.of_boxes.keys(), AttributeOf.FRAME),
     ]
     for attribute in new:
-        project.change_classes(partial(edit.put_attribute, attribute=attribute), AUTHOR)
+        project.change_classes(partial(edit.put_attribute, attribute=attribute), author)
     return tuple(new)
 
 

@@ -33,6 +33,8 @@ class ImportedProposals:
         frames: number of frames that the source now has a say in.
         proposals: number of proposed boxes, by class.
         merged: number of these that other sources see as well, or our own proposals.
+        conflicts: values of boxes that another source sees as well, and gives another value: that of the surer box is
+            shown.
         covered: boxes that reviewed labels cover already.
         unsure: boxes with a score below the minimum.
         rejected: boxes left out because somebody has rejected them.
@@ -47,6 +49,7 @@ class ImportedProposals:
     frames: int = 0
     proposals: Counter[str] = field(default_factory=Counter)
     merged: int = 0
+    conflicts: int = 0
     covered: int = 0
     unsure: int = 0
     rejected: int = 0
@@ -159,6 +162,7 @@ class _Importer:
             new = zip(self._waiting[frame_id], brought.is_open, strict=True)
             self._done.proposals.update(label.label for label, is_open in new if is_open)
             self._done.merged += brought.merged
+            self._done.conflicts += brought.conflicts
             self._done.covered += brought.is_open.count(False)
         self._waiting = {}
 

@@ -146,6 +146,7 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
     project = live.context.project("room")
     first, second = (frame.key for frame in project.frames.of()[:2])
     entry = {"label": "Person", "size": [0.5, 0.4, 1.8], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    entry["attributes"] = {"age": 7}
 
     def propose(name: str, *boxes: tuple[float, float], lowest: str = "") -> None:
         given = [entry | {"center": [x, 0.0, 3.0], "score": score} for x, score in boxes]
@@ -162,11 +163,13 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
         start.get_by_test_id("boxes-become").select_option("labels")
         expect(start.get_by_test_id("boxes-source")).to_be_hidden()
         start.get_by_test_id("boxes-become").select_option("proposals")
+        start.get_by_test_id("boxes-add-attributes").check()
         start.get_by_test_id("boxes-min-score").fill(lowest)
         start.get_by_test_id("dialog-import").click()
         expect(start.get_by_test_id("project-room")).to_contain_text(f"boxes of {name} proposed in 2 frames")
 
     propose("mine", (0.0, 0.8), (0.6, 0.2))
+    assert [each.name for each in project.config.attributes] == ["age"]
     propose("theirs", (0.02, 0.6), (-0.6, 0.8), (1.5, 0.2), lowest="0.3")
     start.goto("/#/room/review")
     items = start.get_by_test_id("queue-item")

@@ -42,7 +42,7 @@ VALUES: list[dict[str, Any]] = [
 OF_FRAME = {"weather": "light rain", "night": False}
 ROUNDED = "truncation, rounded"
 ALL = {each["name"] for each in SCHEMA}
-# Format, the attributes of boxes that it holds, whether it holds those of frames.
+# Format, the attributes of boxes that it holds, whether it holds those of frames. KITTI tracking has a test of its own.
 BOTH = {"truncation", "occlusion"}
 HELD = [
     pytest.param(ExportFormat.RCV, ALL, True, id="rcv"),
@@ -51,7 +51,6 @@ HELD = [
     pytest.param(ExportFormat.NUSCENES, ALL, False, id="nuscenes"),
     pytest.param(ExportFormat.SUSTECHPOINTS, ALL, False, id="sustechpoints"),
     pytest.param(ExportFormat.KITTI, BOTH, False, id="kitti"),
-    pytest.param(ExportFormat.KITTI_TRACKING, BOTH, False, id="kitti-tracking"),
     pytest.param(ExportFormat.SUNRGBD, set[str](), False, id="sunrgbd"),
     pytest.param(ExportFormat.LABELCLOUD, set[str](), False, id="labelcloud"),
     pytest.param(ExportFormat.YOLO, set[str](), False, id="yolo"),
@@ -145,3 +144,30 @@ def test_kitti_rounds_a_truncation_and_says_so(make: Callable[[], Project], tmp_
     # the operator's values, not the measured ones
     assert [row.split()[1:3] for row in rows.read_text().splitlines()][1] == ["0.25", "3"]
     assert rows.read_text().split()[1] == "0.33"
+
+
+def test_kitti_tracking_has_levels_of_truncation_and_says_what_becomes_of_shares(
+    make: Callable[[], Project], tmp_path: Path
+) -> None:
+    project = make()
+    shares = [0.0, 0.5, 0.51, 0.91]
+    given = [{"truncation": share, "occlusion": number, "helmet": True} for number, share in enumerate(shares)]
+    fill(project, project.frames.of()[0].id, given)
+    for number in range(2):
+        report = trip(project, tmp_path / f"{number}", ExportFormat.KITTI_TRACKING)
+        (file,) = (tmp_path / f"{number}" / "training" / "label_02").iterdir()
+        rows = [row.split() for row in file.read_text().splitlines()]
+        assert [row[4] for row in rows] == ["0", "1", "2", "3"]
+        losses = [each.message for each in report.losses if each.kind is Lost.ATTRIBUTE]
+        if number == 0:
+            assert [row[3] for row in rows] == ["0", "0", "1", "2"]
+            assert losses == [message(Counter({"helmet": 4, "truncation, as a level": 3}))]
+            # of the levels, only 0 is a share
+            assert values(project) == [
+                {"truncation": 0.0, "occlusion": 0},
+                {"truncation": 0.0, "occlusion": 1},
+                {"occlusion": 2},
+                {"occlusion": 3},
+            ]
+        else:
+            assert losses == []

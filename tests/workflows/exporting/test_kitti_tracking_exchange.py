@@ -105,7 +105,7 @@ def some_frames(drive: Path, folder: Path, numbers: tuple[int, ...]) -> Path:
 
 @pytest.mark.shared
 def test_kittis_tracking_labels_are_exported_unchanged(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
-    drive = some_frames(shared / "data" / "kitti_drive_0005", tmp_path / "drive", (2, 3, 9))
+    drive = some_frames(shared / "data" / "kitti_drive_0005", tmp_path / "drive", (2, 3, 4, 9))
     project = make_project(drive, classes=("Van", "Cyclist", "Pedestrian"))
     import_own_labels(project, project.recordings.all()[0].id)
     export_project(project, tmp_path / "out", TRACKING)
@@ -116,6 +116,9 @@ def test_kittis_tracking_labels_are_exported_unchanged(make_project: MakeProject
     assert sorted(map(key, found)) == sorted(map(key, wanted))
     assert len(areas) > 3
     pairs = zip(sorted(found, key=key), sorted(wanted, key=key), strict=True)
+    # levels of truncation, as KITTI's: a pedestrian enters the image
+    assert [a[3] for a in sorted(found, key=key)] == [b[3] for b in sorted(wanted, key=key)]
+    assert {row[3] for row in wanted} == {"-1", "0", "1"}
     solid = [(a[10:], b[10:]) for a, b in pairs if a[2] != "DontCare"]
     assert len(solid) == len(wanted) - len(areas) > 6
     np.testing.assert_allclose(

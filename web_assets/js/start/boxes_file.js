@@ -115,6 +115,13 @@ export async function importBoxes(app, name) {
     h("label", { class: "field" }, h("span", {}, "The boxes become"), become),
     ofProposals,
   );
+  const addAttributes = h("input", { type: "checkbox", "data-testid": "boxes-add-attributes" });
+  const ofAttributes = h(
+    "label",
+    { class: "row" },
+    addAttributes,
+    "Add the file's attributes that the project lacks, and give labels the values that they lack",
+  );
   const about = h("div", { class: "stack", role: "status", "data-testid": "boxes-about" });
   const classes = h("fieldset", { class: "choices", hidden: true, "data-testid": "boxes-classes" });
 
@@ -157,6 +164,7 @@ export async function importBoxes(app, name) {
   /** Shows what can be chosen for 2D boxes, or for 3D boxes. */
   function showKind() {
     const is3d = sent !== null && sent.labelled !== null;
+    ofAttributes.hidden = sent === null;
     of2d.hidden = sent === null || is3d;
     of3d.hidden = !is3d;
     ofProposals.hidden = become.value !== "proposals";
@@ -226,6 +234,7 @@ export async function importBoxes(app, name) {
       upload: sent.id,
       names: Object.fromEntries(chosen.filter(({ label, to }) => label !== to).map(({ label, to }) => [label, to])),
       recording: recording.value ? Number(recording.value) : null,
+      add_attributes: addAttributes.checked,
       ...(sent.labelled === null
         ? { box_kind: kind.value, lift: lift.checked }
         : {
@@ -264,6 +273,7 @@ export async function importBoxes(app, name) {
         : []),
       of2d,
       of3d,
+      ofAttributes,
     ],
     actions: [
       { label: "Cancel", value: "cancel" },
