@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import glob
+import hashlib
 import io
 import logging
 import lzma
@@ -184,6 +185,16 @@ def read_file(path: Path, most_bytes: int = DOCUMENT_BYTES) -> bytes:
             if size > most_bytes:
                 raise _too_large(path, most_bytes)
     return b"".join(parts)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a regular file of any size, in hexadecimal digits.
+
+    Raises:
+        OSError: as `open_file`.
+    """
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_text_file(

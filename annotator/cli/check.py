@@ -75,9 +75,10 @@ def _check_project(name: str, projects: Path | None, list_all: bool, as_json: bo
     from annotator.project.backup.verify import verify
     from annotator.workflows.checking.project_labels import check_project
 
-    verification = verify(named_folder(name, projects), deep=True)
+    folder = named_folder(name, projects)
+    verification = verify(folder, deep=True)
     if verification.problems:
-        report_problems(verification, as_json)
+        report_problems(verification, folder, as_json)
         return FAULTY
     with open_named(name, projects) as opened:
         report = check_project(opened)

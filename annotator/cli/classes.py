@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import ValidationError
 from tyro.conf import arg
@@ -16,7 +16,7 @@ from annotator.cli.output import print_facts, print_json, print_line
 from annotator.cli.projects import open_named, projects_root
 from annotator.project import ProjectConfig
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle, value_text
 from annotator.project.classes.changing import change_classes
 from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
@@ -29,6 +29,8 @@ AUTHOR = "annotator classes"
 
 ClassName = Annotated[str, arg(help="name of the class.")]
 Colour = Annotated[str | None, arg(metavar="RRGGBB", help="colour on the page, six hexadecimal digits.")]
+Clearable = Literal["minimum", "maximum", "classes", "default", "key"]
+_CLEARED = {"classes": ()}
 Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.")]
 
 
@@ -147,8 +149,9 @@ def attribute(
     classes: tuple[str, ...] = (),
     required: bool = False,
     optional: bool = False,
-    value: str | None = None,
+    default: Annotated[str | None, arg(aliases=("--value",))] = None,
     key: Key = None,
+    clear: tuple[Clearable, ...] = (),
     drop: bool = False,
     projects: Projects = None,
 ) -> None:
@@ -164,11 +167,17 @@ def attribute(
         classes: classes that have the attribute, with spaces or commas between them; default: all.
         required: let checks report boxes without a value.
         optional: let checks accept boxes without a value.
-        value: default value of new boxes.
+        default: value of new boxes.
+        clear: settings that an attribute is to have no longer.
         drop: remove stored values that do not fit.
     """
 
+    set_here = {"minimum": minimum, "maximum": maximum, "classes": classes or None, "default": default, "key": key}
+
     def put(config: ProjectConfig) -> ClassEdit:
+        both = sorted(set(clear) & {field for field, each in set_here.items() if each is not None})
+        if both:
+            raise ConfigError(f"--{both[0]} sets what --clear removes; give one of both")
         known = {each.name: each for each in config.attributes}
         if name not in known and kind is None:
             raise ConfigError(f"a new attribute needs --kind, one of {', '.join(AttributeKind)}")
@@ -180,16 +189,18 @@ def attribute(
         }
         fields = known[name].model_dump() if name in known else {"name": name}
         fields |= {field: each for field, each in given.items() if each is not None}
+        fields |= {field: _CLEARED.get(field) for field in clear}
         for label in given["classes"] or ():
             edit.require_class(config, label)
         try:
-            made = Attribute.model_validate(fields)
-            if value is not None:
-                made = made.model_copy(update={"default": made.read(value)})
+            # the old default need not fit the new limits
+            made = Attribute.model_validate(fields if default is None else fields | {"default": None})
+            if default is not None:
+                made = made.model_copy(update={"default": made.read(default)})
         except ValidationError as error:
             raise ConfigError(first_problem(error)) from error
         except ValueError as error:
-            raise ConfigError(f"--value: {error}") from error
+            raise ConfigError(f"--default: {error}") from error
         return edit.put_attribute(config, made, drop=drop)
 
     config = _change(project, projects, put, show_classes=False)
@@ -284,6 +295,6 @@ def _described(row: ClassRow) -> str:
 def _attribute_line(attribute: Attribute) -> str:
     has = f"of {', '.join(attribute.classes)}" if attribute.classes else ""
     of = "" if attribute.of is AttributeOf.BOX else f"of each {attribute.of}"
-    default = "" if attribute.default is None else f"default {str(attribute.default).lower()}"
+    default = "" if attribute.default is None else f"default {value_text(attribute.default)}"
     more = [of, has, "required" if attribute.required else "", default, f"key {attribute.key}" if attribute.key else ""]
     return f"attribute {attribute.name}: " + "; ".join(filter(None, [attribute.values_text(), *more]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +13,10 @@ from annotator.cli.projects import named_folder
 from annotator.project.backup.content import ModelChoice
 from annotator.project.backup.make import back_up
 from annotator.types.amounts import amount
+from annotator.types.names import first_few
+
+# Files that a message lists.
+MOST_NAMED = 5
 
 
 def run(
@@ -37,4 +42,12 @@ def run(
     manifest = backup.manifest
     labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
     print_line(f"{out}: {labels}, {events}, {amount(len(manifest.files), 'file')}")
+    print_missing(backup.missing)
     print_line(f"restore it with: annotator project restore {out} NAME")
+
+
+def print_missing(names: Sequence[str]) -> None:
+    """Names the files that a project refers to, and that are not there."""
+    if names:
+        files = first_few(names, MOST_NAMED)
+        print_line(f"the project lacks {amount(len(names), 'file')} of its pseudo-views or detectors: {files}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
+from annotator.cli.project_backup import print_missing
 from annotator.cli.projects import named_folder
 from annotator.project.backup.repair import repair
 from annotator.types.amounts import amount
@@ -21,6 +22,7 @@ def run(project: ProjectName, new_name: str | None = None, /, *, projects: Proje
     events = amount(done.events, "event")
     if not done.is_new:
         print_line(f"{done.path}: its state was made anew from {events}; backed up before: {done.backup}")
+        print_missing(done.missing)
         return
     print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
     if done.lost:
@@ -28,3 +30,4 @@ def run(project: ProjectName, new_name: str | None = None, /, *, projects: Proje
         print_line(f"missing, unreadable or unusable: {lost}; compare with the newest backup")
     if done.restored:
         print_line(f"taken from the damaged tables, because their events are lost: {amount(done.restored, 'state')}")
+    print_missing(done.missing)

@@ -53,8 +53,7 @@ def named_folder(name: str, projects: Path | None) -> Path:
         raise ConfigError(no_project(name, folder)) from error
     if not (folder / name).is_dir():
         raise ConfigError(
-            f"{no_project(name, folder)}; create it with `annotator new {name} --classes ...`, or name another folder "
-            "with --projects"
+            f"{no_project(name, folder)}; `annotator new` creates one, and --projects names another folder"
         )
     return folder / name
 

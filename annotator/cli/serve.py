@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from annotator.cli.options import Host, NoToken, Port, Projects, TokenFile
+from annotator.cli.output import print_line
 from annotator.cli.projects import open_named, projects_root
 from annotator.types.errors import ConfigError
 
@@ -31,6 +32,7 @@ def run(
         open: open the page in the browser.
         window: open the page in a window of its own.
     """
+    from annotator.web.security import is_loopback
     from annotator.web.serve import serve
     from annotator.web.settings import ServerSettings
     from annotator.web.tokens import with_token
@@ -39,6 +41,8 @@ def run(
     missing = [str(path) for path in folder if not path.is_dir()]
     if missing:
         raise ConfigError(f"--folder {' '.join(missing)}: no such folder")
+    if not folder and not is_loopback(host):
+        print_line("with --host, recordings are read only in the folders of --folder, and none is given")
     settings = ServerSettings(root.resolve(), folder, host, port)
     settings = with_token(settings, token_file, no_token=no_token)
     serve(settings, None if project is None else first_page(project, root), open_browser=open, window=window)

@@ -55,6 +55,25 @@ def read_boxes(path: Path) -> dict[str, list[Truth]]:
     return dict(each_frame(path))
 
 
+# The usual name of a file of boxes, and where a recording has it.
+NAME = "boxes.json"
+PLACES = (f"truth/{NAME}", NAME)
+
+
+def boxes_file(path: Path) -> Path:
+    """The file of boxes at `path`, which may also be the folder of a recording.
+
+    Raises:
+        FormatError: a folder without one.
+    """
+    if not path.is_dir():
+        return path
+    found = next((path / place for place in PLACES if (path / place).is_file()), None)
+    if found is None:
+        raise FormatError(path, f"has no {' and no '.join(PLACES)}; give the file of boxes")
+    return found
+
+
 def each_frame(path: Path) -> Iterator[tuple[str, list[Truth]]]:
     """Yields what `read_boxes` returns, frame by frame. Raises as `read_boxes`."""
     for key, entries in each_entries(path):

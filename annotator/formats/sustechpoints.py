@@ -157,6 +157,8 @@ def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
 def _label_folders(path: Path) -> Iterator[Path]:
     places = (path / LABELS, *sorted(path.glob(f"*/{LABELS}")), *sorted(path.glob(f"*/*/{LABELS}")), path)
     found = [place for place in places if place.is_dir() and next(place.glob("*.json"), None) is not None]
+    if path.is_file():
+        raise FormatError(path, f"has the labels of one frame; give the folder of all: {path.parent}")
     if not found:
         raise FormatError(path, f"has no label file of SUSTechPOINTS (SCENE/{LABELS}/*.json)")
     # a folder with scenes has no label files of its own

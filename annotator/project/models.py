@@ -9,6 +9,7 @@ from pathlib import Path, PurePath
 from pydantic import TypeAdapter
 from sqlalchemy import Connection, insert, select, update
 
+from annotator.files import sha256_of
 from annotator.project.records import parsed
 from annotator.project.schema import AnyRow, models
 from annotator.project.store import Store
@@ -79,11 +80,15 @@ class Models:
             created_ns: as in `StoredModel`: classes that are renamed later are translated; None = now.
 
         Raises:
-            ProjectError: a file is missing, or lies outside the project's folder.
+            ProjectError: a file is missing, cannot be read, or lies outside the project's folder.
         """
         for file in (path, manifest):
             if file is not None and not file.exists():
                 raise ProjectError(f"{file}: is missing; it is required to register the {role} model")
+        try:
+            sha256 = sha256_of(path)
+        except OSError as error:
+            raise ProjectError(f"{path}: cannot be read: {error.strerror or error}") from error
         row = {
             "role": role.value,
             "path": self._stored_path(path),
@@ -94,6 +99,7 @@ class Models:
             "manifest": None if manifest is None else self._stored_path(manifest),
             "fingerprint": fingerprint,
             "active": False,
+            "sha256": sha256,
         }
         with self.store.write() as connection:
             key = connection.execute(insert(models), row).inserted_primary_key

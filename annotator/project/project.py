@@ -165,9 +165,9 @@ class Project:
             self._writer.to_classes_in(connection, payload, author, shown)
             if removed := sorted(set(class_counts(connection)) & set(old.classes) - set(new.classes)):
                 raise ProjectError(
-                    f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed while boxes use it; merge "
-                    "it into another class, remove it with its boxes, or delete or relabel these boxes first, also "
-                    "those of recordings that were removed"
+                    f"project {old.name}: {', '.join(map(repr, removed))} cannot be removed while boxes use it; give "
+                    "them another class (--into on the command line), or remove them, too (--with-boxes); recordings "
+                    "that were removed may have some"
                 )
             require_fitting(connection, old.attributes, new.attributes)
         return True

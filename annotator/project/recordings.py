@@ -20,7 +20,7 @@ from annotator.project.tidying.removed import hide_removed, show_again
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
-from annotator.types.names import alternatives
+from annotator.types.names import alternatives, first_few
 
 # Maximum number of frame keys listed in an error message.
 MOST_NAMED = 5
@@ -368,8 +368,7 @@ def _require_same(recording: StoredRecording, path: Path, known: Mapping[str, in
 
 
 def _frame_list(keys: Sequence[str]) -> str:
-    more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
-    return f"{'frame' if len(keys) == 1 else 'frames'} {', '.join(keys[:MOST_NAMED])}{more}"
+    return f"{'frame' if len(keys) == 1 else 'frames'} {first_few(keys, MOST_NAMED)}"
 
 
 def _free_name(connection: Connection, name: str) -> str:

@@ -237,6 +237,7 @@ models = Table(
     Column("manifest", Text),
     Column("fingerprint", Text, nullable=False),
     Column("active", Boolean, nullable=False),
+    Column("sha256", Text),
 )
 
 DERIVED = (labels, image_labels, view_labels, revertible, adjustments, frame_attributes, removed_rows)

@@ -11,6 +11,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 from annotator.types.errors import FrameError, RecordingError
+from annotator.types.names import first_few
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 NUMBER = re.compile("[0-9]+")
@@ -67,8 +68,7 @@ def unread_note(folder: Path, known: tuple[str, ...], labels: str) -> str | None
     unread = [name for name in names if not any(fnmatch(name.rstrip("/"), pattern) for pattern in patterns)]
     if not unread:
         return None
-    more = f" and {len(unread) - MOST_NAMED} more" if len(unread) > MOST_NAMED else ""
-    return f"not read: {', '.join(unread[:MOST_NAMED])}{more}; labels are read from {labels}"
+    return f"not read: {first_few(unread, MOST_NAMED)}; labels are read from {labels}"
 
 
 def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from difflib import get_close_matches
+from itertools import islice
 
 # Names that a message lists.
 MOST_LISTED = 12
@@ -14,9 +15,13 @@ def alternatives(name: str, known: Collection[str]) -> str:
     near = nearest(name, known)
     if near is not None:
         return f"did you mean {near!r}?"
-    listed = list(known)[:MOST_LISTED]
-    more = f" and {len(known) - MOST_LISTED} more" if len(known) > MOST_LISTED else ""
-    return f"it has: {', '.join(listed) or 'none'}{more}"
+    return f"it has: {first_few(known, MOST_LISTED) or 'none'}"
+
+
+def first_few(names: Collection[str], most: int) -> str:
+    """The first names of a list, and how many more there are: "a, b, c and 2 more"."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(islice(names, most)) + more
 
 
 def nearest(name: str, known: Collection[str]) -> str | None:

@@ -7,6 +7,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from annotator.cli.main import main
@@ -72,3 +73,19 @@ def test_repair_says_what_it_did(root: Path, capsys: pytest.CaptureFixture[str])
     assert main(["project", "repair", "hands", "saved"]) == 0
     assert "a new project with 1 event; the damaged project is unchanged" in capsys.readouterr().out
     assert main(["project", "verify", "saved", "--deep"]) == 0
+
+
+def test_missing_files_and_the_newest_backup_are_named(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_project(root / "hands") as project:
+        view = project.views.store(np.zeros((4, 4, 3), np.uint8))
+        project.boxes.set_on_view(view, [], BoxKind.BOX, WriteContext(0, "Ada"), frame_id=1)
+    assert main(["project", "repair", "hands"]) == 0
+    assert "lacks" not in capsys.readouterr().out
+    (root / "hands" / "views" / f"{view}.png").unlink()
+    lacks = f"the project lacks 1 file of its pseudo-views or detectors: views/{view}.png"
+    for words in ("backup hands one.zip", "repair hands"):
+        assert main(["project", *words.split()]) == 0
+        assert lacks in capsys.readouterr().out
+    assert main(["project", "verify", "hands", "--deep"]) == 1
+    newest = max((root / ".backups" / "hands").iterdir())
+    assert f"a backup such as {newest}, the newest automatic one" in capsys.readouterr().out

@@ -35,7 +35,7 @@ def listed(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
 def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words in (
         "add cars bus --colour 3366ff --key b",
-        "attribute cars pose --kind choice --choices parked,driving --value parked --key p",
+        "attribute cars pose --kind choice --choices parked,driving --default parked --key p",
         "attribute cars pose --required --classes car,van",
         "cars rename car auto",
         "rename-attribute cars pose=parked still",
@@ -85,12 +85,16 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
         ("merge cars car --into bus", "has no class 'bus'; it has: car, van"),
         ("merge cars vans --into car", "has no class 'vans'; did you mean 'van'?"),
         ("merge cars --into car", "name the classes whose boxes 'car' gets"),
-        ("remove cars car", "'car' cannot be removed while boxes use it; merge it into another class"),
+        (
+            "remove cars car",
+            "'car' cannot be removed while boxes use it; give them another class (--into on the command line)",
+        ),
         ("remove cars car --into van --with-boxes", "give one of both"),
         ("remove cars Van", "has no class 'Van'; did you mean 'van'?"),
         ("order cars car", "must name each class once: car, van"),
         ("attribute cars pose", "a new attribute needs --kind"),
-        ("attribute cars pose --kind integer --value red", "--value: pose must be a whole number"),
+        ("attribute cars pose --kind integer --default red", "--default: pose must be a whole number"),
+        ("attribute cars pose --default driving --clear default", "--default sets what --clear removes"),
         ("attribute cars pose --kind text --classes bus", "has no class 'bus'"),
         ("rename-attribute cars pose posture", "has no attribute 'pose'; it has: none"),
     ],
@@ -102,6 +106,18 @@ def test_what_cannot_be_done_is_refused_with_the_way_out(
     assert main(["classes", *words.split()]) == 2
     assert problem in capsys.readouterr().err
     assert (cars / "project.json").read_text() == before
+
+
+def test_settings_of_an_attribute_change_together_and_are_cleared(
+    cars: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, shown in (
+        ("--kind number --minimum 0 --maximum 9 --default 5", "a number from 0 to 9; default 5.0"),
+        ("--maximum 3 --default 2", "a number from 0 to 3; default 2.0"),
+        ("--clear maximum default", "a number from 0"),
+    ):
+        assert main(["classes", "attribute", "cars", "age", *words.split()]) == 0
+        assert capsys.readouterr().out == f"attribute age: {shown}\n"
 
 
 @pytest.mark.parametrize("words", ["merge cars car --into van", "remove cars car --with-boxes"])

@@ -19,7 +19,8 @@ ROW = "Car 0.00 0 -1.5 100 100 200 200 1.5 1.6 3.9 1.0 1.5 20.0 -1.5"
 REFUSALS = [
     # names of projects, recordings and classes
     ("stats Room", "has no project 'Room' (did you mean 'room'?)"),
-    ("stats rom", "(did you mean 'room'?); create it with `annotator new rom --classes ...`"),
+    ("stats rom", "(did you mean 'room'?); `annotator new` creates one, and --projects names another folder"),
+    ("project restore recordings", "is a folder; `annotator project copy` takes in a project's folder"),
     ("stats ../room", "--projects names the folder of projects"),
     ("up room People", "no recording 'People'; did you mean 'people'?"),
     ("project remove room People", "no recording 'People'; did you mean 'people'?"),
@@ -54,6 +55,10 @@ REFUSALS = [
     ("import room flat.json --classes car=person", "the dataset has no class 'car'; did you mean 'Car'?"),
     ("import room labels --format rcv", "labels: is no dataset in the format rcv, which has a dataset.json"),
     ("import room other", "no format of boxes was recognised; if it has one of these, name it: --format coco|yolo|"),
+    ("import room labels/000000.txt", "has the labels of one frame; give the folder of all: labels"),
+    ("import room psr.json", "has the labels of one frame; give the folder of all: "),
+    ("import room recordings/people --as 2d --classes person=tree", "has no class 'tree'; it has: person"),
+    ("import room car.json --as 2d", "`annotator classes add`, or map them to its own, as in --classes Car=person"),
     ("import room far", "the project has none of the dataset's frames (999999); first add their recording"),
     # export
     (
@@ -81,6 +86,10 @@ def place(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / path).write_text(ROW)
     (folder / "boxes.csv").write_text("image,class,cx,cy,cz,l,w,h,yaw\n1,car,0,0,1,1,1,1,0\n")
     (folder / "boxes.json").write_text("{}")
+    at = {"center": [0, 0, 2], "size": [1, 1, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    (folder / "car.json").write_text(json.dumps({"000000": [{"label": "Car", **at}]}))
+    psr = {name: {"x": 1, "y": 1, "z": 1} for name in ("position", "scale", "rotation")}
+    (folder / "psr.json").write_text(json.dumps([{"obj_type": "Car", "psr": psr}]))
     flat = {"images": [{"id": 1, "file_name": "000000.png", "width": 320, "height": 240}]}
     flat |= {"categories": [{"id": 1, "name": "Car"}]}
     flat |= {"annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1, 1, 9, 9]}]}

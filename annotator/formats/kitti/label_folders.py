@@ -21,6 +21,7 @@ from annotator.formats.frame_class_names import DatasetNames
 from annotator.formats.json_file import MOST
 from annotator.formats.kitti.label_files import (
     DONT_CARE,
+    FIELDS,
     KittiLabel,
     parse_fields,
     parse_label_line,
@@ -50,6 +51,8 @@ def each_kitti_frame(path: Path) -> Iterator[tuple[str, tuple[Truth, ...]]]:
     """
     place = _place(path)
     if place.is_file() and place.suffix == ".txt":
+        if any(len(fields) in (FIELDS, FIELDS + 1) for _, fields in text_rows(place)[:1]):
+            raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
         yield from _tracked(place).items()
         return
     dataset_names = DatasetNames.of(place)

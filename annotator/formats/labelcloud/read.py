@@ -71,6 +71,8 @@ def read_labelcloud_file(file: Path) -> LabelCloudFrame:
 def _label_folders(path: Path) -> list[Path]:
     folders = [folder for folder in (path / LABELS, *sorted(path.glob(f"*/{LABELS}"))) if folder.is_dir()]
     labelled = [folder for folder in folders or [path] if any(_label_files(folder))]
+    if path.is_file():
+        raise FormatError(path, f"has the labels of one frame; give the folder of all: {path.parent}")
     if not labelled:
         raise FormatError(path, "has no label file of labelCloud (*.json, here or in labels/)")
     return labelled

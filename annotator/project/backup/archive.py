@@ -105,6 +105,8 @@ def open_backup(path: Path) -> Iterator[tuple[zipfile.ZipFile, BackupManifest]]:
         FormatError: no regular file, not a backup, damaged, of a newer annotator, or with entries that no backup has.
     """
     if not path.is_file():
+        if path.is_dir():
+            raise FormatError(path, "is a folder; `annotator project copy` takes in a project's folder")
         raise FormatError(path, "no such file; give a file that `annotator project backup` has written")
     with ExitStack() as opened:
         with _reported(path):

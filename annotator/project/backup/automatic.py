@@ -7,6 +7,7 @@ kept. They contain the active detectors, not all.
 
 from __future__ import annotations
 
+import logging
 import time
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -21,8 +22,12 @@ from annotator.project.config import ProjectSettings, read_config
 from annotator.project.schema import events
 from annotator.project.store import Store
 from annotator.types.errors import AnnotatorError, ProjectError
+from annotator.types.names import first_few
 
+LOG = logging.getLogger("annotator.project")
 FOLDER = ".backups"
+# Files that a message lists.
+MOST_NAMED = 3
 _NS_PER_HOUR = 3600 * 10**9
 
 
@@ -51,6 +56,9 @@ def back_up_automatically(project: Path, reason: Reason) -> Backup:
     moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
     out = project.parent / FOLDER / project.name / f"{moment}-{reason.value}.zip"
     backup = back_up(project, out, ModelChoice.ACTIVE)
+    if backup.missing:
+        files = first_few(backup.missing, MOST_NAMED)
+        LOG.warning("%s: files are missing, or no regular files, so its backup lacks them: %s", project, files)
     for old in automatic_backups(project, reason)[: -_settings(project).backups_kept]:
         old.unlink(missing_ok=True)
     return backup

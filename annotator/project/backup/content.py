@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
@@ -52,11 +52,18 @@ class StoredFiles:
         views: images of pseudo-views.
         models: by id, the weights, and the manifest where it has one.
         outside: paths of model files that are not in the project's folder.
+        hashes: SHA-256 of weights, by their path; none of models from before they were stored.
     """
 
     views: tuple[str, ...]
     models: dict[int, tuple[str, ...]]
     outside: tuple[str, ...]
+    hashes: dict[str, str]
+
+    def not_in(self, found: Collection[str]) -> tuple[str, ...]:
+        """Those files of the project that are not among the found ones."""
+        named = [*self.views, *(name for names in self.models.values() for name in names)]
+        return tuple(name for name in dict.fromkeys(named) if name not in found)
 
 
 def stored_files(connection: sqlite3.Connection) -> StoredFiles:
@@ -71,12 +78,18 @@ def stored_files(connection: sqlite3.Connection) -> StoredFiles:
     views = tuple(f"{VIEWS_FOLDER}/{row[0]}.png" for row in ids)
     models: dict[int, tuple[str, ...]] = {}
     outside = []
-    if connection.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'models'").fetchone():
+    hashes: dict[str, str] = {}
+    columns = {row[1] for row in connection.execute("PRAGMA table_info(models)")}
+    if columns:
         for model_id, *paths in connection.execute("SELECT id, path, manifest FROM models ORDER BY id"):
             names = [str(path) for path in paths if path is not None]
             models[model_id] = tuple(filter(is_content, names))
             outside += [name for name in names if not is_content(name)]
-    return StoredFiles(views, models, tuple(outside))
+    if "sha256" in columns:
+        # a training may have replaced the weights of an earlier one: the newest row counts
+        found = connection.execute("SELECT path, sha256 FROM models ORDER BY id")
+        hashes = {str(path): str(sha256) for path, sha256 in found if sha256 is not None}
+    return StoredFiles(views, models, tuple(outside), hashes)
 
 
 def keep_models(database: Path, choice: ModelChoice) -> None:

@@ -33,6 +33,24 @@ def database_problems(path: Path) -> list[str]:
         return [f"cannot be read: {error}"]
 
 
+def missing_events(connection: sqlite3.Connection) -> int:
+    """How many events have been deleted: events are never deleted, so their ids have no gaps.
+
+    Raises:
+        sqlite3.Error: the database cannot be read.
+    """
+    return given_id(connection, "events") - int(connection.execute("SELECT count(*) FROM events").fetchone()[0])
+
+
+def given_id(connection: sqlite3.Connection, table: str) -> int:
+    """The last id that a table has given, whether or not its row is still there; 0 if none is known."""
+    try:
+        row = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (table,)).fetchone()
+        return int(row[0]) if row is not None else 0
+    except (sqlite3.Error, ValueError, TypeError):
+        return 0
+
+
 def _problems(connection: sqlite3.Connection) -> Iterator[str]:
     if (found := connection.execute("PRAGMA application_id").fetchone()[0]) != APPLICATION_ID:
         yield f"is not a project database (application id {found})"

@@ -28,10 +28,11 @@ SPARE_BYTES = 2**25
 
 @dataclass(frozen=True)
 class Backup:
-    """A written backup: the file, and what it contains."""
+    """A written backup: the file, what it contains, and files of the project that it lacks, as they are missing."""
 
     path: Path
     manifest: BackupManifest
+    missing: tuple[str, ...]
 
 
 def back_up(
@@ -72,19 +73,19 @@ def back_up(
                 )
             with explained(database):
                 keep_models(database, models)
-            manifest = _write(project, database, part, models, clock(), progress)
+            manifest, missing = _write(project, database, part, models, clock(), progress)
             if out.exists():
                 raise ProjectError(f"{out} exists already; choose another file")
             part.replace(out)
             sync_folder(out.parent)
     except OSError as error:
         raise ProjectError(f"{out}: cannot be written: {error}") from error
-    return Backup(out, manifest)
+    return Backup(out, manifest, missing)
 
 
 def _write(
     project: Path, database: Path, part: Path, models: ModelChoice, created_ns: int, progress: Progress
-) -> BackupManifest:
+) -> tuple[BackupManifest, tuple[str, ...]]:
     with explained(database), reading(database) as connection:
         stored = stored_files(connection)
         version, events, last, labels = _counts(connection)
@@ -112,7 +113,7 @@ def _write(
             add_manifest(archive, manifest)
         target.flush()
         os.fsync(target.fileno())
-    return manifest
+    return manifest, stored.not_in(set(names))
 
 
 def _require_space(folder: Path, needed: int) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any
 
 from sqlalchemy import Connection, func, insert, select
@@ -19,10 +19,11 @@ from sqlalchemy.exc import DBAPIError
 from annotator.files import open_file
 from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.content import folder_files, is_content, is_regular, stored_files
-from annotator.project.backup.database_check import database_problems
+from annotator.project.backup.database_check import database_problems, given_id, missing_events
 from annotator.project.backup.generation import has_foreign_wal, wal_of
 from annotator.project.backup.snapshot import reading
 from annotator.project.backup.take_in import copy_regular, new_project
+from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
 from annotator.project.derived import apply_event, rebuild
 from annotator.project.event_types import LabelRestored
@@ -56,6 +57,7 @@ class Repaired:
         events: number of events that were replayed.
         lost: number of rows that could not be read or used, by table.
         restored: number of states that were taken from the damaged project's tables, because their events are lost.
+        missing: files that the project refers to, and that are not there: images of views, and files of detectors.
     """
 
     path: Path
@@ -64,6 +66,7 @@ class Repaired:
     events: int = 0
     lost: dict[str, int] = field(default_factory=dict)
     restored: int = 0
+    missing: tuple[str, ...] = ()
 
 
 def repair(project: Path, new_name: str | None = None) -> Repaired:
@@ -84,12 +87,12 @@ def repair(project: Path, new_name: str | None = None) -> Repaired:
         raise ProjectError(f"{database}: is missing, or no regular file; there is nothing to repair")
     is_sound = _has_config(project) and not has_foreign_wal(database) and not database_problems(database)
     # where events are missing, the tables know more than the events
-    if is_sound and not _missing_events(database):
+    if is_sound and not _lacks_events(database):
         backup = back_up_automatically(project, Reason.REPAIR)
         with closing(open_store(database)) as store:
             try:
                 with store.write() as connection:
-                    return Repaired(project, False, backup.path, rebuild(connection))
+                    return Repaired(project, False, backup.path, rebuild(connection), missing=backup.missing)
             except ProjectError:
                 pass  # contradicting events: the salvage leaves them out
     return _salvage(project, new_name or f"{project.resolve().name}-repaired")
@@ -103,10 +106,9 @@ def _has_config(project: Path) -> bool:
     return True
 
 
-def _missing_events(database: Path) -> int:
-    """How many events have been deleted: events are never deleted, so their ids have no gaps."""
+def _lacks_events(database: Path) -> bool:
     with reading(database) as connection:
-        return _given_id(connection, "events") - int(connection.execute("SELECT count(*) FROM events").fetchone()[0])
+        return missing_events(connection) > 0
 
 
 def _salvage(project: Path, name: str) -> Repaired:
@@ -114,7 +116,7 @@ def _salvage(project: Path, name: str) -> Repaired:
     with ExitStack() as stack:
         place = stack.enter_context(new_project(root, name))
         # SQLite works on a copy: opening a damaged database may write to it
-        folder = Path(stack.enter_context(TemporaryDirectory(prefix="annotator-repair-")))
+        folder = stack.enter_context(unfinished_folder(Path(gettempdir()), "annotator-repair"))
         copy = folder / DATABASE_FILE
         shutil.copyfile(project / DATABASE_FILE, copy)
         _fill_up(copy)
@@ -138,7 +140,7 @@ def _salvage(project: Path, name: str) -> Repaired:
             _restore_states(copy, store, repaired)
         write_config(place, config)
         store.close()
-        _copy_files(project, place)
+        repaired.missing = _copy_files(project, place)
     return repaired
 
 
@@ -195,7 +197,7 @@ def _replay(source: sqlite3.Connection, store: Store, repaired: Repaired) -> Non
             else:
                 repaired.events += 1
         hide_removed(connection)
-    missing = max(0, _given_id(source, "events") - repaired.events - repaired.lost.get("events", 0))
+    missing = max(0, given_id(source, "events") - repaired.events - repaired.lost.get("events", 0))
     if missing:
         repaired.lost["events"] = repaired.lost.get("events", 0) + missing
 
@@ -297,13 +299,16 @@ def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConf
         return new_config(name, classes, ProjectSettings(), time.time_ns())
 
 
-def _copy_files(project: Path, place: Path) -> None:
+def _copy_files(project: Path, place: Path) -> tuple[str, ...]:
+    """Copies views and detectors; returns those that the project refers to, and that are not there."""
     with explained(place), reading(place / DATABASE_FILE) as connection:
-        names = list(folder_files(project, stored_files(connection)))
+        stored = stored_files(connection)
+    names = list(folder_files(project, stored))
     for name in names:
         if not (place / name).exists():
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             copy_regular(project / name, place / name)
+    return stored.not_in(set(names))
 
 
 def _rows(source: sqlite3.Connection, table: str, repaired: Repaired, key: str = "id") -> Iterator[Row]:
@@ -352,18 +357,9 @@ def _last_id(source: sqlite3.Connection, table: str, key: str) -> int:
     try:
         return int(source.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()[0])
     except sqlite3.Error:
-        if given := _given_id(source, table):
+        if given := given_id(source, table):
             return given
         raise
-
-
-def _given_id(source: sqlite3.Connection, table: str) -> int:
-    """The last id that a table has given, whether or not its row is still there; 0 if none is known."""
-    try:
-        row = source.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (table,)).fetchone()
-        return int(row[0]) if row is not None else 0
-    except (sqlite3.Error, ValueError, TypeError):
-        return 0
 
 
 def _count_lost(repaired: Repaired, table: str) -> None:

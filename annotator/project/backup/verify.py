@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, Table, select
 
-from annotator.files import CHUNK_BYTES, open_file
-from annotator.project.backup.content import VIEW_FILE, is_regular, require_own_files, stored_files
-from annotator.project.backup.database_check import database_problems
+from annotator.files import sha256_of
+from annotator.project.backup.content import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
+from annotator.project.backup.database_check import database_problems, given_id, missing_events
 from annotator.project.backup.generation import has_foreign_wal
 from annotator.project.backup.snapshot import reading, write_snapshot
+from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.derived import rebuild
 from annotator.project.schema import (
@@ -31,7 +31,9 @@ from annotator.project.schema import (
     view_labels,
 )
 from annotator.project.store import DATABASE_FILE, explained, foreign_wal, open_store
+from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
+from annotator.types.names import first_few
 
 MOST_NAMED = 3
 # The columns that identify a row of a derived table, and those that a rebuild may number anew.
@@ -90,14 +92,24 @@ def _checked(project: Path, deep: bool) -> list[str]:
             return [foreign_wal(database)]
         if not deep:
             return [f"{DATABASE_FILE}: {problem}" for problem in database_problems(database)]
-        with TemporaryDirectory(prefix="annotator-verify-") as folder:
-            copy = Path(folder) / DATABASE_FILE
+        # what a killed verification has left there is removed
+        with unfinished_folder(Path(gettempdir()), "annotator-verify") as folder:
+            copy = folder / DATABASE_FILE
             write_snapshot(database, copy)
             if problems := database_problems(copy):
                 return [f"{DATABASE_FILE}: {problem}" for problem in problems]
-            return [*_state_problems(copy), *_file_problems(project, copy)]
+            return [*_event_problems(copy), *_state_problems(copy), *_file_problems(project, copy)]
     except ProjectError as error:
         return [str(error)]
+
+
+def _event_problems(copy: Path) -> Iterator[str]:
+    """Events that are gone: without this, only the rows that they gave would be named."""
+    with explained(copy), reading(copy) as connection:
+        missing = missing_events(connection)
+        number = given_id(connection, "events")
+    if missing > 0:
+        yield f"{missing} of {amount(number, 'event')} are missing"
 
 
 def _state_problems(copy: Path) -> Iterator[str]:
@@ -173,7 +185,7 @@ def _file_problems(project: Path, copy: Path) -> Iterator[str]:
     with explained(copy), reading(copy) as connection:
         stored = stored_files(connection)
     missing = [name for name in stored.views if not is_regular(project, name)]
-    damaged = [name for name in stored.views if name not in set(missing) and not _is_own_hash(project, name)]
+    damaged = [name for name in stored.views if name not in set(missing) and not _has_hash(project, name, _own(name))]
     if missing:
         yield f"images of pseudo-views are missing, or no regular files: {_named(missing)}"
     if damaged:
@@ -181,23 +193,26 @@ def _file_problems(project: Path, copy: Path) -> Iterator[str]:
     lost = [name for names in stored.models.values() for name in names if not is_regular(project, name)]
     if lost:
         yield f"files of detectors are missing, or no regular files: {_named(lost)}"
+    kept = [name for name in stored.hashes if is_content(name) and name not in set(lost)]
+    changed = [name for name in kept if not _has_hash(project, name, stored.hashes[name])]
+    if changed:
+        yield f"weights of detectors are damaged: {_named(changed)}"
     if stored.outside:
         yield f"files of detectors are outside the project: {_named(stored.outside)}"
 
 
-def _is_own_hash(project: Path, name: str) -> bool:
-    digest = hashlib.sha256()
+def _own(name: str) -> str | None:
+    """The hash that the name of a view's image contains."""
+    match = VIEW_FILE.fullmatch(name.rpartition("/")[2])
+    return None if match is None else match[1]
+
+
+def _has_hash(project: Path, name: str, sha256: str | None) -> bool:
     try:
-        with open_file(project / name) as file:
-            while chunk := file.read(CHUNK_BYTES):
-                digest.update(chunk)
+        return sha256_of(project / name) == sha256
     except OSError:
         return False
-    match = VIEW_FILE.fullmatch(name.rpartition("/")[2])
-    return match is not None and match[1] == digest.hexdigest()
 
 
 def _named(keys: Sequence[object]) -> str:
-    texts = [" ".join(map(str, key)) if isinstance(key, tuple) else str(key) for key in keys[:MOST_NAMED]]
-    more = f" and {len(keys) - MOST_NAMED} more" if len(keys) > MOST_NAMED else ""
-    return ", ".join(texts) + more
+    return first_few([" ".join(map(str, key)) if isinstance(key, tuple) else str(key) for key in keys], MOST_NAMED)

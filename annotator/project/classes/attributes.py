@@ -212,3 +212,8 @@ def fitting(attributes: Iterable[Attribute], values: Mapping[str, AttributeValue
 def values_json(values: Mapping[str, AttributeValue]) -> str:
     """Values as JSON for a database column; equal values give equal texts."""
     return json.dumps(dict(values), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+
+
+def value_text(value: AttributeValue) -> str:
+    """A value for people."""
+    return str(value).lower() if isinstance(value, bool) else str(value)

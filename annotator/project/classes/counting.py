@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, func, select
 
 from annotator.project.classes.applying import values_of
-from annotator.project.classes.attributes import Attribute, AttributeOf
+from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.project.schema import frame_attributes, labels
 from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
@@ -57,7 +57,7 @@ def value_counts(connection: Connection) -> dict[str, dict[str, int]]:
     counts: dict[str, Counter[str]] = defaultdict(Counter)
     for _, values, number in _stored(connection):
         for name, value in values.items():
-            counts[name][str(value).lower() if isinstance(value, bool) else str(value)] += number
+            counts[name][value_text(value)] += number
     return {name: dict(counts[name].most_common()) for name in sorted(counts)}
 
 

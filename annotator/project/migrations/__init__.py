@@ -31,6 +31,7 @@ from annotator.project.migrations import (
     m0016_attributes,
     m0017_removed,
     m0018_said,
+    m0019_hashes,
 )
 from annotator.types.errors import ProjectError
 
@@ -69,6 +70,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(16, m0016_attributes.STATEMENTS),
     Migration(17, m0017_removed.STATEMENTS),
     Migration(18, m0018_said.STATEMENTS),
+    Migration(19, m0019_hashes.STATEMENTS),
 )
 
 

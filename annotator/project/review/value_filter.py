@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import ColumnElement, Float, Text, case, cast, func, literal, select, true
 
-from annotator.project.classes.attributes import Value
+from annotator.project.classes.attributes import Value, value_text
 from annotator.project.schema import frame_attributes, frames, labels
 
 
@@ -61,8 +61,4 @@ class ValueFilter:
             return select(known).select_from(values).where(values.c.key == self.name).scalar_subquery()
         own = select(known).select_from(frame_attributes).join(values, true())
         found = own.where(frame_attributes.c.frame_id == frames.c.id, values.c.key == self.name).scalar_subquery()
-        return found if self.usual is None else func.coalesce(found, literal(_text(self.usual)))
-
-
-def _text(value: Value) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
+        return found if self.usual is None else func.coalesce(found, literal(value_text(self.usual)))

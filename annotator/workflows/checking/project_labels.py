@@ -22,7 +22,7 @@ from enum import StrEnum
 from pydantic import BaseModel, ConfigDict
 
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
-from annotator.project.classes.attributes import Attribute, AttributeOf
+from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.types.label import AttributeValue
 from annotator.types.names import alternatives
@@ -216,7 +216,8 @@ class _Tracks:
                 value = label.attributes.get(name)
                 if value is not None and len(values) > 1 and value != values.most_common(1)[0][0]:
                     most = values.most_common(1)[0][0]
-                    message = f"{name} of track {label.track_id} is mostly {most}, but {value} here"
+                    texts = value_text(most), value_text(value)
+                    message = f"{name} of track {label.track_id} is mostly {texts[0]}, but {texts[1]} here"
                     yield Kind.ATTRIBUTE, label.uid, message
 
     def odd(self, labels: Sequence[Label], frame: StoredFrame) -> Iterator[Line]:

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.attributes import Values
-from annotator.formats.boxes_json import each_frame
+from annotator.formats.boxes_json import boxes_file, each_frame
 from annotator.formats.kitti.box_rows import label_frame
 from annotator.formats.kitti.label_folders import each_kitti_frame, read_kitti_shifts
 from annotator.formats.kitti.tracking_folder import read_kitti_tracks
@@ -460,8 +460,8 @@ class BoxesLabels:
 
 
 def boxes_labels(path: Path) -> BoxesLabels:
-    """Reads a `boxes.json` file. Raises FormatError: an entry is not a valid box."""
-    return BoxesLabels(path, PackedTruths(each_frame(path)))
+    """Reads a `boxes.json` file, or that of a folder. Raises FormatError: missing, or not valid."""
+    return BoxesLabels(path, PackedTruths(each_frame(boxes_file(path))))
 
 
 # Two cameras with matrices that differ less, as a share of the focal length, are the same.

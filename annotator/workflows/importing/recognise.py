@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from pydantic_core import from_json
 
 from annotator.files import ARCHIVE_ERRORS, open_archive, open_file, why_missing
+from annotator.formats.boxes_json import NAME, PLACES
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.json_file import read_json
 from annotator.formats.kitti import label_folders, tracking_folder
@@ -70,6 +71,7 @@ _FOLDERS: dict[Format, Callable[[Path], bool]] = {
     BoxFormat.KITTI_TRACKING: _has(f"training/{tracking_folder.LABELS}/", f"{tracking_folder.LABELS}/"),
     BoxFormat.KITTI: _has(*label_folders.PLACES),
     BoxFormat.SUNRGBD: _has("SUNRGBDMeta*.mat", "label/*.txt"),
+    BoxFormat.BOXES: _has(*PLACES),
     FlatFormat.COCO: _has(f"{ANNOTATIONS}/instances_*.json"),
     FlatFormat.YOLO: _has(DATA_YAML, CLASSES),
 }
@@ -96,7 +98,9 @@ def _of_file(file: Path) -> list[Format]:
         case ".yaml":
             return [FlatFormat.YOLO]
         case ".json":
-            return _of_json(_beginning(file))
+            found = _of_json(_beginning(file))
+            # an empty file, or one with a fault that its reader names
+            return found or ([BoxFormat.BOXES] if file.name == NAME else [])
         case ".txt" if file.name == "label_02.txt":
             return [BoxFormat.KITTI]
         case ".txt":

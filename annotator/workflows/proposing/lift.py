@@ -17,6 +17,7 @@ from annotator.project import Project, StoredFrame
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.types import Box2D, BoxKind, Detector, Image
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.names import MOST_LISTED, first_few
 from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.frame_finder import Renamed
@@ -244,6 +245,4 @@ def _fingerprint(boxes: GivenBoxes) -> str:
 
 
 def _listed(names: Mapping[str, int] | Sequence[str]) -> str:
-    shown = sorted(names)
-    more = f" and {len(shown) - 10} more" if len(shown) > 10 else ""
-    return ", ".join(shown[:10]) + more if shown else "no classes"
+    return first_few(sorted(names), MOST_LISTED) or "no classes"

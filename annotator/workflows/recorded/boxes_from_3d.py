@@ -219,5 +219,6 @@ def _require_boxes(project: Project, counts: BoxesFrom3d) -> None:
     unreadable = "".join(f"\n  unreadable: {line}" for line in counts.unreadable)
     raise ConfigError(
         f"{amount(counts.chosen, 'frame')} without a box of {', '.join(project.config.classes)} (other classes there: "
-        f"{others}); choose other frames, or create the project with these classes{unreadable}"
+        f"{others}); add these to the project with `annotator classes add`, or map them to its own, as in "
+        f"--classes {min(counts.other_classes, default='Car')}={project.config.classes[0]}{unreadable}"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import struct
@@ -10,13 +11,16 @@ from pathlib import Path
 
 import pytest
 from backup_samples import content
+from old_versions import make_older
 from store_samples import box_at, by_hand
 from time_limit import time_limit
 
 from annotator.project import NewLabel, open_project
-from annotator.project.backup.generation import has_foreign_wal
+from annotator.project.backup import generation
+from annotator.project.backup.generation import Lineage, has_foreign_wal
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
+from annotator.project.store import open_store
 from annotator.types.errors import ProjectError
 
 
@@ -91,6 +95,31 @@ def test_a_database_in_the_middle_of_a_checkpoint_is_not_taken_for_another(full:
         assert store.file.is_current()
         with store.write() as connection:
             connection.exec_driver_sql("DROP TABLE filler")
+
+
+@pytest.mark.parametrize(("wrong", "is_broken"), [(1, False), (3, False), (4, True)])
+def test_several_looks_must_find_another_database(
+    full: Path, monkeypatch: pytest.MonkeyPatch, wrong: int, is_broken: bool
+) -> None:
+    lineage, answers = Lineage(), iter([True] * wrong + [False] * 4)
+    lineage.begin(full / "project.db")
+    monkeypatch.setattr(generation, "_looks_foreign", lambda path: next(answers))
+    os.utime(full / "project.db")
+    assert lineage.is_broken() == is_broken
+    assert lineage.is_broken() == is_broken
+
+
+def test_an_upgrade_stores_a_new_token(full: Path) -> None:
+    """Else a copy from before the upgrade would pass for the upgraded database."""
+    make_older(full / "project.db")
+
+    def token() -> str:
+        with closing(sqlite3.connect(full / "project.db")) as connection:
+            return str(connection.execute("SELECT substr(chain, -32) FROM generation").fetchone()[0])
+
+    before = token()
+    open_store(full / "project.db").close()
+    assert token() != before
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,11 +71,26 @@ DEEP: list[tuple[str, Callable[[Path], None], str]] = [
         "files of detectors are missing",
     ),
     (
+        "a damaged detector",
+        lambda path: (path / "models/image/one/detector.safetensors").write_bytes(b"eno"),
+        "weights of detectors are damaged: models/image/one/detector.safetensors",
+    ),
+    (
         "a detector elsewhere",
         damage("UPDATE models SET path = '../../x.pt' WHERE active"),
         "files of detectors are outside the project: ../../x.pt",
     ),
 ]
+
+
+def test_what_a_killed_verification_left_is_removed(
+    full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scratch = tmp_path / "scratch"
+    (scratch / ".annotator-verify.0123.unfinished").mkdir(parents=True)
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    assert verify(full, deep=True).problems == ()
+    assert list(scratch.iterdir()) == []
 
 
 @pytest.mark.parametrize(("change", "says"), [pytest.param(*row[1:], id=row[0]) for row in SHALLOW])
