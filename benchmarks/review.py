@@ -34,7 +34,7 @@ from rich.console import Console
 from annotator.detection.progress import TrainingProgress
 from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame
 from annotator.types import DetectorKind, ReviewState
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.detectors import view_model
 from benchmarks.keystrokes import Bill
 from benchmarks.report import Table, finish, guarded
@@ -54,7 +54,7 @@ class Arguments:
     """Measure what the review of a recording costs an operator."""
 
     path: Annotated[Path, tyro.conf.Positional]
-    """A recording with true boxes, or the folder of a project of such recordings."""
+    """A recording with true boxes; or a project of such recordings, by its folder or, in ./projects, by its name."""
     quality: float = 0.7
     """3D IoU from which a box is right."""
     error_px: float = 2.0
@@ -100,12 +100,18 @@ def run(args: Arguments) -> dict[str, Any]:
         raise ConfigError(f"--quality is an IoU between 0 and 1, not {args.quality}")
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        project = args.path
+        project = named if is_project(named := Path("projects") / args.path) else args.path
         if not is_project(project):
             kept = args.keep or folder / "taught"
             kept.mkdir(parents=True, exist_ok=True)
             project = teach(args.path, kept, args.rotation, args.minutes, _report)
-        return {part: _row(args, part, project, folder) for part in PARTS if part in parts}
+        rows: dict[str, Any] = {}
+        for part in (part for part in PARTS if part in parts):
+            try:
+                rows[part] = _row(args, part, project, folder)
+            except DetectionError as error:  # for proposals the project needs an image detector
+                QUIET.print(f"{part}: left out, because {error}", highlight=False)
+        return rows
 
 
 def _report(role: DetectorKind, step: TrainingProgress) -> None:
@@ -154,10 +160,11 @@ def _reviewed(args: Arguments, project: Project, way: str) -> dict[str, Any]:
         operator.review(WAYS[way])
         left = operator.left()
         boxes, missed, wrong = boxes + left.boxes, missed + left.missed, wrong + left.wrong
-        total = sum(operator.bills.values(), total)
+        total = sum(operator.desk.bills.values(), total)
         due = Counter(thing.key for thing, _ in operator.due_objects())
         tracks += [
-            {"label": key[0], "track": key[1], "boxes": due[key], **_effort(operator.bills[key])} for key in sorted(due)
+            {"label": key[0], "track": key[1], "boxes": due[key], **_effort(operator.desk.bills[key])}
+            for key in sorted(due)
         ]
     if not boxes:
         raise ConfigError(f"{args.path}: there is no visible object of the project's classes in the frames to review")

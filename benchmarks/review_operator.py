@@ -17,44 +17,29 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 
 from annotator.geometry.iou import iou_3d, iou_3d_matrix
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.outline import box_on_image
-from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame, WriteContext
-from annotator.project.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected, Payload
+from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
+from annotator.project.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
 from annotator.project.records import BoxRecord
 from annotator.project.views import png
-from annotator.rcv.operator import draw_object
-from annotator.rcv.teach import project_box
-from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView, ReviewState
+from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.simulate import MIN_VISIBLE_POINTS
 from annotator.workflows.tracks.carry_correction import carry_correction
 from annotator.workflows.tracks.follow_recording import follow_from_frame
-from annotator.workflows.training.held_out import inaccurate
-from annotator.workflows.workbench.apply_changes import apply_changes
 from annotator.workflows.workbench.contact_sheet import picture
-from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps
-from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
-from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.ortho_views import ortho_views
-from annotator.workflows.workbench.refit import find_box, refit
-from benchmarks.keystrokes import CHORD_S, CLICK_S, DRAG_S, KEY_S, SHIFT_CLICK_S, Bill, M
-from benchmarks.review_moves import VIEW_PX, moves, plan, shaky
+from annotator.workflows.workbench.loaded_detectors import view_with_classes
+from benchmarks.keystrokes import CHORD_S, CLICK_S, KEY_S, SHIFT_CLICK_S, Bill, M
+from benchmarks.review_corrections import Corrections
+from benchmarks.review_desk import AUTHOR, Desk, Thing
 
-AUTHOR = "simulated operator"
-# The operator gives up on a box after so many actions.
-MOST_ACTIONS = 15
 # A proposal is meant for an object that it overlaps by this IoU, or whose middle is that near, share of its diagonal.
 SAME_IOU, SAME_DISTANCE = 0.05, 0.4
 # A contact sheet is opened for so many proposals of a track; a corrected box is followed if so many are left.
@@ -64,24 +49,6 @@ OPTIMISM = 4
 
 # So many boxes' small pictures are seen at once in the list of a frame's boxes, at 1366 x 768.
 SEEN_TOGETHER = 4
-
-T = TypeVar("T")
-TrackKey = tuple[str, int]
-
-
-@dataclass(frozen=True, eq=False)
-class Thing:
-    """A true object in a frame.
-
-    Attributes:
-        key: class and track id; of objects without a track, one track for each class.
-        due: visible, so that it must get a box.
-    """
-
-    key: TrackKey
-    label: str
-    box: OrientedBox
-    due: bool
 
 
 @dataclass(frozen=True)
@@ -97,7 +64,7 @@ class Operator:
     """Reviews frames of one recording.
 
     Attributes:
-        bills: the effort by track; None: looks at frames, and proposals of no object.
+        desk: what the operator sees, with the bills.
     """
 
     def __init__(
@@ -110,18 +77,8 @@ class Operator:
             quality: 3D IoU from which a box is right.
             error_px: standard deviation of the hand's error.
         """
-        self._project, self._frames, self._quality = project, frames, quality
-        self._rng = np.random.default_rng(seed)
-        self._hand, self._error_px = shaky(self._rng, error_px), error_px
-        self._source, self._ready, self._moves = FrameSource(project), ready_view(project), moves()
-        self.bills: dict[TrackKey | None, Bill] = defaultdict(Bill)
-        self._tries: Counter[str] = Counter()
-        self._helped: Counter[str] = Counter()
-        self._waits: dict[str, float] = defaultdict(float)
-        self._opened: tuple[int, OpenFrame] | None = None
-        # seconds after which the page began to load the next box
-        self._ahead_since_s = 0.0
-        self._things: dict[int, list[Thing]] = {}
+        self.desk = Desk(project, frames, quality)
+        self._corrections = Corrections(self.desk, error_px, np.random.default_rng(seed))
         self._on_sheets: set[int] = set()
         # tracks whose sheet was left to correct a box: it comes back when that is followed, or the later ones corrected
         self._left_sheets: set[int] = set()
@@ -138,62 +95,42 @@ class Operator:
         Args:
             with_sheets: open the contact sheet of each track first, and accept the right boxes there.
         """
-        for number, frame in enumerate(self._frames):
+        for number, frame in enumerate(self.desk.frames):
             if with_sheets:
-                tracks = {label.track_id for label in self._open_labels(frame) if label.track_id is not None}
-                for track in sorted(tracks - self._on_sheets):
-                    self._use_sheet(track, frame)
-            if number and not self._open_labels(frame):
+                self._use_sheets(frame)
+            if number and not self.desk.open_labels(frame):
                 # the queue opens only frames with proposals
-                self.bills[None].act("next frame", KEY_S)
+                self.desk.bills[None].act("next frame", KEY_S)
             self._review_frame(frame)
 
     def left(self) -> Left:
         """Compares what is stored with the true objects."""
         boxes = missed = wrong = 0
-        for frame in self._frames:
-            things = self.things(frame)
-            labels = [label for label in self._labels(frame) if label.state in REVIEWED]
+        for frame in self.desk.frames:
+            things = self.desk.things(frame)
+            labels = [label for label in self.desk.labels(frame) if label.state in REVIEWED]
             boxes += sum(thing.due for thing in things)
-            right = [any(self._is_right(label, thing) for label in labels) for thing in things]
+            right = [any(self.desk.is_right(label, thing) for label in labels) for thing in things]
             missed += sum(thing.due and not found for thing, found in zip(things, right, strict=True))
-            wrong += sum(not any(self._is_right(label, thing) for thing in things) for label in labels)
+            wrong += sum(not any(self.desk.is_right(label, thing) for thing in things) for label in labels)
         return Left(boxes, missed, wrong)
-
-    def things(self, frame: StoredFrame) -> list[Thing]:
-        """The true objects of a frame."""
-        if frame.id not in self._things:
-            recording, read = self._source.recording(frame.recording_id), self._open(frame).frame
-            classes = self._project.config.classes
-            self._things[frame.id] = [
-                Thing(
-                    (truth.label, -1 if truth.track_id is None else truth.track_id),
-                    truth.label,
-                    truth.box,
-                    box_on_image(read.camera, truth.box, truth.label) is not None
-                    and int(contains(truth.box, read.cloud.xyz_m).sum()) >= MIN_VISIBLE_POINTS,
-                )
-                for truth in load_truth(recording, frame.index or 0, read)
-                if truth.label in classes
-            ]
-        return self._things[frame.id]
 
     def due_objects(self) -> Iterator[tuple[Thing, np.ndarray]]:
         """Yields the visible objects of all frames, each with the points inside it, (n, 3)."""
-        for frame in self._frames:
-            for thing in self.things(frame):
+        for frame in self.desk.frames:
+            for thing in self.desk.things(frame):
                 if thing.due:
-                    xyz_m = self._open(frame).frame.cloud.xyz_m
+                    xyz_m = self.desk.open(frame).frame.cloud.xyz_m
                     yield thing, xyz_m[contains(thing.box, xyz_m)]
 
     # -- one frame
 
     def _review_frame(self, frame: StoredFrame) -> None:
-        self._enter(frame)
-        things = self.things(frame)
-        labels = self._open_labels(frame)
-        done = [label for label in self._labels(frame) if label.state in REVIEWED]
-        has = {id(thing) for thing in things if any(self._is_right(label, thing) for label in done)}
+        self.desk.enter(frame)
+        things = self.desk.things(frame)
+        labels = self.desk.open_labels(frame)
+        done = [label for label in self.desk.labels(frame) if label.state in REVIEWED]
+        has = {id(thing) for thing in things if any(self.desk.is_right(label, thing) for label in done)}
         meant = _meant(labels, [thing for thing in things if id(thing) not in has])
         together = self._seen_together(frame, labels, meant)
         has |= {id(meant[label.uid]) for label in together}
@@ -203,19 +140,19 @@ class Operator:
             if label in together:
                 continue
             if together:
-                self._select(number - selected, len(labels), self.bills[None if thing is None else thing.key])
+                self._select(number - selected, len(labels), self.desk.bills[None if thing is None else thing.key])
                 selected = number
             if thing is not None and self._review(frame, label, thing, moves_on=not together):
                 has.add(id(thing))
             elif thing is None:
-                self._look(frame, label.box, self.bills[None], is_ahead=True)
-                self.bills[None].act("reject", KEY_S)
-                self._store(frame, [LabelRejected(uid=label.uid)])
+                self.desk.look(frame, label.box, self.desk.bills[None], is_ahead=True)
+                self.desk.bills[None].act("reject", KEY_S)
+                self.desk.store(frame, [LabelRejected(uid=label.uid)])
         if together:
             for label in together:
-                self.bills[meant[label.uid].key].act("accept all", CHORD_S, among=len(together))
-            self._store(frame, [LabelAccepted(uid=label.uid) for label in together])
-        self.bills[None].looks += 1  # is there an object without a box?
+                self.desk.bills[meant[label.uid].key].act("accept all", CHORD_S, among=len(together))
+            self.desk.store(frame, [LabelAccepted(uid=label.uid) for label in together])
+        self.desk.bills[None].looks += 1  # is there an object without a box?
         for thing in things:
             if thing.due and id(thing) not in has:
                 self._draw_missing(frame, thing)
@@ -236,15 +173,15 @@ class Operator:
         seen at once; returns the right ones."""
         if not 2 <= len(labels) <= SEEN_TOGETHER:
             return []
-        opened = self._open(frame)
+        opened = self.desk.open(frame)
         begin = time.perf_counter()
         for label in labels:
             png(picture(opened.frame, label.box))
-        self._waited(self.bills[None], time.perf_counter() - begin, is_ahead=True)
-        self._ahead_since_s = self._spent_s()
+        self.desk.waited(self.desk.bills[None], time.perf_counter() - begin, is_ahead=True)
+        self.desk.ahead_since_s = self.desk.spent_s()
         for label in labels:
-            self.bills[meant[label.uid].key if label.uid in meant else None].looks += 1
-        right = [label for label in labels if label.uid in meant and self._is_right(label, meant[label.uid])]
+            self.desk.bills[meant[label.uid].key if label.uid in meant else None].looks += 1
+        right = [label for label in labels if label.uid in meant and self.desk.is_right(label, meant[label.uid])]
         for label in right:
             self._count(label, is_right=True)
         return right
@@ -255,35 +192,36 @@ class Operator:
         Args:
             moves_on: with the key that accepts it; else a key accepts the others of the frame afterwards.
         """
-        bill = self.bills[thing.key]
-        self._look(frame, label.box, bill, is_ahead=True)
-        if not thing.due and iou_3d(label.box, thing.box) < self._quality:
+        bill = self.desk.bills[thing.key]
+        self.desk.look(frame, label.box, bill, is_ahead=True)
+        if not thing.due and iou_3d(label.box, thing.box) < self.desk.quality:
             bill.act("reject", KEY_S)
-            self._store(frame, [LabelRejected(uid=label.uid)])
+            self.desk.store(frame, [LabelRejected(uid=label.uid)])
             return False
         name = label.label
+        self._corrections.shown_class = thing.label
         if name != thing.label:
             bill.act("class", KEY_S)
-        was_right = self._is_right(label, thing)
+        was_right = self.desk.is_right(label, thing)
         self._count(label, was_right)
-        box, is_new = self._corrected(frame, label.box, thing, bill, can_redraw=True)
+        box, is_new = self._corrections.corrected(frame, label.box, thing, bill, can_redraw=True)
         if is_new:
             # the new box stays selected
             for kind in ("accept", "next box", "reject"):
                 bill.act(kind, KEY_S)
-            self._store(frame, [LabelRejected(uid=label.uid), self._created(thing, box, label.track_id)])
+            self.desk.store(frame, [LabelRejected(uid=label.uid), self._created(thing, box)])
         elif box is label.box and name == thing.label:
             if moves_on:
                 bill.act("accept", KEY_S)
-            self._store(frame, [LabelAccepted(uid=label.uid)])
+            self.desk.store(frame, [LabelAccepted(uid=label.uid)])
         else:
             # the page saves a correction by itself
             record = BoxRecord.of(box)
-            self._store(frame, [LabelEdited(uid=label.uid, label=thing.label, box=record, track_id=label.track_id)])
+            self.desk.store(frame, [LabelEdited(uid=label.uid, label=thing.label, box=record, track_id=label.track_id)])
             has_moved = not was_right and self._help_later(frame, label, bill)
             if moves_on and not has_moved:
                 bill.act("accept", KEY_S)
-        return iou_3d(box, thing.box) >= self._quality
+        return iou_3d(box, thing.box) >= self.desk.quality
 
     def _count(self, label: Label, is_right: bool) -> None:
         """Remembers how often proposals of a track were right, and those that a key has made."""
@@ -301,7 +239,7 @@ class Operator:
         made_by = next((key for key, uids in self._made.items() if label.uid in uids), None)
         # one key: worth a try; what it made before drifts, or was corrected too far: begin anew
         chances = {key: (self._right[key] + OPTIMISM) / (self._seen[key] + OPTIMISM) for key in self._made}
-        key = max(chances, key=lambda key: (round(chances[key], 6), -self._waits[key]))
+        key = max(chances, key=lambda key: (round(chances[key], 6), -self.desk.waits[key]))
         own = (self._right[label.track_id] + 1) / (self._seen[label.track_id] + 2)
         if made_by is None and chances[key] <= own:
             return False
@@ -321,24 +259,24 @@ class Operator:
         bill.act("alike", KEY_S)
 
         def run() -> float:
-            revision = self._project.frames.get(frame.id).revision
+            revision = self.desk.project.frames.get(frame.id).revision
             begin = time.perf_counter()
-            carry_correction(self._project, frame.id, label.uid, revision, label.box, AUTHOR, effort=Effort(0, 0.0))
+            carry_correction(self.desk.project, frame.id, label.uid, revision, label.box, AUTHOR, effort=Effort(0, 0.0))
             return time.perf_counter() - begin
 
         return self._replace_later("alike", bill, run)
 
     def _draw_missing(self, frame: StoredFrame, thing: Thing) -> None:
         """Draws an object, and follows it if the recording has later frames."""
-        bill = self.bills[thing.key]
-        box = self._drawn(frame, thing, bill)
+        bill = self.desk.bills[thing.key]
+        box = self._corrections.drawn(frame, thing, bill)
         if box is None:
             return
-        self._look(frame, box, bill)
-        box, _ = self._corrected(frame, box, thing, bill, can_redraw=False)
-        created = self._created(thing, box, None)
-        self._store(frame, [created])
-        if frame.id == self._frames[-1].id:
+        self.desk.look(frame, box, bill)
+        box, _ = self._corrections.corrected(frame, box, thing, bill, can_redraw=False)
+        created = self._created(thing, box)
+        self.desk.store(frame, [created])
+        if frame.id == self.desk.frames[-1].id:
             bill.act("accept", KEY_S)
         else:
             # this key also accepts a new box
@@ -347,11 +285,11 @@ class Operator:
     def _follow(self, frame: StoredFrame, uid: str, bill: Bill) -> bool:
         """Follows a reviewed or new box; returns False if there is no later frame."""
         bill.act("follow", KEY_S)
-        view = view_with_classes(self._project)
+        view = view_with_classes(self.desk.project)
 
         def run() -> float:
-            revision = self._project.frames.get(frame.id).revision
-            followed = follow_from_frame(self._project, frame.id, revision, view, AUTHOR, uid=uid)
+            revision = self.desk.project.frames.get(frame.id).revision
+            followed = follow_from_frame(self.desk.project, frame.id, revision, view, AUTHOR, uid=uid)
             begin = time.perf_counter()
             times_s: list[float] = []
             followed.run(lambda _: times_s.append(time.perf_counter() - begin))
@@ -366,16 +304,27 @@ class Operator:
         nothing to do."""
         before = {label.uid for _, label in self._all_open()}
         try:
-            self._waits[key] = run()
+            self.desk.waits[key] = run()
         except ConfigError:
             return False  # there is no later box: the page says so
-        bill.waiting_s += self._waits[key]
+        bill.waiting_s += self.desk.waits[key]
         new = [label for _, label in self._all_open() if label.uid not in before]
         self._made[key] |= {label.uid for label in new}
         self._on_sheets -= {label.track_id for label in new if label.track_id is not None}
         return True
 
     # -- contact sheets
+
+    def _use_sheets(self, frame: StoredFrame) -> None:
+        """Opens the sheet of each track in a frame that had none yet. It is that of the selected box."""
+        labels, selected = self.desk.open_labels(frame), 0
+        for place, label in enumerate(labels):
+            if label.track_id is None or label.track_id in self._on_sheets:
+                continue
+            if len(self._shown(label.track_id, frame)) >= SHEET_FROM:
+                self._select(place - selected, len(labels), self.desk.bills[None])
+                selected = place
+            self._use_sheet(label.track_id, frame)
 
     def _use_sheet(self, track: int, first: StoredFrame, *, is_back: bool = False) -> None:
         """Accepts the right boxes of a track on its contact sheet; the others stay proposals.
@@ -390,7 +339,7 @@ class Operator:
         self._on_sheets.add(track)
         verdicts = [(frame, label, self._thing_at(frame, label)) for frame, label in shown]
         keys = Counter(thing.key for _, _, thing in verdicts if thing is not None)
-        bill = self.bills[keys.most_common(1)[0][0] if keys else None]
+        bill = self.desk.bills[keys.most_common(1)[0][0] if keys else None]
         if not is_back:
             bill.act("open sheet", KEY_S)
         if any(thing is None for _, _, thing in verdicts):
@@ -399,7 +348,7 @@ class Operator:
             bill.looks += 1
             self._count(label, thing is not None)
             if thing is not None:
-                self._store(frame, [LabelAccepted(uid=label.uid)])
+                self.desk.store(frame, [LabelAccepted(uid=label.uid)])
                 continue
             is_last = place + 1 == len(verdicts)
             if is_last or (label.uid in self._made["follow"] and verdicts[place + 1][2] is None):
@@ -412,165 +361,23 @@ class Operator:
 
     def _shown(self, track: int, first: StoredFrame) -> list[tuple[StoredFrame, Label]]:
         """The proposals of a track, from a frame on."""
-        indices = [frame.id for frame in self._frames]
+        indices = [frame.id for frame in self.desk.frames]
         later = set(indices[indices.index(first.id) :])
         return [(frame, label) for frame, label in self._all_open() if label.track_id == track and frame.id in later]
 
     def _all_open(self) -> list[tuple[StoredFrame, Label]]:
-        return [(frame, label) for frame in self._frames for label in self._open_labels(frame)]
+        return [(frame, label) for frame in self.desk.frames for label in self.desk.open_labels(frame)]
 
     def _thing_at(self, frame: StoredFrame, label: Label) -> Thing | None:
         """The object of which a label is a right box."""
-        return next((thing for thing in self.things(frame) if self._is_right(label, thing)), None)
+        return next((thing for thing in self.desk.things(frame) if self.desk.is_right(label, thing)), None)
 
-    # -- one box
-
-    def _corrected(
-        self, frame: StoredFrame, box: OrientedBox, thing: Thing, bill: Bill, can_redraw: bool
-    ) -> tuple[OrientedBox, bool]:
-        """Corrects a box until it is good enough; returns it, and whether it was drawn anew."""
-        tried = set() if can_redraw else {"redraw"}
-        actions, is_new = 0, False
-        while iou_3d(box, thing.box) < self._quality and actions < MOST_ACTIONS:
-            drags = plan(box, thing.box, self._quality, self._moves)
-            by_hand_s = sum(move.seconds + M for move in drags)
-            offers = {"drag": by_hand_s}
-            for kind, seconds in (("refit", KEY_S), ("redraw", DRAG_S + 2 * KEY_S)):
-                if kind not in tried:
-                    chance = (self._helped[kind] + 1) / (self._tries[kind] + 2)
-                    offers[kind] = seconds + self._waits[kind] + M + (1 - chance) * by_hand_s
-            choice = min(offers, key=lambda kind: offers[kind])
-            actions += 1
-            if choice == "drag":
-                bill.act(drags[0].kind, drags[0].seconds)
-                box = drags[0].apply(box, thing.box, self._hand)
-            else:
-                tried.add(choice)
-                self._tries[choice] += 1
-                found = (
-                    self._refitted(frame, box, thing, bill) if choice == "refit" else self._drawn(frame, thing, bill)
-                )
-                if found is not None:
-                    is_better = iou_3d(found, thing.box) > iou_3d(box, thing.box)
-                    self._helped[choice] += iou_3d(found, thing.box) >= self._quality
-                    if is_better:
-                        box, is_new = found, is_new or choice == "redraw"
-                    else:
-                        self._look(frame, found, bill)
-                        bill.act("undo", CHORD_S)
-            self._look(frame, box, bill)
-        return box, is_new
-
-    def _refitted(self, frame: StoredFrame, box: OrientedBox, thing: Thing, bill: Bill) -> OrientedBox:
-        opened, ready = self._open(frame), self._ready
-        config = frame_config(self._project, opened.frame, ready)
-        bill.act("refit", KEY_S)
-        return self._wait("refit", bill, lambda: refit(opened, box, thing.label, config, ready)).box
-
-    def _drawn(self, frame: StoredFrame, thing: Thing, bill: Bill) -> OrientedBox | None:
-        """Draws an object on the image; where no box is found, on the four views, too. None if it cannot be drawn."""
-        opened, ready = self._open(frame), self._ready
-        camera = opened.frame.camera
-        outline = box_on_image(camera, thing.box, thing.label)
-        errors_px = self._rng.normal(0, self._error_px, 4)
-        image_box = None if outline is None else inaccurate(camera, outline, errors_px)
-        if image_box is None:
-            return None
-        bill.act("draw key", KEY_S)
-        bill.act("draw on image", DRAG_S)
-        config = frame_config(self._project, opened.frame, ready)
-        found = self._wait("redraw", bill, lambda: find_box(opened, image_box, config, ready)).box
-        return self._on_views(opened, image_box, thing, bill) if found is None else found
-
-    def _on_views(self, opened: OpenFrame, image_box: Box2D, thing: Thing, bill: Bill) -> OrientedBox | None:
-        """Finishes an object in Label, on two and two views."""
-        config = label_config(self._project, opened.frame)
-
-        def draw(view: PseudoView) -> Box2D | None:
-            bill.looks += 1
-            true = project_box(view, thing.box, thing.label)
-            if true is None:
-                return None
-            bill.act("draw on view", DRAG_S)
-            edges = np.array(true.xyxy) + self._rng.normal(0, self._error_px, 4)
-            low, high = np.minimum(edges[:2], edges[2:] - 1), edges[2:]
-            return Box2D(thing.label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-
-        drawn = draw_object(opened.with_normals, image_box, draw, config)
-        if drawn is None:
-            return None
-        boxes = [item.box for item in drawn.views]
-        return label_steps(opened, image_box, boxes, config, BoxKind.BOX, axes=drawn.views[2].view.axes).box
-
-    def _look(self, frame: StoredFrame, box: OrientedBox, bill: Bill, is_ahead: bool = False) -> None:
-        """Waits for the three pictures of a box, and looks at them.
-
-        Args:
-            is_ahead: the box is the queue's next one, whose pictures the page has loaded ahead.
-        """
-        opened = self._open(frame)
-        begin = time.perf_counter()
-        for view in ortho_views(opened, box, VIEW_PX):
-            png(view.view.rgb)
-        self._waited(bill, time.perf_counter() - begin, is_ahead)
-        if is_ahead:
-            # now the page loads the next one
-            self._ahead_since_s = self._spent_s()
-        bill.looks += 1
-
-    def _waited(self, bill: Bill, work_s: float, is_ahead: bool) -> None:
-        """Counts what is left of work that the page may have done while the operator was busy."""
-        if is_ahead:
-            done_s = min(work_s, self._spent_s() - self._ahead_since_s)
-            # the rest of that time is left for what else was loaded
-            self._ahead_since_s += done_s
-            work_s -= done_s
-        bill.waiting_s += work_s
-
-    def _spent_s(self) -> float:
-        return sum((each.seconds for each in self.bills.values()), 0.0)
-
-    def _is_right(self, label: Label, thing: Thing) -> bool:
-        return label.label == thing.label and iou_3d(label.box, thing.box) >= self._quality
-
-    # -- the project
-
-    def _labels(self, frame: StoredFrame) -> tuple[Label, ...]:
-        return self._project.labels.of_frame(frame.id)
-
-    def _open_labels(self, frame: StoredFrame) -> list[Label]:
-        return [label for label in self._labels(frame) if label.state is ReviewState.PROPOSED]
-
-    def _created(self, thing: Thing, box: OrientedBox, track: int | None) -> LabelCreated:
+    @staticmethod
+    def _created(thing: Thing, box: OrientedBox) -> LabelCreated:
+        # the page gives a drawn box no track, also where it replaces a proposal of one
         return LabelCreated(
-            uid=uuid.uuid4().hex, label=thing.label, box=BoxRecord.of(box), track_id=track, origin=Origin.DRAWN
+            uid=uuid.uuid4().hex, label=thing.label, box=BoxRecord.of(box), track_id=None, origin=Origin.DRAWN
         )
-
-    def _store(self, frame: StoredFrame, payloads: list[Payload]) -> None:
-        context = WriteContext(self._project.frames.get(frame.id).revision, AUTHOR, effort=Effort(0, 0.0))
-        apply_changes(self._project, frame.id, payloads, context, lambda: self._open(frame))
-
-    def _enter(self, frame: StoredFrame) -> None:
-        """Opens the next frame, which the server has read ahead while the operator was busy with the one before."""
-        if self._opened is not None and self._opened[0] == frame.id:
-            return
-        begin = time.perf_counter()
-        self._open(frame)
-        self._waited(self.bills[None], time.perf_counter() - begin, is_ahead=True)
-        if not self._open_labels(frame):
-            self._ahead_since_s = self._spent_s()
-
-    def _open(self, frame: StoredFrame) -> OpenFrame:
-        if self._opened is None or self._opened[0] != frame.id:
-            self._opened = frame.id, OpenFrame(self._source.read(frame))
-        return self._opened[1]
-
-    def _wait(self, kind: str, bill: Bill, work: Callable[[], T]) -> T:
-        begin = time.perf_counter()
-        result = work()
-        self._waits[kind] = time.perf_counter() - begin
-        bill.waiting_s += self._waits[kind]
-        return result
 
 
 def _meant(labels: Sequence[Label], things: Sequence[Thing]) -> dict[str, Thing]:

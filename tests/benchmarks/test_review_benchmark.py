@@ -145,7 +145,7 @@ def reviewed(project: Project, with_sheets: bool = False) -> Operator:
 
 
 def total(operator: Operator) -> Bill:
-    return sum(operator.bills.values(), Bill())
+    return sum(operator.desk.bills.values(), Bill())
 
 
 def test_right_proposals_cost_a_look_each_and_a_key_a_frame(room: Project, people: Path) -> None:
@@ -175,7 +175,7 @@ def test_the_key_that_accepts_several_boxes_is_divided_among_their_tracks(room: 
             if len(each) > 1:
                 shares[truth.track_id] = shares.get(truth.track_id, Fraction(0)) + Fraction(1, len(each))
     assert len(shares) > 1
-    booked = {key[1]: bill.actions["accept all"] for key, bill in operator.bills.items() if key is not None}
+    booked = {key[1]: bill.actions["accept all"] for key, bill in operator.desk.bills.items() if key is not None}
     assert booked == shares
 
 
