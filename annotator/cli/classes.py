@@ -75,6 +75,21 @@ def order(project: ProjectName, names: tuple[str, ...], /, *, projects: Projects
     _change(project, projects, lambda config: edit.order_classes(config, names_in(names, config.classes)))
 
 
+def order_attributes(project: ProjectName, names: tuple[str, ...], /, *, projects: Projects = None) -> None:
+    """Set the order of the attributes.
+
+    Args:
+        names: all attributes of the project, with spaces or commas between them.
+    """
+
+    def ordered(config: ProjectConfig) -> ClassEdit:
+        return edit.order_attributes(config, names_in(names, [each.name for each in config.attributes]))
+
+    config = _change(project, projects, ordered, show_classes=False)
+    for each in config.attributes:
+        print_line(_attribute_line(each))
+
+
 def rename(project: ProjectName, old: str, new: str, /, *, projects: Projects = None) -> None:
     """Rename a class. Its 2D and 3D boxes follow, and so do the results of detectors that know the old name.
 

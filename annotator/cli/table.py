@@ -56,6 +56,7 @@ COMMANDS: dict[str, Command] = {
     "classes style": Command("annotator.cli.classes:style", "set the colour and the key of a class"),
     "classes attribute": Command("annotator.cli.classes:attribute", "add or change an attribute"),
     "classes rename-attribute": Command("annotator.cli.classes:rename_attribute", "rename an attribute or a choice"),
+    "classes order-attributes": Command("annotator.cli.classes:order_attributes", "set the order of the attributes"),
     "classes remove-attribute": Command("annotator.cli.classes:remove_attribute", "remove an attribute"),
     "generate": Command("annotator.cli.generate:run", "generate a synthetic recording with ground truth"),
     "doctor": Command(

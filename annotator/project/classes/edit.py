@@ -73,6 +73,18 @@ def order_classes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
     return ClassEdit(_with(config, classes=tuple(names)))
 
 
+def order_attributes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
+    """Orders the attributes.
+
+    Raises:
+        ConfigError: not the project's attributes.
+    """
+    known = {each.name: each for each in config.attributes}
+    if sorted(names) != sorted(known):
+        raise ConfigError(f"the order must name each attribute once: {', '.join(known)}")
+    return ClassEdit(_with(config, attributes=tuple(known[name] for name in names)))
+
+
 def rename_class(config: ProjectConfig, old: str, new: str) -> ClassEdit:
     """Renames a class; its boxes follow.
 

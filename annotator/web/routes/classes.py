@@ -95,6 +95,16 @@ class Order(Schema):
         return edit.order_classes(config, self.names)
 
 
+class OrderAttributes(Schema):
+    """Orders the attributes."""
+
+    do: Literal["order_attributes"]
+    names: ClassNames
+
+    def edit(self, config: ProjectConfig) -> ClassEdit:
+        return edit.order_attributes(config, self.names)
+
+
 class PutAttribute(Schema):
     """Adds or replaces an attribute, as in `project.json`; `drop` removes values that do not fit."""
 
@@ -134,7 +144,16 @@ class ClassChange(Schema):
     """One change of the classes or attributes."""
 
     change: Annotated[
-        Add | Style | Rename | Merge | Remove | Order | PutAttribute | RenameAttribute | RemoveAttribute,
+        Add
+        | Style
+        | Rename
+        | Merge
+        | Remove
+        | Order
+        | OrderAttributes
+        | PutAttribute
+        | RenameAttribute
+        | RemoveAttribute,
         Field(discriminator="do"),
     ]
 

@@ -154,6 +154,11 @@ export async function editClasses(app, project) {
    * @param {string[]} names
    */
   function attributeRow(attribute, names) {
+    const all = schema().map((each) => each.name);
+    const index = all.indexOf(attribute.name);
+    /** @param {number} to */
+    const move = (to) =>
+      put({ do: "order_attributes", names: all.toSpliced(index, 1).toSpliced(to, 0, attribute.name) });
     const values = listed.values[attribute.name] ?? 0;
     return h(
       "div",
@@ -163,6 +168,10 @@ export async function editClasses(app, project) {
       h(
         "span",
         { class: "row" },
+        iconButton("up", `Move ${attribute.name} up`, () => move(index - 1), { disabled: index === 0 }),
+        iconButton("down", `Move ${attribute.name} down`, () => move(index + 1), {
+          disabled: index === all.length - 1,
+        }),
         button("Edit", () => attributeForm({ attribute, classes: names, attributes: schema(), change })),
         button("Rename", () => askRename({ ...attribute, values }, change)),
         button("Remove", () => askRemoveAttribute(attribute, values, change)),
