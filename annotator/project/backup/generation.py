@@ -14,6 +14,7 @@ process that has the database open notices an older copy, too.
 from __future__ import annotations
 
 import logging
+import os
 import re
 import sqlite3
 import struct
@@ -69,12 +70,16 @@ def has_foreign_wal(path: Path) -> bool:
     return True
 
 
-def _looks_foreign(path: Path) -> bool:
-    """The same at one look. It can be wrong while a process writes, as the files are not read at one moment."""
+def _looks_foreign(path: Path, known: _Wal | None = None) -> bool:
+    """The same at one look. It can be wrong while a process writes, as the files are not read at one moment.
+
+    Args:
+        known: what was read of the `-wal` before.
+    """
     wal = wal_of(path)
     for _ in range(_ATTEMPTS):
-        before, token = _read_wal(wal), _stored(path)
-        after = _read_wal(wal)
+        before, token = _read_wal(wal, known), _stored(path)
+        after = _read_wal(wal, before)
         if before is None or after is None or token is None:
             return False
         # else another process has begun the file anew in the meantime
@@ -96,6 +101,8 @@ class Lineage:
         self._stored = NO_TOKEN
         # the newest token known: of this process, or seen at the last look
         self._newest = NO_TOKEN
+        # what was read of the `-wal`, which has thousands of pages: only what is new is read
+        self._wal: _Wal | None = None
         self._is_broken = False
 
     def begin(self, path: Path) -> None:
@@ -115,9 +122,10 @@ class Lineage:
             # known before the file is read: other threads look and write, too
             known, newest = self._stored, self._newest
             stored, seen = _stored(self._path), _seen(self._path)
+            self._wal = wal = _read_wal(wal_of(self._path), self._wal)
             if seen is None or stored is None:  # locked, or damaged: SQLite reports it
                 return False
-            if not (_is_older(stored, known) or _is_older(seen, newest) or _looks_foreign(self._path)):
+            if not (_is_older(stored, known) or _is_older(seen, newest) or _looks_foreign(self._path, wal)):
                 self._stamp, self._stored = stamp, stored
                 self.written(seen)
             elif looks > 1:
@@ -179,11 +187,15 @@ class _Wal:
         salts: random numbers that identify its content.
         chain: for each transaction, the token of the one before, and its own.
         has_commits: True if it contains a complete transaction.
+        ends_at: where its last complete transaction ends, bytes. What follows may be written over.
+        number: of the links up to there.
     """
 
     salts: bytes
     chain: tuple[tuple[str, str], ...]
     has_commits: bool
+    ends_at: int
+    number: int
 
     def follows(self, token: str) -> bool:
         """Whether it can be applied to a database whose last transaction had that token."""
@@ -194,8 +206,12 @@ class _Wal:
         return token in {self.chain[0][0], *(own for _, own in self.chain)}
 
 
-def _read_wal(path: Path) -> _Wal | None:
-    """Reads a WAL; None if there is none, or if SQLite would ignore it."""
+def _read_wal(path: Path, known: _Wal | None = None) -> _Wal | None:
+    """Reads a WAL; None if there is none, or if SQLite would ignore it.
+
+    Args:
+        known: what was read of it before; the same is not read again.
+    """
     try:
         with open_file(path) as file:
             header = file.read(_HEADER)
@@ -204,19 +220,26 @@ def _read_wal(path: Path) -> _Wal | None:
             (page_bytes,), salts = struct.unpack(">I", header[8:12]), header[16:24]
             if page_bytes not in _PAGE_BYTES:
                 return None
-            has_commits = False
-            chain: list[tuple[str, str]] = []
+            if known is not None and known.salts == salts and os.fstat(file.fileno()).st_size >= known.ends_at:
+                file.seek(known.ends_at)
+            else:
+                known = _Wal(salts, (), False, _HEADER, 0)
+            has_commits, ends_at, number = known.has_commits, known.ends_at, known.number
+            chain = list(known.chain[:number])
+            at = ends_at
             while len(frame := file.read(_FRAME_HEADER + page_bytes)) == _FRAME_HEADER + page_bytes:
                 # left from before the file was begun anew, or no page at all
                 if frame[8:16] != salts or not any(frame[:4]):
                     break
-                has_commits = has_commits or any(frame[4:8])
+                at += len(frame)
                 chain += _links(frame[_FRAME_HEADER:])
+                if any(frame[4:8]):
+                    has_commits, ends_at, number = True, at, len(chain)
     except FileNotFoundError:
         return None
     except OSError:  # SQLite reports it
         return None
-    return _Wal(salts, tuple(chain), has_commits)
+    return _Wal(salts, tuple(chain), has_commits, ends_at, number)
 
 
 def _links(page: bytes) -> Iterator[tuple[str, str]]:

@@ -98,7 +98,10 @@ def _checked(project: Path, deep: bool) -> list[str]:
             write_snapshot(database, copy)
             if problems := database_problems(copy):
                 return [f"{DATABASE_FILE}: {problem}" for problem in problems]
-            return [*_event_problems(copy), *_state_problems(copy), *_file_problems(project, copy)]
+            found = list(_state_problems(copy))
+            if found:  # a repaired project has gaps, too, but its state follows from the events that are left
+                found = [*_event_problems(copy), *found]
+            return [*found, *_file_problems(project, copy)]
     except ProjectError as error:
         return [str(error)]
 

@@ -103,7 +103,7 @@ def test_several_looks_must_find_another_database(
 ) -> None:
     lineage, answers = Lineage(), iter([True] * wrong + [False] * 4)
     lineage.begin(full / "project.db")
-    monkeypatch.setattr(generation, "_looks_foreign", lambda path: next(answers))
+    monkeypatch.setattr(generation, "_looks_foreign", lambda path, wal: next(answers))
     os.utime(full / "project.db")
     assert lineage.is_broken() == is_broken
     assert lineage.is_broken() == is_broken
