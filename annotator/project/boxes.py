@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from sqlalchemy import Connection, select
 
@@ -165,10 +166,21 @@ def read_view_boxes(connection: Connection, frame_id: int) -> tuple[ViewBoxes, .
     return tuple(map(_view_boxes, connection.execute(query)))
 
 
+@lru_cache(maxsize=1024)
+def _boxes(content: str) -> tuple[Box2D, ...]:
+    """Stored boxes, which a page reads again after each change of its frame."""
+    return parsed(BOXES_2D.validate_json, content)
+
+
+@lru_cache(maxsize=1024)
+def _geometry(content: str) -> ViewGeometry:
+    return parsed(ViewGeometry.model_validate_json, content)
+
+
 def _image_boxes(row: AnyRow) -> ImageBoxes:
     return ImageBoxes(
         row.frame_id,
-        parsed(BOXES_2D.validate_json, row.boxes),
+        _boxes(row.boxes),
         BoxKind(row.box_kind),
         row.author,
         row.time_ns,
@@ -182,10 +194,10 @@ def _view_boxes(row: AnyRow) -> ViewBoxes:
         row.view_id,
         row.frame_id,
         row.revision,
-        parsed(BOXES_2D.validate_json, row.boxes),
+        _boxes(row.boxes),
         BoxKind(row.box_kind),
         row.step,
-        None if row.geometry is None else parsed(ViewGeometry.model_validate_json, row.geometry),
+        None if row.geometry is None else _geometry(row.geometry),
         row.author,
         row.time_ns,
         Source(row.source),

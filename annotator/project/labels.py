@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Connection, Select, func, select
@@ -370,11 +371,17 @@ def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
     return tuple(map(_label, connection.execute(query)))
 
 
+@lru_cache(maxsize=4096)
+def _box(content: str) -> OrientedBox:
+    """A stored box. A page reads all boxes of its frame again after each change of one."""
+    return parsed(BoxRecord.model_validate_json, content).box()
+
+
 def _label(row: AnyRow) -> Label:
     return Label(
         row.uid,
         row.label,
-        parsed(BoxRecord.model_validate_json, row.box).box(),
+        _box(row.box),
         row.score,
         Source(row.source),
         ReviewState(row.state),

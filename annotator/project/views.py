@@ -6,6 +6,7 @@ import hashlib
 import re
 import struct
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -93,20 +94,25 @@ class Views:
             NotFoundError: no such image.
             ProjectError: it cannot be read.
         """
-        path = self.path(view_id)
-        try:
-            with open_file(path) as file:
-                head = file.read(24)
-        except OSError as error:
-            raise ProjectError(f"{path}: cannot be read: {error}") from error
-        # the header chunk is the first one: its length and name, then width and height as big-endian words
-        if not head.startswith(_PNG) or len(head) < 24:
-            raise ProjectError(f"{path}: is damaged; {RESTORE}")
-        width, height = struct.unpack(">II", head[16:24])
-        return width, height
+        return _size_of(self.path(view_id))
 
     def _file(self, view_id: str) -> Path:
         return self.folder / f"{view_id}.png"
+
+
+@lru_cache(maxsize=4096)
+def _size_of(path: Path) -> tuple[int, int]:
+    """The size of an image, which never changes: a page needs that of all views of its frame after each change."""
+    try:
+        with open_file(path) as file:
+            head = file.read(24)
+    except OSError as error:
+        raise ProjectError(f"{path}: cannot be read: {error}") from error
+    # the header chunk is the first one: its length and name, then width and height as big-endian words
+    if not head.startswith(_PNG) or len(head) < 24:
+        raise ProjectError(f"{path}: is damaged; {RESTORE}")
+    width, height = struct.unpack(">II", head[16:24])
+    return width, height
 
 
 def png(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:

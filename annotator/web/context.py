@@ -215,13 +215,14 @@ def _require(folder: Path) -> None:
         raise NotFoundError(f"there is no project {folder.name!r}; the start page lists the existing ones")
 
 
-def context(connection: HTTPConnection) -> Context:
+# These are coroutines, since FastAPI calls plain functions in a thread of their own, for which a request waits.
+async def context(connection: HTTPConnection) -> Context:
     """The application's context, for `Depends`."""
     shared: Context = connection.app.state.context
     return shared
 
 
-def operator(connection: HTTPConnection) -> str:
+async def operator(connection: HTTPConnection) -> str:
     """The signed-in operator's name, for `Depends`.
 
     Raises:

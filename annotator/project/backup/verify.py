@@ -97,7 +97,7 @@ def _checked(project: Path, deep: bool) -> list[str]:
             copy = folder / DATABASE_FILE
             write_snapshot(database, copy)
             if problems := database_problems(copy):
-                return [f"{DATABASE_FILE}: {problem}" for problem in problems]
+                return [*_event_problems(copy), *(f"{DATABASE_FILE}: {problem}" for problem in problems)]
             found = list(_state_problems(copy))
             if found:  # a repaired project has gaps, too, but its state follows from the events that are left
                 found = [*_event_problems(copy), *found]

@@ -68,7 +68,8 @@ def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Chan
     project = ctx.project(name)
     open_frame = partial(ctx.caches.frames.open, project, frame_id)
     try:
-        receipt = apply_changes(project, frame_id, body.payloads(), body.context(operator), open_frame)
+        known = ctx.caches.frames.known_page(project, frame_id)
+        receipt = apply_changes(project, frame_id, body.payloads(), body.context(operator), open_frame, known)
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, body.model_dump(mode="json")["changes"])
     ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)

@@ -44,7 +44,7 @@ def _send(hub: Hub, viewport: Viewport, message: dict[str, Any]) -> None:
 router = APIRouter(tags=["viewport"], lifespan=_lifespan)
 
 
-def _viewports(connection: HTTPConnection) -> Viewports:
+async def _viewports(connection: HTTPConnection) -> Viewports:
     viewports: Viewports = connection.app.state.viewports
     return viewports
 

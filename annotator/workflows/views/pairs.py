@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from annotator.project import ViewBoxes
+from annotator.project.records import Rotation3
 from annotator.rcv.pseudo_view import side_axes
 from annotator.types import Box2D
 
@@ -46,4 +48,9 @@ def front_and_side(views: Sequence[ViewBoxes]) -> tuple[ViewBoxes, ViewBoxes] | 
 def _is_pair(front: ViewBoxes, side: ViewBoxes) -> bool:
     if front.geometry is None or side.geometry is None:
         return False
-    return bool(np.allclose(side_axes(np.array(front.geometry.axes)), side.geometry.axes, atol=SAME_AXES))
+    return _are_beside(front.geometry.axes, side.geometry.axes)
+
+
+@lru_cache(maxsize=1024)
+def _are_beside(front: Rotation3, side: Rotation3) -> bool:
+    return bool(np.allclose(side_axes(np.array(front)), side, atol=SAME_AXES))

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from annotator.project import Project, StoredFrame
-from annotator.project.overview import neighbours
+from annotator.project.overview import FramePage, neighbours
 from annotator.recordings import Recording
 from annotator.recordings.recording import is_parallel
 from annotator.types import Frame
@@ -77,6 +77,11 @@ class FrameCache:
         opened = self._open(project, stored)
         self._read_ahead(_ReadAhead(project, stored, time.monotonic() + PAUSE_S), operator)
         return opened
+
+    def known_page(self, project: Project, frame_id: int) -> FramePage | None:
+        """The page of an open frame as it was last read; None for a frame that is not open."""
+        opened = self._cached((project, frame_id))
+        return None if opened is None else opened.page
 
     def look(self, project: Project, stored: StoredFrame) -> Frame:
         """Returns a frame that is not opened: it is not cached, and nothing is read ahead. Raises as `read`."""

@@ -73,13 +73,12 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
         triggers = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
         for name, _ in triggers:
             connection.execute(f"DROP TRIGGER {name}")
-        (total,) = connection.execute("SELECT count(*) FROM events").fetchone()
         count = connection.execute(f"DELETE FROM events WHERE {DELETED[which]}").rowcount
         for _, sql in triggers:
             connection.execute(sql)
         connection.commit()
     assert count
-    assert f"{count} of {total} events are missing" in verify(full, deep=True).problems
+    assert verify(full, deep=True).problems[0].endswith(f"{count} of 5 events are missing")
     repaired = repair(full, "saved")
     assert repaired.is_new and repaired.lost["events"] >= count and repaired.restored
     assert verify(repaired.path, deep=True).problems == ()
