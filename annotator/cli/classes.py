@@ -29,8 +29,8 @@ AUTHOR = "annotator classes"
 
 ClassName = Annotated[str, arg(help="name of the class.")]
 Colour = Annotated[str | None, arg(metavar="RRGGBB", help="colour on the page, six hexadecimal digits.")]
-Clearable = Literal["minimum", "maximum", "classes", "default", "key"]
-_CLEARED = {"classes": ()}
+Unsettable = Literal["minimum", "maximum", "classes", "default", "key"]
+_UNSET = {"classes": ()}
 Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.")]
 
 
@@ -166,7 +166,7 @@ def attribute(
     optional: bool = False,
     default: Annotated[str | None, arg(aliases=("--value",))] = None,
     key: Key = None,
-    clear: tuple[Clearable, ...] = (),
+    unset: tuple[Unsettable, ...] = (),
     drop: bool = False,
     projects: Projects = None,
 ) -> None:
@@ -183,16 +183,16 @@ def attribute(
         required: let checks report boxes without a value.
         optional: let checks accept boxes without a value.
         default: value of new boxes.
-        clear: settings that an attribute is to have no longer.
+        unset: settings that the attribute no longer has.
         drop: remove stored values that do not fit.
     """
 
     set_here = {"minimum": minimum, "maximum": maximum, "classes": classes or None, "default": default, "key": key}
 
     def put(config: ProjectConfig) -> ClassEdit:
-        both = sorted(set(clear) & {field for field, each in set_here.items() if each is not None})
+        both = sorted(set(unset) & {field for field, each in set_here.items() if each is not None})
         if both:
-            raise ConfigError(f"--{both[0]} sets what --clear removes; give one of both")
+            raise ConfigError(f"--{both[0]} sets what --unset removes; give one of both")
         known = {each.name: each for each in config.attributes}
         if name not in known and kind is None:
             raise ConfigError(f"a new attribute needs --kind, one of {', '.join(AttributeKind)}")
@@ -204,7 +204,7 @@ def attribute(
         }
         fields = known[name].model_dump() if name in known else {"name": name}
         fields |= {field: each for field, each in given.items() if each is not None}
-        fields |= {field: _CLEARED.get(field) for field in clear}
+        fields |= {field: _UNSET.get(field) for field in unset}
         for label in given["classes"] or ():
             edit.require_class(config, label)
         try:

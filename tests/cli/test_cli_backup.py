@@ -24,7 +24,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     assert main(["new", "hands", "--classes", "hand"]) == 0
     with open_project(folder / "hands") as project:
         project.recordings.add(tmp_path / "take", "rgbd", "take", ["0"], True)
-        project.boxes.set_on_image(1, [], BoxKind.BOX, WriteContext(0, "Ada"))
+        project.boxes.set_on_image(1, [], BoxKind.BOX, WriteContext(1, "Ada"))
     return folder
 
 

@@ -98,7 +98,7 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
         ("order-attributes cars age", "must name each attribute once: "),
         ("attribute cars pose", "a new attribute needs --kind"),
         ("attribute cars pose --kind integer --default red", "--default: pose must be a whole number"),
-        ("attribute cars pose --default driving --clear default", "--default sets what --clear removes"),
+        ("attribute cars pose --default driving --unset default", "--default sets what --unset removes"),
         ("attribute cars pose --kind text --classes bus", "has no class 'bus'"),
         ("rename-attribute cars pose posture", "has no attribute 'pose'; it has: none"),
     ],
@@ -112,13 +112,11 @@ def test_what_cannot_be_done_is_refused_with_the_way_out(
     assert (cars / "project.json").read_text() == before
 
 
-def test_settings_of_an_attribute_change_together_and_are_cleared(
-    cars: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_of_an_attribute_change_together_and_are_unset(cars: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words, shown in (
         ("--kind number --minimum 0 --maximum 9 --default 5", "a number from 0 to 9; default 5.0"),
-        ("--maximum 3 --default 2", "a number from 0 to 3; default 2.0"),
-        ("--clear maximum default", "a number from 0"),
+        ("--maximum 3 --default 2 --drop", "a number from 0 to 3; default 2.0"),
+        ("--unset maximum default", "a number from 0"),
     ):
         assert main(["classes", "attribute", "cars", "age", *words.split()]) == 0
         assert capsys.readouterr().out == f"attribute age: {shown}\n"

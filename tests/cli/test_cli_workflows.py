@@ -317,7 +317,7 @@ def test_demo_passes_its_options_on_and_checks_them(
     [
         (["simulate", "room", "nothing"], "no recording 'nothing'; it has: people"),
         (["simulate", "room", "people", "--every", "0"], "give 1 or more"),
-        (["simulate", "nowhere", "people"], "no project 'nowhere' (it has: room); create it with"),
+        (["simulate", "nowhere", "people"], "no project 'nowhere' (it has: room); `annotator new` creates one"),
         (["views", "room", "out"], "no object with boxes on camera images yet"),
         (["views", "room", "out", "--step", "2"], "both views of the first step"),
         (["views", "room", "out", "--step", "3"], "there is no step 3"),

@@ -24,9 +24,9 @@ CHANGES: dict[str, tuple[dict[str, Any], Any, dict[str, Any]]] = {
 changes = pytest.mark.parametrize("change", CHANGES)
 
 
-def put(project: Project, of: str, definition: dict[str, Any]) -> None:
+def put(project: Project, of: str, definition: dict[str, Any], *, drop: bool = False) -> None:
     attribute = Attribute(name="state", of=AttributeOf(of), **definition)
-    project.change_classes(lambda config: edit.put_attribute(config, attribute), "ann")
+    project.change_classes(lambda config: edit.put_attribute(config, attribute, drop=drop), "ann")
 
 
 def put_note(project: Project, of: str) -> None:
@@ -131,7 +131,7 @@ def test_undo_leaves_out_values_of_another_source_that_it_shows_again(
     project.proposals.bring("mine", {frame: [NewLabel("hand", box_at(), 0.2, attributes={"state": value})]})
     project.proposals.bring("better", {frame: [NewLabel("hand", box_at(), 0.9)]}, "ann", new_action())
     assert [each.label.attributes for each in project.labels.select()] == [{"state": value}]
-    put(project, "box", after)
+    put(project, "box", after, drop=True)
     project.history.undo("ann")
     (shown,) = project.labels.select()
     assert [each.source for each in project.labels.get(shown.label.uid).said] == ["mine"]

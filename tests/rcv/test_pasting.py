@@ -19,7 +19,7 @@ from annotator.synthetic.snapshots import snapshot
 from annotator.types import Frame, PointCloud
 
 # Generated frames of depth cameras and of LiDARs.
-SEEDS = range(200, 208)
+SEEDS = range(200, 216)
 MARGIN = pasting.GROWN
 
 

@@ -129,7 +129,8 @@ def test_filters_leave_room_for_the_queue_and_say_what_they_hide(desk: Desk, wai
     desk.settled()
 
     value = page.get_by_test_id("queue-attribute")
-    expect(value.locator("option")).to_have_text(["All attributes", "helmet: none", "helmet: yes", "helmet: no"])
+    choices = ["All attributes", "helmet: none", "helmet: yes", "helmet: no", "helmet: any"]
+    expect(value.locator("option")).to_have_text(choices)
     value.select_option("helmet: yes")
     queue = page.get_by_test_id("queue")
     expect(queue).to_contain_text("No proposal matches the filter")

@@ -12,8 +12,8 @@ import { isAborted } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
 const HELP =
-  "Top, front and side of each box. Click on the wrong ones; they stay proposals. Ctrl+click on the first wrong one: " +
-  "those before it are accepted, and it is opened.";
+  "Top, front and side of each box. Click on the wrong ones; they stay proposals. Ctrl+click on the first wrong one " +
+  "accepts those before it, and opens it.";
 
 /** The size of a picture, px. */
 const WIDTH = 292;
@@ -109,7 +109,7 @@ export function createSheet(app, { desk, queue, open }) {
           "aria-pressed": isOpen(box) ? "false" : null,
           "aria-label": `Frame ${box.key}, ${box.state}`,
           title: isOpen(box)
-            ? "Click if it is wrong; Shift+click: this and all after it; Ctrl+click: accept those before, correct this one"
+            ? "Click: it is wrong. Shift+click: all from here are. Ctrl+click: accept those before it, and open it"
             : `${box.state} already`,
           "data-testid": "sheet-box",
           "data-uid": box.uid,

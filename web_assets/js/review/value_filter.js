@@ -97,7 +97,8 @@ export function createValueFilter(app, onChange) {
           queries.set(`${name}=${value}`, { attribute: name, value: String(value) });
         }
         const last = `${name}~`;
-        texts.set(last, values ? `${shown}: any` : kind === "text" ? `${shown}: contains …` : `${shown}: from … to …`);
+        const typedIn = kind === "text" ? "contains …" : "from … to …";
+        texts.set(last, `${shown}: ${values ? "any" : typedIn}`);
         if (values) queries.set(last, { attribute: name, known: "true" });
         else typed.set(last, attribute);
       }
