@@ -24,7 +24,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     assert main(["new", "hands", "--classes", "hand"]) == 0
     with open_project(folder / "hands") as project:
         project.recordings.add(tmp_path / "take", "rgbd", "take", ["0"], True)
-        project.boxes.set_on_image(1, [], BoxKind.BOX, WriteContext(1, "Ada"))
+        project.boxes.set_on_image(1, [], BoxKind.BOX, WriteContext(0, "Ada"))
     return folder
 
 
@@ -78,7 +78,7 @@ def test_repair_says_what_it_did(root: Path, capsys: pytest.CaptureFixture[str])
 def test_missing_files_and_the_newest_backup_are_named(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with open_project(root / "hands") as project:
         view = project.views.store(np.zeros((4, 4, 3), np.uint8))
-        project.boxes.set_on_view(view, [], BoxKind.BOX, WriteContext(0, "Ada"), frame_id=1)
+        project.boxes.set_on_view(view, [], BoxKind.BOX, WriteContext(1, "Ada"), frame_id=1)
     assert main(["project", "repair", "hands"]) == 0
     assert "lacks" not in capsys.readouterr().out
     (root / "hands" / "views" / f"{view}.png").unlink()
