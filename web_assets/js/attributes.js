@@ -35,13 +35,15 @@ export const schemaOf = (app) =>
 export const nameOf = (value) => (value === true ? "yes" : value === false ? "no" : String(value));
 
 /**
- * The values of a box in one line, such as "pose=sitting, mass=80".
+ * The values of a box in one line, in the order of the project's attributes, such as "pose=sitting, mass=80".
  *
+ * @param {App} app
  * @param {{ attributes?: Record<string, string | number | boolean> }} label
  */
-export const valuesText = ({ attributes = {} }) =>
-  Object.entries(attributes)
-    .map(([name, value]) => `${name}=${nameOf(value)}`)
+export const valuesText = (app, { attributes = {} }) =>
+  schemaOf(app)
+    .filter(({ name, of }) => of !== "frame" && attributes[name] !== undefined)
+    .map(({ name }) => `${name}=${nameOf(attributes[name])}`)
     .join(", ");
 
 /**

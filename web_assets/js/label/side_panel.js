@@ -165,8 +165,11 @@ function objectRow(app, item, isCurrent, isReadonly, { onOpen, onDelete }) {
   );
 }
 
-/** @param {Api.LabelJson} label */
-const labelTitle = (label) => ["Open in Review", valuesText(label)].filter(Boolean).join("\n");
+/**
+ * @param {ModeApp} app
+ * @param {Api.LabelJson} label
+ */
+const labelTitle = (app, label) => ["Open in Review", valuesText(app, label)].filter(Boolean).join("\n");
 
 /**
  * @param {ModeApp} app
@@ -182,7 +185,7 @@ function labelRow(app, label, onReview) {
     {},
     h(
       "button",
-      { type: "button", class: "quiet entry", title: labelTitle(label), onclick: () => onReview(label.uid) },
+      { type: "button", class: "quiet entry", title: labelTitle(app, label), onclick: () => onReview(label.uid) },
       swatch,
       h("span", { class: "grow ellipsis" }, label.label),
       h("span", { class: `state-${label.state}` }, label.state + score),

@@ -1,6 +1,5 @@
 /** How a 3D box is drawn: its colour, its outline on the image, and its heading in a view. */
 
-import { valuesText } from "../attributes.js";
 import { headingLine, toView } from "../box3d.js";
 import { line, outline } from "../camera.js";
 
@@ -28,9 +27,9 @@ export function shortName(label) {
  * What is written at the selected box: also its state, and the values of its attributes as far as they are short.
  *
  * @param {PageLabel} label
+ * @param {string} values
  */
-function selectedTag(label) {
-  const values = valuesText(label);
+function selectedTag(label, values) {
   const shown = values.length > MOST_VALUES ? `${values.slice(0, MOST_VALUES - 1)}…` : values;
   return [shortName(label), label.isNew ? "" : label.state, shown].filter(Boolean).join(" · ");
 }
@@ -40,12 +39,12 @@ function selectedTag(label) {
  *
  * @param {Camera} camera
  * @param {PageLabel} label
- * @param {{ selected: boolean, box: Box3D | null, color?: string }} shown
+ * @param {{ selected: boolean, box: Box3D | null, color?: string, values?: string }} shown values: of its attributes.
  * @returns {Overlay[]}
  */
-export function imageOverlays(camera, label, { selected, box, color = STATE_COLORS[label.state] }) {
+export function imageOverlays(camera, label, { selected, box, color = STATE_COLORS[label.state], values = "" }) {
   const segments = box ? outline(camera, box) : label.outline;
-  const tag = selected ? selectedTag(label) : shortName(label);
+  const tag = selected ? selectedTag(label, values) : shortName(label);
   const body = { id: label.uid, segments, color, dash: label.state === "rejected", strong: selected, tag };
   if (!selected) return [body];
   const [middle, front] = headingLine(box ?? label.box);

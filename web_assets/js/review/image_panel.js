@@ -1,5 +1,6 @@
 /** The camera image with all boxes of the frame: a click selects a box, and a drag draws a new one. */
 
+import { valuesText } from "../attributes.js";
 import { classColor, trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
@@ -98,8 +99,12 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
       }),
     );
     overlays.push(...otherOverlays(frame.others));
-    if (selected)
-      overlays.push(...imageOverlays(camera, selected, { selected: true, box: selected.box, ...colorOf(selected) }));
+    if (selected) {
+      const values = valuesText(app, selected);
+      overlays.push(
+        ...imageOverlays(camera, selected, { selected: true, box: selected.box, values, ...colorOf(selected) }),
+      );
+    }
     editor.setOverlays(overlays);
   }
 

@@ -195,7 +195,7 @@ export function createBoxList(host, app, desk) {
     const labels = desk.labels();
     const hasPictures = labels.filter(isOpen).length > 1;
     list.replaceChildren(
-      ...labels.map((label) => boxRow(label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
+      ...labels.map((label) => boxRow(app, label, desk, hasPictures ? (pictures.get(label.uid) ?? "") : null)),
     );
   }
 
@@ -230,11 +230,12 @@ export function createBoxList(host, app, desk) {
 }
 
 /**
+ * @param {ModeApp} app
  * @param {PageLabel} label
  * @param {Desk} desk
  * @param {string | null} picture "": not drawn yet; null: the box has none.
  */
-function boxRow(label, desk, picture) {
+function boxRow(app, label, desk, picture) {
   const problem = desk.problemOf(label.uid);
   const state = problem ? "not saved" : label.isNew ? "new" : label.state;
   return h(
@@ -246,7 +247,7 @@ function boxRow(label, desk, picture) {
         type: "button",
         class: "quiet row-button",
         "aria-current": label.uid === desk.uid ? "true" : null,
-        title: problem ? `Not saved. ${problem}` : valuesText(label) || null,
+        title: problem ? `Not saved. ${problem}` : valuesText(app, label) || null,
         onclick: () => desk.select(label.uid),
         "data-testid": "frame-box",
         "data-uid": label.uid,
