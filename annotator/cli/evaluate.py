@@ -38,7 +38,7 @@ def run(
     Args:
         detections: boxes to score: kitti = folder (or zip) of result files; sunrgbd = CSV of boxes; oriented = rcv
             dataset.
-        truth: ground truth in the same format; kitti = folder `label_2`.
+        truth: ground truth in the same format; kitti = folder `label_2`, or a dataset with it.
         protocol: kitti = 2D, bird's-eye view and 3D AP, and AOS, as in the devkit; sunrgbd = mAP as in VoteNet;
             oriented = AP with the exact 3D IoU of freely rotated boxes, mean IoU, pose errors.
         project: name of a project to score, instead of files.

@@ -49,7 +49,7 @@ def each_kitti_frame(path: Path) -> Iterator[tuple[str, tuple[Truth, ...]]]:
         FormatError: there are no labels, a row is not a valid label (names the line), or frames.csv does not list a
             label file.
     """
-    place = _place(path)
+    place = label_place(path)
     if place.is_file() and place.suffix == ".txt":
         if any(len(fields) in (FIELDS, FIELDS + 1) for _, fields in text_rows(place)[:1]):
             raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
@@ -71,7 +71,7 @@ def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
     Raises:
         FormatError: a calibration is damaged, or frames.csv does not list a label file.
     """
-    place = _place(path)
+    place = label_place(path)
     if not place.is_dir():
         return {}
     dataset_names = DatasetNames.of(place)
@@ -79,7 +79,8 @@ def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
     return {dataset_names.frame(stem): read_shift(file) for stem, file in files.items() if file is not None}
 
 
-def _place(path: Path) -> Path:
+def label_place(path: Path) -> Path:
+    """The folder or file of labels in a KITTI dataset; the path itself if it is none."""
     return next((path / name for name in PLACES if (path / name).exists()), path)
 
 

@@ -19,7 +19,7 @@ from annotator.evaluation.sunrgbd import evaluate_sunrgbd
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.formats.kitti.label_files import KittiLabel
-from annotator.formats.kitti.label_folders import read_kitti_folder
+from annotator.formats.kitti.label_folders import label_place, read_kitti_folder
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import MANIFEST
 from annotator.types import OrientedBox, ReviewState
@@ -80,8 +80,8 @@ def evaluate_files(detections: Path, truth: Path, protocol: Protocol, options: O
     """Evaluates detections against truth, both in the protocol's format.
 
     Args:
-        detections, truth: kitti = folders or zip archives with one text file per frame; sunrgbd = CSV files of boxes;
-            oriented = `rcv` datasets.
+        detections, truth: kitti = folders or zip archives with one text file per frame, or datasets with
+            training/label_2; sunrgbd = CSV files of boxes; oriented = `rcv` datasets.
 
     Raises:
         FormatError: a file cannot be read or violates its format; the message names file and line.
@@ -91,6 +91,7 @@ def evaluate_files(detections: Path, truth: Path, protocol: Protocol, options: O
 
 
 def _kitti(detections: Path, truth: Path, options: Options) -> Report:
+    detections, truth = label_place(detections), label_place(truth)
     detected, true = read_kitti_folder(detections, scored=True), read_kitti_folder(truth, scored=False)
     names = sorted(detected) if options.frames is None else list(dict.fromkeys(options.frames))
     _require(names, true, truth, "with the truth")

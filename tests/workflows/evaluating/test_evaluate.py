@@ -55,6 +55,13 @@ def test_exact_kitti_detections_have_full_precision(tmp_path: Path) -> None:
     assert len(report.diagrams) == 4
 
 
+def test_the_truth_of_kitti_may_be_a_whole_dataset(tmp_path: Path) -> None:
+    found, truth = kitti_folders(tmp_path)
+    (tmp_path / "dataset" / "training").mkdir(parents=True)
+    truth.rename(tmp_path / "dataset" / "training" / "label_2")
+    assert list(content(evaluate_files(found, tmp_path / "dataset", Protocol.KITTI))) == ["Car"]
+
+
 def test_kitti_frames_must_match(tmp_path: Path) -> None:
     found, truth = kitti_folders(tmp_path)
     (found / "000001.txt").unlink()
