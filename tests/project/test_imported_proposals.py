@@ -13,12 +13,13 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, AttributeKind
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.labels import StoredLabel
 from annotator.project.review.waiting import By
 from annotator.project.schema import labels
+from annotator.project.sources.bring import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
 from annotator.workflows.workbench.review_priority import FORMULA
@@ -309,6 +310,77 @@ def test_a_proposal_has_the_values_of_all_its_sources(project: Project, frame: i
     project.labels.accept(frame, stored.label.uid, by_hand(project.frames.get(frame).revision))
     assert values() == {"carried": False} | {k: v for k, v in every.items() if k != "worn"}
     assert verify(project.path, deep=True).problems == ()
+
+
+SIDE = Attribute(name="side", kind=AttributeKind.TEXT, of=AttributeOf.TRACK)
+
+
+def say(project: Project, frame: int, source: str, score: float, **values: str) -> Brought:
+    """Lets a source say something of one object, which has track 5 in the files of all sources."""
+    boxes = [NewLabel("hand", box_at(0.02), score, 5, attributes=values)]
+    return project.proposals.bring(source, {frame: boxes}, "ann", new_action())[frame]
+
+
+def test_what_is_filled_in_later_is_not_lent(project: Project, frame: int) -> None:
+    say(project, frame, "one", 0.9)
+    pose = Attribute(name="pose", kind=AttributeKind.TEXT, default="standing")
+    project.change_classes(partial(edit.put_attribute, attribute=pose), "bob")
+    (stored,) = project.labels.select()
+    assert (stored.label.attributes, stored.said[0].lent) == ({"pose": "standing"}, ())
+    sitting = pose.model_copy(update={"default": "sitting"})
+    project.change_classes(partial(edit.put_attribute, attribute=sitting), "bob")
+    project.proposals.bring("two", {frame: [box(9.0, 0.5)]})
+    assert project.labels.get(stored.label.uid).label.attributes == {"pose": "standing"}
+    project.history.undo("ann")
+    assert shown(project) == [("two", 9.0, [])]
+    assert verify(project.path, deep=True).problems == ()
+
+
+def test_a_lent_value_of_a_track_goes_with_its_source(project: Project, frame: int, recording: StoredRecording) -> None:
+    project.change_classes(partial(edit.put_attribute, attribute=SIDE), "ann")
+    two_frames = (frame, project.frames.of([recording.id])[3].id)
+
+    def sides() -> list[object]:
+        return [each.label.attributes.get("side") for each in project.labels.select()]
+
+    for number in two_frames:
+        say(project, number, "one", 0.9)
+    for number in two_frames:
+        say(project, number, "two", 0.5, side="left")
+    assert sides() == ["left", "left"]
+    for number in two_frames:
+        project.proposals.bring("two", {number: []})
+    assert sides() == [None, None]
+    # what a person has said since stays, also in the other frame
+    for number in two_frames:
+        say(project, number, "two", 0.5, side="left")
+    first = project.labels.select()[0].label.uid
+    project.labels.set_attributes(frame, first, {"side": "right"}, by_hand(project.frames.get(frame).revision))
+    assert sides() == ["right", "right"]
+    assert say(project, two_frames[1], "three", 0.4, side="left").conflicts == 1
+    assert sides() == ["right", "right"]
+
+
+def test_conflicts_are_those_of_the_source_itself(project: Project, frame: int) -> None:
+    project.change_classes(partial(edit.put_attribute, attribute=COLOUR), "ann")
+    say(project, frame, "two", 0.5, colour="red")
+    assert say(project, frame, "three", 0.4, colour="blue").conflicts == 1
+    assert say(project, frame, "one", 0.9).conflicts == 0
+    assert say(project, frame, "two", 0.5, colour="red").conflicts == 1
+
+
+def test_our_proposal_with_a_lent_value_is_not_kept(project: Project, frame: int) -> None:
+    for each in (SIDE, COLOUR):
+        project.change_classes(partial(edit.put_attribute, attribute=each), "ann")
+    project.proposals.replace(frame, [proposal_at(0.0, "hand", 0.95)], by_machine())
+    say(project, frame, "two", 0.5, colour="blue")
+    (stored,) = project.labels.select()
+    for side in ("left", None):
+        project.labels.set_attributes(
+            frame, stored.label.uid, {"side": side}, by_hand(project.frames.get(frame).revision)
+        )
+    project.proposals.replace(frame, [], by_machine(project.frames.get(frame).revision))
+    assert shown(project) == [("two", 0.02, [])]
 
 
 def test_values_follow_where_only_the_attributes_change(project: Project, frame: int) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
@@ -97,7 +99,11 @@ def _checked(project: Path, deep: bool) -> list[str]:
             copy = folder / DATABASE_FILE
             write_snapshot(database, copy)
             if problems := database_problems(copy):
-                return [*_event_problems(copy), *(f"{DATABASE_FILE}: {problem}" for problem in problems)]
+                named = [f"{DATABASE_FILE}: {problem}" for problem in problems]
+                # the table of events may be damaged, too, which the others say
+                with suppress(ProjectError, sqlite3.Error):
+                    named = [*_event_problems(copy), *named]
+                return named
             found = list(_state_problems(copy))
             if found:  # a repaired project has gaps, too, but its state follows from the events that are left
                 found = [*_event_problems(copy), *found]

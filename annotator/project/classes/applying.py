@@ -198,18 +198,16 @@ def _labels(connection: Connection, change: Relabelling) -> set[int]:
 
 def _said(change: Relabelling, said: Iterable[SaidRecord]) -> tuple[SaidRecord, ...]:
     """What sources say of an object; nothing of removed classes."""
-    named = ((each, change.label(each.label)) for each in said)
-    return tuple(
-        each.model_copy(
-            update={
-                "label": name,
-                "attributes": change.values_of(name, each.attributes),
-                "lent": tuple(sorted(change.values_of(name, {of: each.attributes[of] for of in each.lent}))),
-            }
-        )
-        for each, name in named
-        if name is not None
-    )
+    new = list[SaidRecord]()
+    for each in said:
+        name = change.label(each.label)
+        if name is None:
+            continue
+        values = change.values_of(name, each.attributes)
+        # values that are filled in are not lent
+        lent = change.values({of: each.attributes[of] for of in each.lent}).keys() & values.keys()
+        new.append(each.model_copy(update={"label": name, "attributes": values, "lent": tuple(sorted(lent))}))
+    return tuple(new)
 
 
 def _frames(connection: Connection, change: Relabelling) -> set[int]:

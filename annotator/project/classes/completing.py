@@ -23,9 +23,9 @@ from annotator.project.event_types import (
     ProposalsImported,
     ProposalsReplaced,
 )
-from annotator.project.records import SaidRecord, track_of
+from annotator.project.records import SaidRecord, said_of, track_of
 from annotator.project.schema import AnyRow, frames, labels
-from annotator.project.sources.lending import lend
+from annotator.project.sources.lending import borrowed, lend
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
@@ -120,7 +120,7 @@ def _with_lent(
         of_label = [each for each in attributes if each.is_of(shown.label)]
         lent = lend(of_label, shown.attributes, others)
         values = _new_values(of_label, tracks.get(track_id, {}), lent.values)
-        groups.append((shown.model_copy(update={"attributes": values}), *lent.others))
+        groups.append((shown.model_copy(update={"attributes": values, "lent": ()}), *lent.others))
     for own in payload.ours:
         if own.attributes is not None and (row := rows.get(own.uid)) is not None:
             of_label = [each for each in attributes if each.is_of(row.label)]
@@ -231,8 +231,11 @@ def _of_tracks(
     if not names or not known:
         return found
     for row in connection.execute(labels_of_tracks(frame_id, known)):
-        for name, value in values_of(row.attributes).items():
-            if name in names:
+        values = values_of(row.attributes)
+        # what a source has lent goes with it
+        own = names - borrowed(values, said_of(row.said))
+        for name, value in values.items():
+            if name in own:
                 found[row.track_id].setdefault(name, value)
     return found
 

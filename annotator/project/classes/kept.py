@@ -43,6 +43,8 @@ def kept_proposals(connection: Connection, attributes: Sequence[Attribute], fram
         usual = {each.name: each.default for each in attributes if each.is_of(label) and each.default is not None}
         if source == Source.IMPORTED.value:
             usual |= said_of(said)[0].attributes
+        else:
+            usual |= {name: each.attributes[name] for each in said_of(said) for name in each.lent}
         if values_of(values) != usual:
             kept.add(uid)
     return frozenset(kept)

@@ -17,7 +17,7 @@ from annotator.project.labels import NewLabel, stored_label
 from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable
 from annotator.project.schema import frames, labels
 from annotator.project.sources.covering import covered_by
-from annotator.project.sources.lending import given_back, lend, lent_names, without
+from annotator.project.sources.lending import borrowed, conflicts, given_back, lent_names, without
 from annotator.project.sources.merge import merged
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import BoxKind, Label, ReviewState, Source
@@ -30,7 +30,7 @@ class Brought:
     Attributes:
         is_open: for each of them, False if a reviewed label covers it, so that it is not proposed.
         merged: number of the others that other sources see as well, or our own proposals.
-        conflicts: number of values in which they and other sources differ; the surest box's are shown.
+        conflicts: number of their values that another source says otherwise; the surest box's are shown.
         receipt: of the write.
     """
 
@@ -115,17 +115,11 @@ def _bring(
     receipt = writer.to_frame_in(connection, place.frame_id, (payload,), context, action)
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in payload.objects)
     together += sum(any(each.source == source for each in own.said) for own in payload.ours)
-    objects = [(group[0], group[1:]) for group in payload.objects]
-    objects += [(each, own.said) for own in payload.ours for each in proposed.ours if each.uid == own.uid]
-    conflicts = sum(_conflicts(shown, others, source, place.config) for shown, others in objects)
-    return Brought(tuple(uid is None for uid in covering), together, conflicts, receipt)
-
-
-def _conflicts(shown: SaidRecord, others: Sequence[SaidRecord], source: str, config: ProjectConfig) -> int:
-    """Number of values of an object in which `source` and another one differ."""
-    of_label = [each for each in config.attributes if each.is_of(shown.label)]
-    conflicts = lend(of_label, shown.attributes, others).conflicts
-    return conflicts.total() if shown.source == source else conflicts[source]
+    groups = [*payload.objects]
+    groups += [(each, *own.said) for own in payload.ours for each in proposed.ours if each.uid == own.uid]
+    attributes = place.config.attributes
+    differing = sum(conflicts([a for a in attributes if a.is_of(group[0].label)], group, source) for group in groups)
+    return Brought(tuple(uid is None for uid in covering), together, differing, receipt)
 
 
 def said_again(
@@ -268,8 +262,8 @@ class _Open:
         query = select(labels).where(is_open, labels.c.uid.not_in(kept)).order_by(labels.c.id)
         for row in connection.execute(query):
             said = said_of(row.said)
-            # values of the shown one may have changed since
-            values = without(values_of(row.attributes), lent_names(said))
+            present = values_of(row.attributes)
+            values = without(present, borrowed(present, said))
             others += [
                 each.model_copy(update={"attributes": values}) if each.uid == row.uid else each
                 for each in given_back(row.uid, said)

@@ -6,7 +6,6 @@ until that source says otherwise. A value that is the default says nothing, whoe
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -24,12 +23,10 @@ class Lent:
     Attributes:
         values: those of the shown box, and those lent to it.
         others: the hidden boxes; each knows what it has lent.
-        conflicts: number of values of hidden boxes that differ from those, by source.
     """
 
     values: Values
     others: tuple[SaidRecord, ...]
-    conflicts: Counter[str]
 
 
 def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[SaidRecord]) -> Lent:
@@ -40,18 +37,38 @@ def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], other
         own: values of the shown box.
         others: the hidden boxes, the surest first.
     """
-    defaults = {each.name: each.default for each in of_label}
     values = fitting(of_label, own)
-    said = {name for name, value in values.items() if value != defaults[name]}
-    lenders, conflicts = list[SaidRecord](), Counter[str]()
+    said = set(_told(of_label, own))
+    lenders = list[SaidRecord]()
     for each in others:
-        offered = {name: value for name, value in fitting(of_label, each.attributes).items() if value != defaults[name]}
-        new = {name: value for name, value in offered.items() if name not in said}
-        conflicts[each.source] += sum(values[name] != value for name, value in offered.items() if name in said)
+        new = {name: value for name, value in _told(of_label, each.attributes).items() if name not in said}
         values |= new
         said |= new.keys()
         lenders.append(each.model_copy(update={"lent": tuple(sorted(new))}))
-    return Lent(values, tuple(lenders), conflicts)
+    return Lent(values, tuple(lenders))
+
+
+def conflicts(of_label: Sequence[Attribute], said: Sequence[SaidRecord], source: str) -> int:
+    """Number of values that `source` says of an object, and another source says otherwise.
+
+    Args:
+        of_label: attributes of the shown box's class.
+        said: all boxes of the object, each in its own words.
+    """
+    told = [(each.source, _told(of_label, each.attributes)) for each in said]
+    others = [values for of, values in told if of != source]
+    return sum(
+        any(theirs.get(name, value) != value for theirs in others)
+        for of, values in told
+        if of == source
+        for name, value in values.items()
+    )
+
+
+def _told(of_label: Sequence[Attribute], values: Mapping[str, AttributeValue]) -> Values:
+    """The values that are not the defaults, and that attributes can hold."""
+    defaults = {each.name: each.default for each in of_label}
+    return {name: value for name, value in fitting(of_label, values).items() if value != defaults[name]}
 
 
 def given_back(uid: str, said: Sequence[SaidRecord]) -> tuple[SaidRecord, ...]:
@@ -72,6 +89,11 @@ def given_back(uid: str, said: Sequence[SaidRecord]) -> tuple[SaidRecord, ...]:
 def lent_names(said: Sequence[SaidRecord]) -> frozenset[str]:
     """Names of the values that hidden boxes have lent."""
     return frozenset(name for each in said for name in each.lent)
+
+
+def borrowed(values: Mapping[str, AttributeValue], said: Sequence[SaidRecord]) -> frozenset[str]:
+    """Names of the values of a shown box that hidden boxes have lent, and that nobody has changed since."""
+    return frozenset(name for each in said for name in each.lent if values.get(name) == each.attributes.get(name))
 
 
 def without(values: Mapping[str, AttributeValue], names: frozenset[str]) -> Values:

@@ -33,6 +33,7 @@ def view_changed(how: Callable[[Path], object]) -> Callable[[Path], None]:
 
 SHALLOW: list[tuple[str, Callable[[Path], None], str]] = [
     ("a dropped table", damage("DROP TABLE labels"), "lacks the table labels"),
+    ("a renamed table of events", damage("ALTER TABLE events RENAME TO other"), "has the table 'other'"),
     ("a dropped trigger", damage("DROP TRIGGER events_are_not_deleted"), "lacks the trigger events_are_not_deleted"),
     (
         "a foreign trigger",

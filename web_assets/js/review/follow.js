@@ -18,8 +18,7 @@ const closed = new Set();
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
- * @param {{ open: (target: Target) => unknown, onFirst: (target: Target, isRunning: boolean) => unknown,
- *     onProgress: () => unknown }} options
+ * @param {{ open: (target: Target) => unknown, onFirst: (target: Target) => unknown, onProgress: () => unknown }} options
  */
 export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
   const title = h("span", { class: "grow", "data-testid": "follow-title" });
@@ -88,7 +87,7 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
       const [frame, uid] = run.first;
       const isStillThere = app.state.frame?.frame.id === begun.frame && !desk.hasDraft;
       begun = null;
-      if (isStillThere) onFirst({ frame, uid }, run.state === "running");
+      if (isStillThere) onFirst({ frame, uid });
     } else if (run.state !== "running") {
       begun = null;
       app.toast(run.message ?? "No box was found; the panel says why.", "warn");
@@ -168,6 +167,12 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
 
   return {
     start,
+    /**
+     * Whether more boxes of a track are being found.
+     *
+     * @param {number} track
+     */
+    isFollowed: (track) => run?.state === "running" && run.tracks.some(({ track_id }) => track_id === track),
     destroy() {
       for (const off of stopEvents) off();
     },

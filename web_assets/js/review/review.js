@@ -60,20 +60,20 @@ export function mount(root, app) {
   const { go } = opening;
   const queueList = createQueueList(parts.queue, app, queue, { open: go });
   const boxList = createBoxList(parts.boxes, app, desk);
-  const sheet = createSheet(app, { desk, queue, open: go });
+  const sheet = createSheet(app, { desk, queue, open: go, isFollowed: (track) => follow.isFollowed(track) });
   const tracks = createTracks(parts.boxes, app, desk, {
     open: go,
     sheet: () => commands.whenCalm(sheet.show),
     async onCarried() {
       // they have new uids
       await queue.load();
-      sheet.again(false);
+      sheet.again();
     },
   });
   const follow = createFollow(parts.boxes, app, desk, {
     open: go,
-    onFirst(target, isRunning) {
-      if (sheet.again(isRunning)) return;
+    onFirst(target) {
+      if (sheet.again()) return;
       // what is open here comes first
       if (desk.labels().some(isOpen)) opening.pick(null);
       else void go(target);

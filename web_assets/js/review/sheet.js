@@ -20,12 +20,12 @@ const WIDTH = 292;
 const HEIGHT = 96;
 
 /**
- * `open` shows a box in its frame.
+ * `open` shows a box in its frame; `isFollowed` returns whether more boxes of a track are being found.
  *
  * @param {ModeApp} app
- * @param {{ desk: Desk, queue: Queue, open: (target: Target) => unknown }} parts
+ * @param {{ desk: Desk, queue: Queue, open: (target: Target) => unknown, isFollowed: (track: number) => boolean }} parts
  */
-export function createSheet(app, { desk, queue, open }) {
+export function createSheet(app, { desk, queue, open, isFollowed }) {
   /**
    * Tracks whose sheet was left to correct a box, as "recording/track".
    *
@@ -40,9 +40,8 @@ export function createSheet(app, { desk, queue, open }) {
    * Shows the track of the selected box, and stores what is accepted.
    *
    * @param {boolean} isOwn the operator asked for it.
-   * @param {boolean} isFollowing more boxes of the track are being found.
    */
-  async function show(isOwn, isFollowing) {
+  async function show(isOwn) {
     const label = desk.stored();
     if (!label) return;
     if (label.track_id === null || label.track_id === undefined)
@@ -53,21 +52,17 @@ export function createSheet(app, { desk, queue, open }) {
       const shown = await read(recording, label.track_id);
       if (!shown.some(isOpen)) return app.toast("All boxes of this track are reviewed.");
       if (isOwn) app.effort.action();
-      await ask(recording, label.track_id, shown, isFollowing);
+      await ask(recording, label.track_id, shown, !isOwn);
     } catch (error) {
       app.toast(error);
     }
   }
 
-  /**
-   * Shows the sheet again if it was left to correct a box of the selected one's track. Returns whether it was.
-   *
-   * @param {boolean} isFollowing more boxes of the track are being found.
-   */
-  function again(isFollowing) {
+  /** Shows the sheet again if it was left to correct a box of the selected one's track. Returns whether it was. */
+  function again() {
     const track = desk.stored()?.track_id ?? null;
     if (track === null || !left.delete(nameOf(track))) return false;
-    void show(false, isFollowing);
+    void show(false);
     return true;
   }
 
@@ -87,11 +82,23 @@ export function createSheet(app, { desk, queue, open }) {
    * @param {number} recording
    * @param {number} track
    * @param {Api.TrackBox[]} shown
-   * @param {boolean} isFollowing
+   * @param {boolean} isBack boxes have just been found, or corrected.
    */
-  async function ask(recording, track, shown, isFollowing) {
+  async function ask(recording, track, shown, isBack) {
     /** @type {Set<string>} */
     const out = new Set();
+    /**
+     * All boxes from this one on are wrong, also those that are found later.
+     *
+     * @type {string | null}
+     */
+    let outFrom = null;
+    /**
+     * The box to open when the sheet is closed.
+     *
+     * @type {string | null}
+     */
+    let corrected = null;
     let proposals = shown.filter(isOpen);
     /** @type {Map<string, HTMLElement>} */
     const tiles = new Map();
@@ -128,15 +135,21 @@ export function createSheet(app, { desk, queue, open }) {
     function fill(boxes) {
       shown = boxes;
       proposals = shown.filter(isOpen);
-      const kept = new Set(shown.map(({ uid }) => uid));
-      for (const uid of [...tiles.keys()].filter((known) => !kept.has(known))) {
+      const states = new Map(shown.map(({ uid, state }) => [uid, state]));
+      for (const [uid, known] of [...tiles]) {
+        if (known.classList.contains(`state-${states.get(uid)}`)) continue;
         tiles.delete(uid);
         out.delete(uid);
       }
-      for (const box of shown) if (!tiles.has(box.uid)) tiles.set(box.uid, tile(box));
+      const firstOut = shown.findIndex(({ uid }) => uid === outFrom);
+      for (const [at, box] of shown.entries()) {
+        if (tiles.has(box.uid)) continue;
+        tiles.set(box.uid, tile(box));
+        if (firstOut >= 0 && at > firstOut && isOpen(box)) mark(box.uid, false, true);
+      }
       grid.replaceChildren(...shown.flatMap(({ uid }) => tiles.get(uid) ?? []));
       note.textContent = `${count(proposals.length, "proposal")} of ${count(shown.length, "box", "boxes")}. ${
-        isFollowing ? "The object is still being followed; new boxes appear here." : HELP
+        isFollowed(track) ? "The object is still being followed; new boxes appear here." : HELP
       }`;
     }
 
@@ -146,7 +159,10 @@ export function createSheet(app, { desk, queue, open }) {
      */
     function toggle(uid, isAll) {
       app.effort.action();
-      mark(uid, isAll, !out.has(uid));
+      const isOut = !out.has(uid);
+      corrected = null;
+      if (isAll) outFrom = isOut ? uid : null;
+      mark(uid, isAll, isOut);
     }
 
     /**
@@ -156,6 +172,7 @@ export function createSheet(app, { desk, queue, open }) {
      */
     function mark(from, isAll, isOut) {
       const at = proposals.findIndex(({ uid }) => uid === from);
+      if (at < 0) return; // it was reviewed meanwhile
       for (const { uid } of proposals.slice(at, isAll ? undefined : at + 1)) {
         if (isOut) out.add(uid);
         else out.delete(uid);
@@ -170,7 +187,7 @@ export function createSheet(app, { desk, queue, open }) {
      */
     function correct({ uid }) {
       mark(uid, true, true);
-      isFollowing = false; // what is found later is replaced when this one is followed
+      corrected = uid;
       grid.closest("form")?.requestSubmit();
     }
 
@@ -185,9 +202,11 @@ export function createSheet(app, { desk, queue, open }) {
       if (event.target instanceof HTMLElement) event.target.closest("form")?.requestSubmit();
     }
 
-    /** Accepts the others; resolves to the first wrong box. */
+    /** Accepts the others; resolves to the box to correct, else to the first wrong one. */
     async function accept() {
-      if (isFollowing) throw new Error("The object is still being followed. Wait for the last boxes, or close this.");
+      // what is found after a box to correct is replaced when that one is followed
+      if (corrected === null && isFollowed(track))
+        throw new Error("The object is still being followed. Wait for the last boxes, or close this.");
       const right = proposals.filter(({ uid }) => !out.has(uid));
       app.effort.action();
       if (right.length > 0) {
@@ -197,7 +216,8 @@ export function createSheet(app, { desk, queue, open }) {
         await queue.load();
         app.toast(`${count(right.length, "box", "boxes")} accepted.`, "good");
       }
-      return proposals.find(({ uid }) => out.has(uid)) ?? null;
+      const wrong = proposals.filter(({ uid }) => out.has(uid));
+      return wrong.find(({ uid }) => uid === corrected) ?? wrong[0] ?? null;
     }
 
     /** @param {Api.TileJson} drawn */
@@ -228,13 +248,15 @@ export function createSheet(app, { desk, queue, open }) {
       if (mustRead && !signal.aborted) await load();
     }
 
-    /** @param {{ run: Api.FollowRunJson }} message */
-    async function onFollowed({ run }) {
-      if (run.operator !== app.state.operator || !run.tracks.some(({ track_id }) => track_id === track)) return;
+    let asked = 0;
+
+    /** Shows what has been found since. */
+    async function update() {
+      asked += 1;
+      const own = asked;
       try {
         const boxes = await read(recording, track);
-        if (signal.aborted) return;
-        isFollowing = run.state === "running";
+        if (signal.aborted || own !== asked) return;
         fill(boxes);
         await load();
       } catch (error) {
@@ -245,7 +267,12 @@ export function createSheet(app, { desk, queue, open }) {
     left.delete(nameOf(track));
     fill(shown);
     void load();
-    const stop = app.events.on("follow", onFollowed);
+    const stop = app.events.on("follow", ({ run }) => {
+      const isOwn = run.operator === app.state.operator && run.tracks.some(({ track_id }) => track_id === track);
+      if (isOwn) void update();
+    });
+    // more may have changed since `shown` was read
+    if (isBack || isFollowed(track)) void update();
     const done = await openDialog({
       title: `Track ${track}`,
       testid: "sheet",
@@ -261,7 +288,7 @@ export function createSheet(app, { desk, queue, open }) {
     if (next) await open({ frame: next.frame, uid: next.uid });
   }
 
-  return { show: () => show(true, false), again };
+  return { show: () => show(true), again };
 }
 
 /** @param {Api.TrackBox} box */

@@ -72,7 +72,10 @@ export function createValueFilter(app, onChange) {
   function query() {
     const attribute = typed.get(select.value);
     if (!attribute) return queries.get(select.value) ?? {};
-    const asked = Object.entries({ low: low.value, high: high.value, contains: contains.value.trim() });
+    // the kind of the attribute may have changed since something was typed
+    const asked = Object.entries(
+      attribute.kind === "text" ? { contains: contains.value.trim() } : { low: low.value, high: high.value },
+    );
     const given = asked.filter(([, text]) => text !== "");
     return { attribute: attribute.name, ...(given.length > 0 ? Object.fromEntries(given) : { known: "true" }) };
   }
