@@ -12,7 +12,7 @@ parts of such an action are undone, and redone, one after the other from then on
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
@@ -115,12 +115,14 @@ class _Stacks:
 
     Attributes:
         known: the recordings of all actions so far.
+        lock: held by the thread that uses them.
     """
 
     last: int = 0
     known: dict[str, set[int]] = field(default_factory=dict)
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
     def add(self, action: str, undoes: str | None, recording: int) -> None:
         """Updates both stacks with what the operator's latest action has changed in one more recording."""
@@ -161,7 +163,6 @@ class History:
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
-        self._lock = threading.Lock()
         self._stacks_by_author: dict[str, _Stacks] = {}
         # by original action, then by the recordings in which it would be reverted
         self._words: dict[str, dict[frozenset[int], str]] = {}
@@ -169,10 +170,10 @@ class History:
     def next(self, author: str) -> tuple[str | None, str | None]:
         """Descriptions of the operator's next undo and redo; None where the stack is empty."""
         with self._writer.store.read() as connection:
-            undo, redo = self._stacks(connection, author)
+            undo, redo = (next(stack, None) for stack in self._stacks(connection, author))
             return (
-                self._description(connection, undo[-1]) if undo else None,
-                self._description(connection, redo[-1]) if redo else None,
+                None if undo is None else self._description(connection, undo),
+                None if redo is None else self._description(connection, redo),
             )
 
     def undo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
@@ -192,11 +193,11 @@ class History:
 
     def _revert(self, author: str, *, is_undo: bool, skip: bool, effort: Effort | None) -> Reverted:
         with self._writer.store.write() as connection:
-            steps = self._stacks(connection, author)[0 if is_undo else 1]
+            steps = list(self._stacks(connection, author)[0 if is_undo else 1])
             if not steps:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
             config = read_config(self._writer.folder)
-            for step in reversed(steps):
+            for step in steps:
                 rows = _changes_of(connection, step.action, step.recordings)
                 since, allowed = Since(connection), AllowedValues(config.attributes)
                 payloads_by_frame = _restoring_by_frame(connection, rows, since, config, allowed)
@@ -232,10 +233,14 @@ class History:
                 words += f"; without values that the project no longer allows: {', '.join(left_out)}"
             return Reverted(parts[0].frame_id, receipts[0], words, step.original, others)
 
-    def _stacks(self, connection: Connection, author: str) -> tuple[list[Step], list[Step]]:
-        """Both stacks as of the transaction, without removed recordings; only events since the last call are read."""
-        with self._lock:
-            stacks = self._stacks_by_author.setdefault(author, _Stacks())
+    def _stacks(self, connection: Connection, author: str) -> tuple[Iterator[Step], Iterator[Step]]:
+        """Both stacks as of the transaction, newest first, without removed recordings.
+
+        Only events since the last call are read, and only the steps that are asked for are looked at: the history of an
+        operator can be long, and every save names its newest steps.
+        """
+        stacks = self._stacks_by_author.setdefault(author, _Stacks())
+        with stacks.lock:
             query = (
                 select(events.c.id, events.c.action, events.c.undoes, frames.c.recording_id)
                 .join(frames, frames.c.id == events.c.frame_id)
@@ -248,18 +253,22 @@ class History:
                 self._words.pop(row.action, None)
                 if row.recording_id not in stacks.known.get(row.action, ()):
                     stacks.add(row.action, row.undoes, row.recording_id)
-            removed = removed_recordings(connection)
-            undo, redo = (
-                [replace(step, recordings=step.recordings - removed) for step in stack if step.recordings - removed]
-                for stack in (stacks.undo, stacks.redo)
-            )
-            return undo, redo
+            undo, redo = stacks.undo[:], stacks.redo[:]
+        removed = removed_recordings(connection)
+        return _without(undo, removed), _without(redo, removed)
 
     def _description(self, connection: Connection, step: Step) -> str:
         known = self._words.setdefault(step.original, {})
         if step.recordings not in known:
             known[step.recordings] = _action_words(connection, _changes_of(connection, step.original, step.recordings))
         return known[step.recordings]
+
+
+def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
+    """Yields the steps of a stack without some recordings, newest first."""
+    for step in reversed(steps):
+        if left := step.recordings.difference(removed):
+            yield step if len(left) == len(step.recordings) else replace(step, recordings=left)
 
 
 def _changes_of(connection: Connection, action: str, recordings: Collection[int]) -> list[AnyRow]:

@@ -72,6 +72,8 @@ class Store:
     clock: Clock = time.time_ns
     write_lock: threading.Lock = field(default_factory=threading.Lock)
     _begun: threading.Event = field(default_factory=threading.Event)
+    # `connection`: of the thread's `snapshot`
+    _thread: threading.local = field(default_factory=threading.local)
 
     @property
     def path(self) -> Path:
@@ -93,8 +95,27 @@ class Store:
             ReplacedError: the file was removed or replaced.
             ProjectError: the database is locked, damaged or cannot be read.
         """
+        if (shared := getattr(self._thread, "connection", None)) is not None:
+            yield shared
+            return
         with self._transaction("BEGIN", patience_s(self.busy_timeout_s)) as connection:
             yield connection
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Within the block, all of the thread's reads see one snapshot, in one transaction: what is written meanwhile
+        is not seen. For a page of several parts, which belong together.
+
+        Raises:
+            ReplacedError, ProjectError: as `read`.
+        """
+        with self.read() as connection:
+            outer = getattr(self._thread, "connection", None)
+            self._thread.connection = connection
+            try:
+                yield
+            finally:
+                self._thread.connection = outer
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
@@ -116,8 +137,6 @@ class Store:
             if not self._begun.is_set():
                 self._begin_writing(ends_s)
             with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
-                # again: it may have waited long for the lock
-                self.file.require_current()
                 token = advance(connection)
                 yield connection
             self.file.lineage.written(token)
@@ -153,7 +172,6 @@ class Store:
     def _begin_writing(self, ends_s: float) -> None:
         """Changes the database file itself, so that it differs from every copy made before (`backup.generation`)."""
         with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
-            self.file.require_current()
             advance(connection)
         with explained(self.path, self.file), closing(self.engine.raw_connection()) as outside_transactions:
             _, logged, moved = outside_transactions.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
@@ -164,10 +182,11 @@ class Store:
     @contextmanager
     def _transaction(self, begin: str, wait_s: float) -> Iterator[Connection]:
         with explained(self.path, self.file), self.engine.connect() as connection:
-            self.file.require_current()
             _wait_at_most(connection, wait_s)
             connection = connection.execution_options(**{_BEGIN: begin})
             with connection.begin():
+                # after it has begun: it may have waited long for the lock
+                self.file.require_current()
                 yield connection
 
     def problems(self) -> list[str]:

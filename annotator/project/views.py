@@ -94,15 +94,16 @@ class Views:
             NotFoundError: no such image.
             ProjectError: it cannot be read.
         """
-        return _size_of(self.path(view_id))
+        return _size_of(self, view_id)
 
     def _file(self, view_id: str) -> Path:
         return self.folder / f"{view_id}.png"
 
 
 @lru_cache(maxsize=4096)
-def _size_of(path: Path) -> tuple[int, int]:
+def _size_of(views: Views, view_id: str) -> tuple[int, int]:
     """The size of an image, which never changes: a page needs that of all views of its frame after each change."""
+    path = views.path(view_id)
     try:
         with open_file(path) as file:
             head = file.read(24)

@@ -115,9 +115,10 @@ class Writer:
             FinalisedFrameError: an automatic pass may not change a finalised frame.
             ProjectError: an unknown frame, label or class; or the database cannot be written.
         """
-        # rejects a stale change without waiting for the write lock
-        with self.store.read() as connection:
-            require_writable(connection, frame_id, context)
+        if self.store.write_lock.locked():
+            # rejects a stale change without waiting for the lock
+            with self.store.read() as connection:
+                require_writable(connection, frame_id, context)
         with self.store.write() as connection:
             return self.to_frame_in(connection, frame_id, payloads, context, action)
 

@@ -86,6 +86,11 @@ def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameS
         FrameError, RecordingError: the frame cannot be read.
     """
     project = ctx.project(name)
+    with project.store.snapshot():
+        return _frame_state(ctx, name, project, frame_id, operator)
+
+
+def _frame_state(ctx: Context, name: str, project: Project, frame_id: int, operator: str) -> FrameStateJson:
     opened = ctx.caches.frames.open(project, frame_id, operator)
     shown = show_frame(project, frame_id, opened)
     frame, page = opened.frame, shown.page

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,14 +27,14 @@ class Client:
         since: id of the project's newest event when the page connected; it receives all later ones.
         frame: id of the frame that it shows.
         viewports: ids of the 3D viewports that it shows.
-        queue: unsent events; None = the end.
+        queue: unsent events as JSON texts; None = the end.
         dropped: True once it has been disconnected for exceeding the queue.
     """
 
     project: str | None
     operator: str
     since: int = 0
-    queue: asyncio.Queue[Message | None] = field(default_factory=lambda: asyncio.Queue(QUEUE + 1))
+    queue: asyncio.Queue[str | None] = field(default_factory=lambda: asyncio.Queue(QUEUE + 1))
     frame: int | None = None
     viewports: set[str] = field(default_factory=set)
     dropped: bool = False
@@ -55,7 +57,7 @@ class Hub:
         with self._lock:
             self._clients[client] = asyncio.get_running_loop()
         if client.project is not None:
-            _put(client, self._presence_event(client.project))
+            _put([client], _text(self._presence_event(client.project)))
 
     def leave(self, client: Client) -> None:
         """Removes a page."""
@@ -154,11 +156,16 @@ class Hub:
 
         Never blocks; keeps the order of calls.
         """
+        text = _text(message)
         with self._lock:
-            # within the lock, so that concurrent events reach all pages in the same order
+            concerned = defaultdict[asyncio.AbstractEventLoop, list[Client]](list)
             for client, loop in self._clients.items():
                 if _concerns(client, message):
-                    _call(loop, _put, client, message)
+                    concerned[loop].append(client)
+            # within the lock, so that concurrent events reach all pages in the same order; one call for all pages, as
+            # each wakes the event loop
+            for loop, clients in concerned.items():
+                _call(loop, _put, clients, text)
 
     def close(self) -> None:
         """Closes every page's socket."""
@@ -185,13 +192,18 @@ def _call(loop: asyncio.AbstractEventLoop, function: Any, *arguments: Any) -> No
         loop.call_soon_threadsafe(function, *arguments)
 
 
-def _put(client: Client, message: Message) -> None:
-    if client.dropped:
-        return
-    if client.queue.qsize() >= QUEUE:
-        _end(client)
-        return
-    client.queue.put_nowait(message)
+def _text(message: Message) -> str:
+    return json.dumps(message, separators=(",", ":"), ensure_ascii=False)
+
+
+def _put(clients: Iterable[Client], text: str) -> None:
+    for client in clients:
+        if client.dropped:
+            continue
+        if client.queue.qsize() >= QUEUE:
+            _end(client)
+        else:
+            client.queue.put_nowait(text)
 
 
 def _end(client: Client) -> None:

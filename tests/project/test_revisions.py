@@ -35,6 +35,17 @@ def test_a_stale_write_is_refused_and_changes_nothing(project: Project, frame: i
     assert len(project.log.of_frame(frame)) == 1
 
 
+def test_a_snapshot_does_not_see_what_is_written_meanwhile(project: Project, frame: int) -> None:
+    with project.store.snapshot():
+        assert project.frames.get(frame).revision == 0
+        project.labels.create(frame, [NewLabel("hand", box_at(0))], by_hand())
+        assert (project.frames.get(frame).revision, project.labels.of_frame(frame)) == (0, ())
+        # a change that is based on it is refused, as any other
+        with pytest.raises(StaleRevisionError):
+            project.labels.create(frame, [NewLabel("hand", box_at(1))], by_hand())
+    assert project.frames.get(frame).revision == len(project.labels.of_frame(frame)) == 1
+
+
 def test_other_frames_do_not_make_a_write_stale(project: Project, frame: int) -> None:
     for other in project.frames.of():
         project.boxes.set_on_image(other.id, [HAND], BoxKind.BOX, by_hand())

@@ -76,9 +76,12 @@ def _newest_event(ctx: Context, project: str) -> int:
 
 async def _send(socket: WebSocket, client: Client) -> None:
     try:
-        while (message := await client.queue.get()) is not None:
-            await asyncio.wait_for(socket.send_json(message), SEND_WITHIN_S)
-        await asyncio.wait_for(socket.close(TOO_SLOW), SEND_WITHIN_S)
+        while (text := await client.queue.get()) is not None:
+            # unlike `wait_for`, without a task for each event
+            async with asyncio.timeout(SEND_WITHIN_S):
+                await socket.send_text(text)
+        async with asyncio.timeout(SEND_WITHIN_S):
+            await socket.close(TOO_SLOW)
     except (TimeoutError, WebSocketDisconnect, RuntimeError):  # disconnected during a send
         return
 
