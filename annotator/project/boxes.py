@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, bindparam, select
 
 from annotator.project.event_types import ImageBoxesSet, ViewBoxesSet
 from annotator.project.records import BOXES_2D, ViewGeometry, parsed, storable
@@ -154,16 +154,20 @@ class Boxes:
             return tuple(map(_view_boxes, connection.execute(query)))
 
 
+# Built once, since building these frequent queries takes longer than running them.
+_ON_IMAGE = select(image_labels).where(image_labels.c.frame_id == bindparam("frame"))
+_ON_VIEWS = select(view_labels).where(view_labels.c.frame_id == bindparam("frame")).order_by(view_labels.c.event_id)
+
+
 def read_image_boxes(connection: Connection, frame_id: int) -> ImageBoxes | None:
     """As `Boxes.on_image`, within the caller's transaction."""
-    row = connection.execute(select(image_labels).where(image_labels.c.frame_id == frame_id)).first()
+    row = connection.execute(_ON_IMAGE, {"frame": frame_id}).first()
     return None if row is None else _image_boxes(row)
 
 
 def read_view_boxes(connection: Connection, frame_id: int) -> tuple[ViewBoxes, ...]:
     """As `Boxes.on_views_of`, within the caller's transaction."""
-    query = select(view_labels).where(view_labels.c.frame_id == frame_id).order_by(view_labels.c.event_id)
-    return tuple(map(_view_boxes, connection.execute(query)))
+    return tuple(map(_view_boxes, connection.execute(_ON_VIEWS, {"frame": frame_id})))
 
 
 @lru_cache(maxsize=1024)

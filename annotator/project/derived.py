@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import Connection, delete, insert, update
+from sqlalchemy import Connection, bindparam, delete, insert, update
 
 from annotator.project.adjusting.moving import adjust
 from annotator.project.classes.applying import relabel, set_frame_values
@@ -54,6 +54,11 @@ from annotator.types.errors import ProjectError
 Value = str | int | float | None
 
 
+# Built once, since building these frequent statements takes longer than running them.
+_REVERTIBLE = insert(revertible)
+_REVISION = update(frames).where(frames.c.id == bindparam("frame")).values(revision=bindparam("new"))
+
+
 def apply_event(connection: Connection, event: Event) -> None:
     """Updates the derived tables with one event.
 
@@ -68,9 +73,9 @@ def apply_event(connection: Connection, event: Event) -> None:
         _apply(connection, event)
         after = read_state(connection, event.frame_id, target)
         row = {"event_id": event.id, "subject": target, "before": before, "after": after}
-        connection.execute(insert(revertible), row)
+        connection.execute(_REVERTIBLE, row)
     if event.frame_id is not None:
-        connection.execute(update(frames).where(frames.c.id == event.frame_id).values(revision=event.revision))
+        connection.execute(_REVISION, {"frame": event.frame_id, "new": event.revision})
 
 
 def _apply(connection: Connection, event: Event) -> None:

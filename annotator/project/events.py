@@ -66,6 +66,10 @@ class Event:
     effort: Effort | None = None
 
 
+# Built once, since building a statement takes longer than running it.
+_INSERT = insert(events)
+
+
 def insert_event(
     connection: Connection,
     *,
@@ -100,7 +104,7 @@ def insert_event(
         "actions": effort.actions if effort else None,
         "seconds": effort.seconds if effort else None,
     }
-    key = connection.execute(insert(events), row).inserted_primary_key
+    key = connection.execute(_INSERT, row).inserted_primary_key
     assert key is not None  # one row was inserted
     event_id = int(key[0])
     return Event(

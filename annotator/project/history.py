@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from sqlalchemy import Connection, select, true
+from sqlalchemy import Connection, bindparam, select, true
 
 from annotator.project.adjusting.adjustment import adjustment_of
 from annotator.project.classes.applying import made_changes
@@ -71,6 +71,32 @@ VERBS = (
     ("frame_reopened", "reopen"),
     ("view_boxes_set", "draw on a view"),
     ("image_boxes_set", "draw on the image"),
+)
+
+
+# Built once: a save runs both, and building them takes longer than running them.
+_ACTIONS = (
+    select(events.c.id, events.c.action, events.c.undoes, frames.c.recording_id)
+    .join(frames, frames.c.id == events.c.frame_id)
+    .where(events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last"))
+    .order_by(events.c.id)
+)
+_CHANGES = (
+    select(
+        events.c.id,
+        events.c.frame_id,
+        events.c.kind,
+        events.c.source,
+        frames.c.recording_id,
+        frames.c.key,
+        revertible.c.subject.label("target"),
+        revertible.c.before,
+        revertible.c.after,
+    )
+    .join(revertible, revertible.c.event_id == events.c.id)
+    .join(frames, frames.c.id == events.c.frame_id)
+    .where(events.c.action == bindparam("action"))
+    .order_by(events.c.id)
 )
 
 
@@ -241,13 +267,7 @@ class History:
         """
         stacks = self._stacks_by_author.setdefault(author, _Stacks())
         with stacks.lock:
-            query = (
-                select(events.c.id, events.c.action, events.c.undoes, frames.c.recording_id)
-                .join(frames, frames.c.id == events.c.frame_id)
-                .where(events.c.author == author, events.c.action.is_not(None), events.c.id > stacks.last)
-                .order_by(events.c.id)
-            )
-            for row in connection.execute(query):
+            for row in connection.execute(_ACTIONS, {"author": author, "last": stacks.last}):
                 stacks.last = row.id
                 # an action that is written in several calls has its place since the first
                 self._words.pop(row.action, None)
@@ -273,22 +293,8 @@ def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
 
 def _changes_of(connection: Connection, action: str, recordings: Collection[int]) -> list[AnyRow]:
     """What an action has changed in some recordings."""
-    query = (
-        select(
-            events.c.id,
-            events.c.frame_id,
-            events.c.kind,
-            events.c.source,
-            revertible.c.subject.label("target"),
-            revertible.c.before,
-            revertible.c.after,
-        )
-        .join(revertible, revertible.c.event_id == events.c.id)
-        .join(frames, frames.c.id == events.c.frame_id)
-        .where(events.c.action == action, frames.c.recording_id.in_(recordings))
-        .order_by(events.c.id)
-    )
-    return list(connection.execute(query).all())
+    changed = connection.execute(_CHANGES, {"action": action}).all()
+    return [row for row in changed if row.recording_id in recordings]
 
 
 def _restoring_by_frame(
@@ -391,7 +397,7 @@ def _target_name(target: str, state: str | None) -> str:
 
 def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
     """Description of an action, such as "accept person (frame 000012)" or "delete 3 labels (frame 000012)"."""
-    where = _frame_range(connection, rows)
+    where = _frame_range(rows)
     if rows[0].source == Source.IMPORTED.value:
         kind, _, name = rows[0].target.partition(":")
         what = {SOURCE: f"boxes of {name}", LABEL: "3D boxes"}.get(kind, "2D boxes")
@@ -419,10 +425,7 @@ def _adjustment_words(connection: Connection, row: AnyRow) -> str:
     return f"{what} {connection.execute(named).scalar_one()}"
 
 
-def _frame_range(connection: Connection, rows: Sequence[AnyRow]) -> str:
+def _frame_range(rows: Sequence[AnyRow]) -> str:
     """Such as "frame 000012" or "frames 000012 to 000019"."""
-    first, last = (
-        connection.execute(select(frames.c.key).where(frames.c.id == row.frame_id)).scalar_one()
-        for row in (rows[0], rows[-1])
-    )
-    return f"frame {first}" if rows[0].frame_id == rows[-1].frame_id else f"frames {first} to {last}"
+    first, last = rows[0], rows[-1]
+    return f"frame {first.key}" if first.frame_id == last.frame_id else f"frames {first.key} to {last.key}"

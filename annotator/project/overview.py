@@ -78,8 +78,7 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         previous, following = row.previous, row.next
         if known is not None and known.frame.revision == frame.revision:
             return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
-        query = select(labels).where(labels.c.frame_id == frame_id).order_by(labels.c.id)
-        stored = tuple(map(stored_label, connection.execute(query)))
+        stored = tuple(map(stored_label, connection.execute(_LABELS, {"frame": frame_id})))
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
         values = frame_values(connection, frame_id)
     return FramePage(frame, previous, following, name, stored, boxes, views, values)
@@ -103,7 +102,7 @@ def _beside(is_before: bool) -> ScalarSelect[Any]:
     return query.order_by(place.desc() if is_before else place).limit(1).correlate(frames).scalar_subquery()
 
 
-# Built once, since building this frequent query takes longer than running it.
+# Built once, since building these frequent queries takes longer than running them.
 _HEAD = (
     select(
         frames,
@@ -114,6 +113,7 @@ _HEAD = (
     .join(recordings, recordings.c.id == frames.c.recording_id)
     .where(frames.c.id == bindparam("frame"), recordings.c.removed_ns.is_(None))
 )
+_LABELS = select(labels).where(labels.c.frame_id == bindparam("frame")).order_by(labels.c.id)
 
 
 def list_frames(

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, bindparam, func, select
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project.classes.attributes import Attribute
@@ -44,6 +44,15 @@ from annotator.types.names import alternatives
 
 # Events without class names that concern attributes.
 _OF_ATTRIBUTES = (LabelTracked, LabelAttributesSet, FrameAttributesSet, ProposalsImported)
+
+
+# Built once, since building these frequent queries takes longer than running them.
+_FRAME = (
+    select(frames.c.key, frames.c.revision, frames.c.finalised, recordings.c.name, recordings.c.removed_ns)
+    .join(recordings, recordings.c.id == frames.c.recording_id)
+    .where(frames.c.id == bindparam("frame"))
+)
+_BOX = select(labels.c.box).where(labels.c.uid == bindparam("uid"))
 
 
 @dataclass(frozen=True)
@@ -280,12 +289,7 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
     Raises:
         FinalisedFrameError, StaleRevisionError, ProjectError: as `Writer.to_frame`.
     """
-    query = (
-        select(frames.c.key, frames.c.revision, frames.c.finalised, recordings.c.name, recordings.c.removed_ns)
-        .join(recordings, recordings.c.id == frames.c.recording_id)
-        .where(frames.c.id == frame_id)
-    )
-    row = connection.execute(query).first()
+    row = connection.execute(_FRAME, {"frame": frame_id}).first()
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
     where = f"frame {row.key} of recording {row.name}"
@@ -319,7 +323,7 @@ def _completed(connection: Connection, payload: Payload) -> Payload:
         return payload.model_copy(update={"last_frame": connection.execute(last).scalar_one()})
     if not isinstance(payload, LabelEdited):
         return payload
-    present = connection.execute(select(labels.c.box).where(labels.c.uid == payload.uid)).scalar()
+    present = connection.execute(_BOX, {"uid": payload.uid}).scalar()
     if present is None:
         return payload
     box = parsed(BoxRecord.model_validate_json, present)

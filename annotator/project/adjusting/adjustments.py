@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, bindparam, select
 
 from annotator.project.adjusting.adjustment import Adjustment, Up, read_adjustment
 from annotator.project.adjusting.moving import Moves, between
@@ -109,9 +109,12 @@ class Adjustments:
             return self.writer.to_frame_in(connection, frame.id, (payload,), context)
 
 
+# Built once, since building this frequent query takes longer than running it.
+_NEWEST = select(adjustments.c.event_id).where(adjustments.c.recording_id == bindparam("recording"))
+
+
 def _newest(connection: Connection, recording_id: int) -> int:
-    query = select(adjustments.c.event_id).where(adjustments.c.recording_id == recording_id)
-    return connection.execute(query).scalar() or 0
+    return connection.execute(_NEWEST, {"recording": recording_id}).scalar() or 0
 
 
 def _unit(up: Sequence[float] | np.ndarray) -> Up:

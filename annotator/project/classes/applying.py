@@ -62,10 +62,13 @@ def set_frame_values(
         connection.execute(insert(frame_attributes), row)
 
 
+# Built once, since building this frequent query takes longer than running it.
+_VALUES_OF_FRAME = select(frame_attributes.c.attributes).where(frame_attributes.c.frame_id == bindparam("frame"))
+
+
 def frame_values(connection: Connection, frame_id: int | None) -> dict[str, AttributeValue]:
     """The values of a frame."""
-    query = select(frame_attributes.c.attributes).where(frame_attributes.c.frame_id == frame_id)
-    return values_of(connection.execute(query).scalar())
+    return values_of(connection.execute(_VALUES_OF_FRAME, {"frame": frame_id}).scalar())
 
 
 def values_of(content: str | None) -> dict[str, AttributeValue]:
