@@ -1,10 +1,14 @@
 /**
  * Loads what the queue's next box shows while the operator looks at this one: its frame, and its three pictures. The
- * server reads the frame, and the browser keeps the pictures.
+ * server reads the frame, and the browser keeps the pictures. Then the server draws the beginning of the contact sheet
+ * of this box's track, which may be opened next.
  */
 
 import { sameBox } from "../box3d.js";
 import { SIZE_PX } from "./ortho_views.js";
+
+/** As many pictures of a contact sheet are on the screen when it opens. */
+const ON_SCREEN = 32;
 
 /**
  * @param {App} app
@@ -16,14 +20,28 @@ export function createPreload(app, desk, queue) {
   let ahead = null;
   /** @type {AbortController | null} */
   let request = null;
+  /**
+   * Tracks of which the server has drawn the pictures, as "recording/track".
+   *
+   * @type {Set<string>}
+   */
+  const drawn = new Set();
 
-  /** Loads the next box; a problem is shown when the box itself is opened. */
   async function start() {
-    const next = desk.uid === null ? null : queue.after(desk.uid);
-    if (!next) return;
     request?.abort();
     request = new AbortController();
-    const { signal } = request;
+    await loadNext(request.signal);
+    await drawSheet(request);
+  }
+
+  /**
+   * Loads the next box; a problem is shown when the box itself is opened.
+   *
+   * @param {AbortSignal} signal
+   */
+  async function loadNext(signal) {
+    const next = desk.uid === null ? null : queue.after(desk.uid);
+    if (!next) return;
     try {
       const known = app.state.frame;
       /** @type {FrameState} */
@@ -41,6 +59,27 @@ export function createPreload(app, desk, queue) {
       if (state !== known) await app.api.lines(app.path("frames", next.frame, "sheet"), () => {}, { signal });
     } catch {
       // not ahead, then
+    }
+  }
+
+  /** @param {AbortController} own */
+  async function drawSheet(own) {
+    const track = desk.stored()?.track_id ?? null;
+    const recording = app.state.frame?.frame.recording;
+    const name = `${recording}/${track}`;
+    if (track === null || recording === undefined || drawn.has(name) || own.signal.aborted) return;
+    let pictures = 0;
+    const take = () => {
+      pictures += 1;
+      if (pictures < ON_SCREEN) return;
+      drawn.add(name);
+      own.abort();
+    };
+    try {
+      await app.api.lines(app.path("recordings", recording, "tracks", track, "sheet"), take, { signal: own.signal });
+      drawn.add(name);
+    } catch {
+      // the sheet itself shows a problem
     }
   }
 
