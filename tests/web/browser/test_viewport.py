@@ -202,7 +202,7 @@ def test_the_view_survives_moving_and_a_server_restart_and_closes_with_the_page(
     view.evaluate("view.detach()")
     until(view, lambda: not view.get_by_test_id("viewport-frame").is_visible())
     view.evaluate("host.style.width = '400px'; host.append(view.element)")
-    until(view, "view.element.querySelector('[data-testid=viewport-frame]')?.getBoundingClientRect().width === 400")
+    until(view, "document.querySelector('[data-testid=viewport-frame]')?.getBoundingClientRect().width === 400")
     assert view.evaluate("[view.id, view.state]") == [known, "ready"]
     until(view, lambda: drawn(view) > 0.1)
 
