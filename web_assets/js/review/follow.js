@@ -18,7 +18,8 @@ const closed = new Set();
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
- * @param {{ open: (target: Target) => unknown, onFirst: (target: Target) => unknown, onProgress: () => unknown }} options
+ * @param {{ open: (target: Target) => unknown, onFirst: (target: Target) => unknown,
+ *     onProgress: () => unknown }} options
  */
 export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
   const title = h("span", { class: "grow", "data-testid": "follow-title" });

@@ -23,7 +23,8 @@ const HEIGHT = 96;
  * `open` shows a box in its frame; `isFollowed` returns whether more boxes of a track are being found.
  *
  * @param {ModeApp} app
- * @param {{ desk: Desk, queue: Queue, open: (target: Target) => unknown, isFollowed: (track: number) => boolean }} parts
+ * @param {{ desk: Desk, queue: Queue, open: (target: Target) => unknown,
+ *     isFollowed: (track: number) => boolean }} parts
  */
 export function createSheet(app, { desk, queue, open, isFollowed }) {
   /**
