@@ -91,15 +91,18 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
         labels = [label for frame in project.frames.of() for label in project.labels.of_frame(frame.id)]
         return [label.state for label in labels if label.track_id == truth.track_id]
 
+    def correct_and_follow() -> None:
+        desk.settled()
+        page.get_by_test_id("field-size-length").fill("0.6")
+        desk.press("Enter")
+        desk.settled()
+        desk.press("v")
+        following_gate.release()
+
     open_, accepted = ReviewState.PROPOSED, ReviewState.ACCEPTED
     assert states() == [accepted] * 2 + [open_] * 3
     # once it is corrected and followed, the sheet comes back, and shows each new box
-    desk.settled()
-    page.get_by_test_id("field-size-length").fill("0.6")
-    desk.press("Enter")
-    desk.settled()
-    desk.press("v")
-    following_gate.release()
+    correct_and_follow()
     note = page.get_by_test_id("sheet-note")
     expect(note).to_contain_text("still being followed")
     page.keyboard.press("Enter")
@@ -123,12 +126,7 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     desk.press("s")
     tiles.nth(3).click(modifiers=["Control"])
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
-    desk.settled()
-    page.get_by_test_id("field-size-length").fill("0.6")
-    desk.press("Enter")
-    desk.settled()
-    desk.press("v")
-    following_gate.release()
+    correct_and_follow()
     expect(note).to_contain_text("1 proposal of 5 boxes. Top")
     page.keyboard.press("Enter")
     wait_for(lambda: states() == [accepted] * 2 + [ReviewState.EDITED] * 2 + [accepted])
