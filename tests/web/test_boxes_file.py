@@ -331,6 +331,8 @@ def test_a_packed_dataset_is_bounded(live: Live, monkeypatch: pytest.MonkeyPatch
 def test_only_the_latest_files_are_kept(live: Live, generated: Path) -> None:
     project, content = live.context.project("room"), json.dumps(coco(generated)).encode()
     ids = [uploads.add_upload(project, "boxes.json", content).id for _ in range(uploads.MOST_KEPT + 1)]
+    ages = [(project.path / uploads.FOLDER / upload_id).stat().st_mtime_ns for upload_id in ids[1:]]
+    assert ages == sorted(set(ages)), "two in one tick of the kernel keep their order"
     with pytest.raises(NotFoundError, match="choose it again"):
         uploads.find_upload(project, ids[0])
     assert uploads.find_upload(project, ids[-1]).path.name == "boxes.json"
