@@ -7,8 +7,10 @@ done, and takes the time. (Reading pixels at every animation frame would take lo
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
+import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -127,12 +129,20 @@ def chromium() -> Iterator[Browser]:
     path = os.environ.get("ANNOTATOR_CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
     if path is None:
         raise ConfigError("no chromium found on the PATH; install it, or set ANNOTATOR_CHROMIUM")
+    _forbid_priority()
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, args=list(ARGS))
         try:
             yield browser
         finally:
             browser.close()
+
+
+def _forbid_priority() -> None:
+    """As root, Chromium would give itself a higher priority than the server has; ordinary users' browsers cannot."""
+    if sys.platform == "linux":
+        # takes CAP_SYS_NICE (23) from the programs that this one starts (PR_CAPBSET_DROP, 24); fails if not root
+        ctypes.CDLL(None).prctl(24, 23, 0, 0, 0)
 
 
 def signed_in(browser: Browser, server: Server, operator: str = "Ada") -> Page:

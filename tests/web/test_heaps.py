@@ -54,3 +54,25 @@ def test_threads_share_two_heaps_and_free_memory_is_returned() -> None:
     assert said["tidy"].count("<heap nr=") <= 2 < said["default"].count("<heap nr=")
     rest = {how: int(text.split()[1]) for how, text in said.items()}
     assert rest["tidy"] <= 20 < rest["default"], rest
+
+
+def test_garbage_collections_leave_out_what_modules_hold() -> None:
+    code = """
+import gc
+from annotator.web.background import heaps
+with heaps.tidy_heaps():
+    first = gc.get_freeze_count()
+    modules = heaps._Modules()
+    modules.set_aside()
+    again = gc.get_freeze_count()
+    kept = [[] for _ in range(1000)]
+    modules.set_aside()
+    without_new_ones = gc.get_freeze_count()
+    import sqlite3.dump
+    modules.set_aside()
+    print(first > 1000, without_new_ones - again < 1000, gc.get_freeze_count() - again >= 1000)
+print(gc.get_freeze_count())
+"""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2])
+    assert done.stdout.split() == ["True", "True", "True", "0"]
