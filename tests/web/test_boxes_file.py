@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from threading import Lock
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -328,11 +330,14 @@ def test_a_packed_dataset_is_bounded(live: Live, monkeypatch: pytest.MonkeyPatch
     assert "divide it" in message
 
 
-def test_only_the_latest_files_are_kept(live: Live, generated: Path) -> None:
+def test_only_the_latest_files_are_kept(live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # all within one tick of the kernel's clock, by which a file system stamps
+    times_ns = itertools.count(time.time_ns())
+    monkeypatch.setattr(uploads, "time", SimpleNamespace(time_ns=lambda: next(times_ns)))
     project, content = live.context.project("room"), json.dumps(coco(generated)).encode()
     ids = [uploads.add_upload(project, "boxes.json", content).id for _ in range(uploads.MOST_KEPT + 1)]
     ages = [(project.path / uploads.FOLDER / upload_id).stat().st_mtime_ns for upload_id in ids[1:]]
-    assert ages == sorted(set(ages)), "two in one tick of the kernel keep their order"
+    assert ages == list(range(ages[0], ages[0] + uploads.MOST_KEPT))
     with pytest.raises(NotFoundError, match="choose it again"):
         uploads.find_upload(project, ids[0])
     assert uploads.find_upload(project, ids[-1]).path.name == "boxes.json"
