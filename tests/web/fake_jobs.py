@@ -11,6 +11,7 @@ from annotator.types import Source
 from annotator.types.errors import DetectionError
 from annotator.web.jobs.job_context import JobContext, Outcome
 from annotator.web.jobs.records import LIFT_STAGE, BoxesRequest, CurvePoint, ProposeRequest, TrainRequest
+from annotator.web.jobs.worker import AUTOGROUP
 
 QUICK, REFUSED, BUG, KILLED, LONG, DEAF, EDITS = range(1, 8)
 
@@ -41,7 +42,8 @@ def work(job: JobContext, request: ProposeRequest) -> Outcome:
     job.measured(CurvePoint(role="image", epoch=1, metrics={"map50": 0.5}))
     job.progress("count", 2, 2)
     (job.folder / "left.txt").write_text("x")
-    return Outcome("counted to 2", {"nice": os.nice(0), "omp": os.environ["OMP_WAIT_POLICY"]})
+    group = AUTOGROUP.read_text().split()[-1] if AUTOGROUP.exists() else None
+    return Outcome("counted to 2", {"nice": os.nice(0), "group": group, "omp": os.environ["OMP_WAIT_POLICY"]})
 
 
 def boxes(job: JobContext, request: BoxesRequest) -> Outcome:

@@ -25,6 +25,7 @@ from annotator.web.jobs import process, runner
 from annotator.web.jobs.journal import FILE
 from annotator.web.jobs.records import WORK
 from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, MOST_WAITING
+from annotator.web.jobs.worker import AUTOGROUP, NICENESS
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -73,7 +74,8 @@ def test_a_job_runs_and_reports_progress_and_result(server: Live) -> None:
     done = ended(server, job)
     assert (done["message"], done["done"], done["total"]) == ("counted to 2", 2.0, 2.0)
     assert done["curves"] == [{"role": "image", "epoch": 1, "metrics": {"map50": 0.5}}]
-    assert done["result"] == {"nice": os.nice(0) + 5, "omp": "PASSIVE"}
+    group = str(NICENESS) if AUTOGROUP.exists() else None
+    assert done["result"] == {"nice": os.nice(0) + NICENESS, "group": group, "omp": "PASSIVE"}
     assert server.client.get("/api/jobs").json()["jobs"] == [done]
     assert server.client.get(f"/api/jobs/{job['id']}/download").status_code == 404
 

@@ -13,6 +13,7 @@ import threading
 import time
 import traceback
 from importlib import import_module
+from pathlib import Path
 from typing import TextIO
 
 from annotator.project import open_project
@@ -21,7 +22,9 @@ from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.messages import PAUSE, RESUME, Failed, Finished, Order, Progress, Stopped, WorkerMessage
 from annotator.web.jobs.records import in_background
 
-NICENESS, BACKGROUND_NICENESS = 5, 19
+NICENESS, BACKGROUND_NICENESS = 10, 19
+# The priority of all processes of a session, where Linux groups them: sched(7), "The autogroup feature".
+AUTOGROUP = Path("/proc/self/autogroup")
 # Minimum interval between progress messages: a training reports after every batch.
 PROGRESS_EVERY_S = 0.2
 # A worker exits if it has not stopped this long after its server died.
@@ -57,7 +60,7 @@ def main() -> int:
     """Runs the job and reports its end to the server; returns the exit code."""
     writer = MessageWriter(_own_output())
     order = Order.model_validate_json(sys.stdin.readline())
-    os.nice(BACKGROUND_NICENESS if in_background(order.request) else NICENESS)
+    lower_priority(BACKGROUND_NICENESS if in_background(order.request) else NICENESS)
     orders = Orders()
     threading.Thread(target=_read_orders, args=(orders,), daemon=True).start()
     try:
@@ -70,6 +73,27 @@ def main() -> int:
     except Exception:  # reported to the server, which logs it
         writer.send(Failed(message=traceback.format_exc(), is_fault=True))
     return 0
+
+
+def lower_priority(niceness: int) -> None:
+    """Lets other processes go first.
+
+    Where Linux groups processes by session, their niceness counts only within the session. This process has its own
+    session, so the niceness of its group is set as well.
+    """
+    os.nice(niceness)
+    if os.getsid(0) != os.getpid():
+        return
+    for _ in range(10):
+        try:
+            AUTOGROUP.write_text(str(niceness))
+            return
+        except BlockingIOError:
+            # Linux allows one such change in 0.1 s on the whole machine
+            time.sleep(0.1)
+        except OSError:
+            # no such groups on this system
+            return
 
 
 class Orders:
