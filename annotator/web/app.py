@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from annotator import __version__
 from annotator.web.background.automatic_backups import AutomaticBackups
 from annotator.web.background.learning import Learner, StepAside
+from annotator.web.background.preload import preload
 from annotator.web.background.watch import Watch
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
@@ -61,6 +62,7 @@ def create_app(settings: ServerSettings) -> FastAPI:
         backups = AutomaticBackups(context)
         backups.start()
         context.jobs.start()
+        preload()
         yield
         watch.close()
         backups.close()

@@ -28,7 +28,7 @@ def warm_up() -> list[FrameProposals]:
 
     Free and upright, without and with a warm start; then with a class-agnostic detector, as the base detector is.
     """
-    frame = _frame()
+    frame = warm_frame()
     detector = PerfectDetector.for_frame(frame, [Truth("thing", BOX)])
     agnostic = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], BOX)])
     configs = [RcvConfig(orientation=orientation) for orientation in (Orientation.FREE, Orientation.UPRIGHT)]
@@ -47,7 +47,7 @@ def warm_up_with(detector: Detector, kind: BoxKind, class_agnostic: bool) -> lis
 
     A class-agnostic one measures an object without and with a typical size.
     """
-    frame = _frame()
+    frame = warm_frame()
     on_image = Box2D(detector.labels[0], 52.0, 38.0, 118.0, 82.0)
     typical = TypicalSize(label=on_image.label, size_m=(0.4, 0.3, 0.2), spread=(0.1, 0.1, 0.1))
     configs = [
@@ -60,7 +60,8 @@ def warm_up_with(detector: Detector, kind: BoxKind, class_agnostic: bool) -> lis
     ]
 
 
-def _frame() -> Frame:
+def warm_frame() -> Frame:
+    """A small synthetic frame, whose points are those of `BOX`."""
     rng = np.random.default_rng(0)
     xyz = rng.uniform(-0.5, 0.5, (POINTS, 3)) * BOX.size_m + BOX.center_m
     cloud = PointCloud(xyz.astype(np.float32), rng.integers(0, 255, (POINTS, 3)).astype(np.uint8))

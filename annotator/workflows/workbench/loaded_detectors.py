@@ -21,6 +21,9 @@ from annotator.workflows.warm_up import warm_up_with
 
 LOG = logging.getLogger("annotator.detectors")
 
+# Loading a detector ahead takes the processor, which a new server needs for its first page and contact sheet.
+WARM_AFTER_S = 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class ReadyDetector:
@@ -135,6 +138,7 @@ class ReadyDetectors:
         self._use = threading.Lock()
         self._loader = ThreadPoolExecutor(1, "detectors")
         self._warmed: set[Path] = set()
+        self._asked = threading.Event()
         self._loading: dict[tuple[Path, DetectorKind], tuple[tuple[str, Names], Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> ReadyDetector | None:
@@ -153,6 +157,7 @@ class ReadyDetectors:
         model = used_model(project, role)
         if model is None:
             return Readiness("none")
+        self._asked.set()
         try:
             return Readiness("ready", self._future(project, role, model).result(wait_s))
         except NotYetError:
@@ -163,16 +168,19 @@ class ReadyDetectors:
             return Readiness("failed", problem="internal error, see the server's log")
 
     def warm(self, project: Project) -> None:
-        """Starts loading the project's detectors; later calls for the same project do nothing."""
+        """Loads the project's detectors soon, or when one is asked for; later calls for the project do nothing."""
         with self._lock:
             if project.path in self._warmed:
                 return
             self._warmed.add(project.path)
+        self._loader.submit(self._asked.wait, WARM_AFTER_S)
         for role in DetectorKind:
-            self.get(project, role, wait_s=0.0)
+            if (model := used_model(project, role)) is not None:
+                self._future(project, role, model)
 
     def close(self) -> None:
         """Stops loading."""
+        self._asked.set()
         self._loader.shutdown(wait=False, cancel_futures=True)
 
     def _future(self, project: Project, role: DetectorKind, model: UsedModel) -> Future[ReadyDetector]:

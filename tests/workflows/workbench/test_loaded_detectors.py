@@ -71,6 +71,35 @@ def test_a_detector_is_loaded_once_and_again_for_another_model(people: Project, 
     ready.close()
 
 
+def test_a_detector_is_loaded_ahead_after_a_while_or_when_it_is_asked_for(
+    people: Project, loads: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register(people, DetectorKind.VIEW, "a")
+    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 0.2)
+    ready, began = ReadyDetectors(), time.monotonic()
+    ready.warm(people)
+    # the loader works in order
+    ready._loader.submit(int).result(60)
+    assert len(loads) == 1 and time.monotonic() - began >= 0.2
+    ready.close()
+    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 3600.0)
+    ready = ReadyDetectors()
+    ready.warm(people)
+    assert len(loads) == 1
+    assert ready.get(people, DetectorKind.VIEW) is not None and len(loads) == 2
+    ready.close()
+
+
+def test_a_server_that_ends_does_not_wait_to_load_a_detector(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 3600.0)
+    ready = ReadyDetectors()
+    ready.warm(people)
+    (waiting,) = ready._loader._threads
+    ready.close()
+    waiting.join(60)
+    assert not waiting.is_alive()
+
+
 def test_waiting_for_a_detector_ends_after_the_given_time(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     go = threading.Event()
 
