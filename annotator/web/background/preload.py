@@ -8,7 +8,6 @@ from importlib import import_module
 
 from annotator.workflows.warm_up import BOX, warm_frame
 from annotator.workflows.workbench.contact_sheet import picture
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 LOG = logging.getLogger("annotator.web")
 
@@ -22,10 +21,8 @@ def preload() -> threading.Thread:
 
 def _load() -> None:
     try:
-        frame = warm_frame()
         # counts points and draws views, as every page does
-        OpenFrame(frame).points_in(BOX)
-        picture(frame, BOX)
+        picture(warm_frame(), BOX)
         import_module("viser")
     except Exception:  # the page shows it when it needs this
         LOG.exception("loading ahead failed")

@@ -92,7 +92,7 @@ def lower_priority(niceness: int) -> None:
             # Linux allows one such change in 0.1 s on the whole machine
             time.sleep(0.1)
         except OSError:
-            # no such groups on this system
+            # this system has no such groups, or does not let them be changed, as some containers
             return
 
 
