@@ -114,7 +114,7 @@ class PerfectDetector:
         for key, scene in sorted(self._scenes.items()):
             digest.update(key.encode())
             for truth in scene.truths:
-                digest.update(truth.label.encode() + truth.box.T_camera_box.as_matrix().tobytes())
+                digest.update(truth.label.encode() + truth.box.pose.tobytes())
                 digest.update(truth.box.size_m.tobytes())
         return "perfect-" + digest.hexdigest()
 

@@ -53,7 +53,7 @@ class BoxTable:
     def of(cls, rows: Iterable[tuple[int, str, OrientedBox, float]]) -> BoxTable:
         """A table from the frame number, class, box and score of each box."""
         frames, labels, boxes, scores = list(map(list, zip(*rows, strict=True))) or ([], [], [], [])
-        poses = np.array([box.T_camera_box.as_matrix() for box in boxes]).reshape(-1, 4, 4)
+        poses = np.array([box.pose for box in boxes]).reshape(-1, 4, 4)
         return cls(
             np.array(frames, np.int64),
             np.array(labels, np.str_),

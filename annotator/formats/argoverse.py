@@ -76,6 +76,6 @@ def read_argoverse(path: Path) -> dict[int, list[ArgoverseBox]]:
 def _box(row: np.ndarray) -> OrientedBox:
     if not 0.5 < np.linalg.norm(row[3:7]) < 2.0:
         raise ValueError(f"{row[3:7].tolist()} is not a unit quaternion")
-    return OrientedBox(
+    return OrientedBox.at(
         RigidTransform.from_components(row[:3], Rotation.from_quat(row[3:7], scalar_first=True)), row[7:].copy()
     )

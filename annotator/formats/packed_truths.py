@@ -6,7 +6,6 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from annotator.types import Box2D, BoxKind, OrientedBox, Truth
 from annotator.types.label import AttributeValue, Said
@@ -20,7 +19,7 @@ _Others = tuple[str, int | None, Box2D | None, BoxKind, tuple[tuple[str, Attribu
 
 
 class PackedTruths(Mapping[str, tuple[Truth, ...]]):
-    """The objects of each frame, by its name; a frame's objects are made anew whenever they are asked for.
+    """The objects of each frame, by its name; a frame's objects are made anew when another frame was asked for before.
 
     Args:
         frames: the names, all different, and objects, read one by one.
@@ -32,11 +31,13 @@ class PackedTruths(Mapping[str, tuple[Truth, ...]]):
         self._others: list[_Others] = []
         self._places: dict[str, range] = {}
         self._said: dict[int, tuple[Said, ...]] = {}
+        # a frame is often asked for several times in a row
+        self._last: tuple[str | None, tuple[Truth, ...]] = (None, ())
         known: dict[tuple[_Others, str], _Others] = {}
         for name, truths in frames:
             self._places[name] = range(len(self._others), len(self._others) + len(truths))
             for truth in truths:
-                self._numbers.extend(truth.box.T_camera_box.as_matrix()[:3].ravel().tolist())
+                self._numbers.extend(truth.box.pose[:3].ravel().tolist())
                 self._numbers.extend(truth.box.size_m.tolist())
                 self._scores.append(np.nan if truth.score is None else truth.score)
                 if truth.said:
@@ -52,7 +53,11 @@ class PackedTruths(Mapping[str, tuple[Truth, ...]]):
         return (score for score in self._scores if score == score)
 
     def __getitem__(self, name: str) -> tuple[Truth, ...]:
-        return tuple(map(self._truth, self._places[name]))
+        known, truths = self._last
+        if known != name:
+            truths = tuple(map(self._truth, self._places[name]))
+            self._last = (name, truths)
+        return truths
 
     def __contains__(self, name: object) -> bool:
         return name in self._places
@@ -65,10 +70,9 @@ class PackedTruths(Mapping[str, tuple[Truth, ...]]):
 
     def _truth(self, place: int) -> Truth:
         numbers = np.array(self._numbers[place * NUMBERS : (place + 1) * NUMBERS])
-        matrix = np.eye(4)
-        matrix[:3] = numbers[:POSE].reshape(3, 4)
-        # it was a pose before: normalising the rotation again would change its last bits
-        box = OrientedBox(RigidTransform(matrix, normalize=False), numbers[POSE:])
+        pose = np.eye(4)
+        pose[:3] = numbers[:POSE].reshape(3, 4)
+        box = OrientedBox(pose, numbers[POSE:])
         score = self._scores[place]
         label, track_id, image_box, kind, values = self._others[place]
         said = self._said.get(place, ())

@@ -170,7 +170,7 @@ def _truth(entry: _Object, file: Path, tracks: _Tracks) -> Truth:
     angles = [psr.rotation.x, psr.rotation.y, psr.rotation.z]
     center = np.array([psr.position.x, psr.position.y, psr.position.z])
     try:
-        box = OrientedBox(
+        box = OrientedBox.at(
             RigidTransform.from_components(center, Rotation.from_euler("XYZ", angles)),
             np.array([psr.scale.x, psr.scale.y, psr.scale.z]),
         )

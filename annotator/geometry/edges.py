@@ -35,7 +35,7 @@ def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[
     """
     if not boxes:
         return []
-    poses = np.array([box.T_camera_box.as_matrix() for box in boxes])
+    poses = np.array([box.pose for box in boxes])
     sizes = np.array([box.size_m for box in boxes])
     ends = corners(poses[:, :3, 3], poses[:, :3, :3], sizes)[:, _ENDS].reshape(-1, 2, 3)
     cut, visible = cut_segments(ends, field_of_view(camera_key(camera)))

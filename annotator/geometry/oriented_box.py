@@ -131,6 +131,5 @@ def canonical_box(box: OrientedBox, up: Float64[np.ndarray, "3"] | None) -> Orie
 def same_box(a: OrientedBox, b: OrientedBox) -> bool:
     """True if two boxes have the same centre, axes and size, within `SAME_BOX`."""
     return bool(
-        np.allclose(a.T_camera_box.as_matrix(), b.T_camera_box.as_matrix(), rtol=0, atol=SAME_BOX)
-        and np.allclose(a.size_m, b.size_m, rtol=0, atol=SAME_BOX)
+        np.allclose(a.pose, b.pose, rtol=0, atol=SAME_BOX) and np.allclose(a.size_m, b.size_m, rtol=0, atol=SAME_BOX)
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, case, delete, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, bindparam, case, delete, func, insert, select, update
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import values_json
@@ -42,6 +42,14 @@ from annotator.types.label import AttributeValue
 
 Value = str | int | float | None
 
+# Built once, since building a statement takes longer than running it.
+_INSERT = insert(labels)
+_DELETE_IMPORTED = delete(labels).where(
+    labels.c.frame_id == bindparam("frame"),
+    labels.c.state == ReviewState.PROPOSED.value,
+    labels.c.source == Source.IMPORTED.value,
+)
+
 
 def replace_proposals(connection: Connection, event: Event, payload: ProposalsReplaced) -> None:
     """Applies an automatic pass: its proposals replace the unreviewed labels of the frame, except imported ones."""
@@ -58,9 +66,13 @@ def _is_open(event: Event) -> ColumnElement[bool]:
 
 def put_imported(connection: Connection, event: Event, payload: ProposalsImported) -> None:
     """Applies what other software says: replaces the open imported proposals, beside ours."""
-    hidden = (labels.c.source == Source.IMPORTED.value) | labels.c.uid.in_(payload.hidden)
-    columns = _own_columns(connection, event, payload.hidden) if payload.keeps_ours else {}
-    connection.execute(delete(labels).where(_is_open(event), hidden, labels.c.uid.not_in(payload.kept)))
+    columns: dict[str, OwnColumns] = {}
+    if payload.hidden or payload.kept:
+        columns = _own_columns(connection, event, payload.hidden) if payload.keeps_ours else {}
+        hidden = (labels.c.source == Source.IMPORTED.value) | labels.c.uid.in_(payload.hidden)
+        connection.execute(delete(labels).where(_is_open(event), hidden, labels.c.uid.not_in(payload.kept)))
+    else:
+        connection.execute(_DELETE_IMPORTED, {"frame": event.frame_id})
     for own in payload.ours:
         same = _is_open(event) & (labels.c.uid == own.uid)
         values = {} if own.attributes is None else {"attributes": values_json(own.attributes)}
@@ -295,7 +307,7 @@ def _insert(connection: Connection, rows: list[dict[str, Value]]) -> None:
     """Inserts labels; those without an id get the next ones."""
     if (first := next_label_id(connection)) is not None:
         rows = [{"id": number} | row for number, row in enumerate(rows, first)]
-    connection.execute(insert(labels), rows)
+    connection.execute(_INSERT, rows)
 
 
 def _authorship(event: Event) -> dict[str, Value]:

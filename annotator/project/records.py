@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import UInt8
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_serializer
 from pydantic_core import PydanticSerializationError
-from scipy.spatial.transform import RigidTransform
 
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
 from annotator.types.errors import RESTORE, ProjectError
@@ -78,18 +77,17 @@ class BoxRecord(BaseModel):
         Raises:
             pydantic.ValidationError: a pose with a matrix that is not a rotation.
         """
-        matrix = box.T_camera_box.as_matrix()
+        matrix = box.pose
         return cls.model_validate(
             {"center_m": matrix[:3, 3].tolist(), "rotation": matrix[:3, :3].tolist(), "size_m": box.size_m.tolist()}
         )
 
     def box(self) -> OrientedBox:
         """The box, bit for bit."""
-        matrix = np.eye(4)
-        matrix[:3, :3] = self.rotation
-        matrix[:3, 3] = self.center_m
-        # validated above; normalising the rotation again would change its last bits
-        return OrientedBox(RigidTransform(matrix, normalize=False), np.array(self.size_m))
+        pose = np.eye(4)
+        pose[:3, :3] = self.rotation
+        pose[:3, 3] = self.center_m
+        return OrientedBox(pose, np.array(self.size_m))
 
 
 class ProposalRecord(BaseModel):

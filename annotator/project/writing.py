@@ -12,7 +12,7 @@ from sqlalchemy import Connection, bindparam, func, select
 from annotator.geometry.oriented_box import same_box
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.completing import completed, restored
-from annotator.project.config import read_config
+from annotator.project.config import ProjectConfig, read_config
 from annotator.project.derived import apply_event
 from annotator.project.event_types import (
     PAYLOAD,
@@ -138,10 +138,15 @@ class Writer:
         payloads: Sequence[Payload],
         context: WriteContext,
         action: str | None = None,
+        config: ProjectConfig | None = None,
     ) -> Receipt:
-        """As `to_frame`, within the caller's write transaction, as a part of an action over several frames if any."""
+        """As `to_frame`, within the caller's write transaction, as a part of an action over several frames if any.
+
+        Args:
+            config: of the project, if the caller has read it within the transaction.
+        """
         where = require_writable(connection, frame_id, context)
-        return self._append(connection, frame_id, where, payloads, context, action)
+        return self._append(connection, frame_id, where, payloads, context, action, config)
 
     def to_frames(
         self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
@@ -217,9 +222,10 @@ class Writer:
         payloads: Sequence[Payload],
         context: WriteContext,
         shared_action: str | None = None,
+        config: ProjectConfig | None = None,
     ) -> Receipt:
         """`shared_action`: id of the action over several frames that the events belong to; None = a new action."""
-        attributes = self._require_classes(where, payloads)
+        attributes = self._require_classes(where, payloads, config)
         time_ns = self.store.clock()
         action = (shared_action or new_action()) if _is_action(frame_id, payloads, context, shared_action) else None
         appended: list[Event] = []
@@ -248,13 +254,15 @@ class Writer:
             appended.append(event)
         return Receipt(tuple(event.id for event in appended), context.revision + len(appended))
 
-    def _require_classes(self, where: str, payloads: Sequence[Payload]) -> tuple[Attribute, ...]:
+    def _require_classes(
+        self, where: str, payloads: Sequence[Payload], config: ProjectConfig | None
+    ) -> tuple[Attribute, ...]:
         """Refuses unknown classes; returns the project's attributes where the events may need them."""
         used = set().union(*(payload.classes() for payload in payloads))
         if not used and not any(isinstance(payload, _OF_ATTRIBUTES) for payload in payloads):
             return ()
         # read from the file: another process may have added a class
-        config = read_config(self.folder)
+        config = config or read_config(self.folder)
         known = config.classes
         if unknown := sorted(used - set(known)):
             is_not = "is not a class" if len(unknown) == 1 else "are not classes"

@@ -189,7 +189,7 @@ def follow_object(
         config: the recursion's settings for this detector and the frame's orientation.
         limits: when the object counts as lost.
     """
-    start = OrientedBox(predicted.T_camera_box, reviewed.box.size_m)
+    start = OrientedBox(predicted.pose, reviewed.box.size_m)
     outline = _grown(frame.camera, start, label, limits.grow)
     if outline is None:
         return Followed(None, FollowStop.LEFT)

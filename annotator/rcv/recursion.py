@@ -217,7 +217,7 @@ def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -
 
 def shown_box(box: OrientedBox, is_cut: bool, config: RcvConfig) -> OrientedBox:
     """The box that the next views must show: the last box, enlarged if it was cut off."""
-    return OrientedBox(box.T_camera_box, box.size_m * (config.cut_room if is_cut else 1.0))
+    return OrientedBox(box.pose, box.size_m * (config.cut_room if is_cut else 1.0))
 
 
 def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], config: RcvConfig) -> PointCloud:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
-from annotator.types.checks import as_array, require_finite
+from annotator.types.checks import as_array
 
 # Upper limit of sizes and distances; beyond it, volumes overflow.
 FARTHEST_M = 1e9
@@ -82,29 +83,42 @@ class OrientedBox:
     """A fully oriented 3D box.
 
     Attributes:
-        T_camera_box: pose of the box frame (origin at the centre; x length, y width, z height) in the
-            camera frame, metres.
-        size_m: full (length, width, height) along the box's own x, y, z; all positive.
+        pose: matrix of `T_camera_box`, the pose of the box frame (origin at the centre; x length, y width, z height) in
+            the camera frame, metres; read-only.
+        size_m: full (length, width, height) along the box's own x, y, z; all positive; read-only.
 
     Raises:
-        ValueError: a size that is not positive, or a value that is not finite or beyond `FARTHEST_M`.
+        ValueError: a wrong shape, a size that is not positive, or a value that is not finite or beyond `FARTHEST_M`.
     """
 
-    T_camera_box: RigidTransform
+    pose: Float64[np.ndarray, "4 4"]
     size_m: Float64[np.ndarray, "3"]
 
     def __post_init__(self) -> None:
         size = as_array("size_m", self.size_m, np.float64, (3,))
-        require_finite("size_m", size)
+        pose = as_array("pose", self.pose, np.float64, (4, 4))
+        # plain numbers, because numpy takes several times as long for so few values
         lengths: list[float] = size.tolist()
+        values: list[float] = pose.ravel().tolist()
+        if not all(map(math.isfinite, lengths)):
+            raise ValueError("size_m must be finite")
         if min(lengths) <= 0:
             raise ValueError(f"box sizes must be positive, not {lengths}")
-        if not self.T_camera_box.single:
-            raise ValueError("T_camera_box must be one transform, not a stack")
-        require_finite("T_camera_box", self.T_camera_box.as_matrix())
-        if max(*lengths, *map(abs, self.T_camera_box.translation.tolist())) > FARTHEST_M:
+        if not all(map(math.isfinite, values)):
+            raise ValueError("T_camera_box must be finite")
+        if max(*lengths, *(abs(value) for value in values[3:12:4])) > FARTHEST_M:
             raise ValueError(f"a box must be within {FARTHEST_M:g} m; give metres")
         object.__setattr__(self, "size_m", size)
+        object.__setattr__(self, "pose", pose)
+
+    @classmethod
+    def at(cls, T_camera_box: RigidTransform, size_m: np.ndarray) -> OrientedBox:
+        """A box from its pose and size (3,).
+
+        Raises:
+            ValueError: as the constructor, or a stack of poses.
+        """
+        return cls(T_camera_box.as_matrix(), size_m)
 
     @classmethod
     def from_parts(cls, center_m: np.ndarray, rotation: np.ndarray, size_m: np.ndarray) -> OrientedBox:
@@ -120,20 +134,26 @@ class OrientedBox:
             raise ValueError("rotation must be a proper rotation matrix (orthonormal, determinant +1)")
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, center
-        # normalising takes three times as long as the rest, so a matrix that is exact up to rounding skips it
-        transform = RigidTransform(pose, normalize=bool(error > ORTHONORMAL), copy=False)
-        return cls(transform, np.asarray(size_m, np.float64))
+        # normalising takes longer than all else, so a matrix that is exact up to rounding skips it
+        if error > ORTHONORMAL:
+            pose = RigidTransform(pose).as_matrix()
+        return cls(pose, np.asarray(size_m, np.float64))
+
+    @cached_property
+    def T_camera_box(self) -> RigidTransform:
+        """The pose, made when it is asked for, since scipy takes as long for it as for the rest of the box."""
+        # normalising the rotation again would change its last bits
+        return RigidTransform(self.pose, normalize=False)
 
     @property
     def center_m(self) -> Float64[np.ndarray, "3"]:
         """Centre in the camera frame, metres."""
-        return self.T_camera_box.translation
+        return self.pose[:3, 3].copy()
 
     @property
     def rotation(self) -> Float64[np.ndarray, "3 3"]:
         """Columns are the box axes in the camera frame."""
-        # not `.rotation.as_matrix()`, which would validate the matrix on every access
-        return self.T_camera_box.as_matrix()[:3, :3]
+        return self.pose.copy()[:3, :3]
 
     @property
     def volume_m3(self) -> float:
@@ -141,4 +161,4 @@ class OrientedBox:
 
     def transformed(self, T_dst_camera: RigidTransform) -> OrientedBox:
         """The same box in another frame."""
-        return OrientedBox(T_dst_camera * self.T_camera_box, self.size_m)
+        return OrientedBox.at(T_dst_camera * self.T_camera_box, self.size_m)

@@ -25,9 +25,3 @@ def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | 
         array = array.view()
         array.flags.writeable = False
     return array
-
-
-def require_finite(name: str, array: np.ndarray) -> None:
-    """Raises ValueError with `name` if a value is NaN or infinite."""
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite")

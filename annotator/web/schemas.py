@@ -119,7 +119,7 @@ class Box3DOut(Schema):
 
     @classmethod
     def of(cls, box: OrientedBox) -> Box3DOut:
-        pose = box.T_camera_box.as_matrix()
+        pose = box.pose
         return cls.model_construct(
             center=pose[:3, 3].tolist(), size=box.size_m.tolist(), rotation=pose[:3, :3].tolist()
         )

@@ -21,7 +21,7 @@ def make_box(
     size: tuple[float, ...] = (0.5, 0.25, 1.75),
 ) -> OrientedBox:
     """A box from its centre, rotation vector and size."""
-    return OrientedBox(
+    return OrientedBox.at(
         RigidTransform.from_components(np.array(center), Rotation.from_rotvec(np.array(rotation))),
         np.array(size, np.float64),
     )

@@ -28,7 +28,7 @@ def test_boxes_come_back_bit_for_bit_with_all_that_is_known_of_them() -> None:
     assert list(packed.scores) == [0.25] * len(boxes) + [-3.0]
     for name, truths in frames.items():
         for found, given in zip(packed[name], truths, strict=True):
-            np.testing.assert_array_equal(found.box.T_camera_box.as_matrix(), given.box.T_camera_box.as_matrix())
+            np.testing.assert_array_equal(found.box.pose, given.box.pose)
             np.testing.assert_array_equal(found.box.size_m, given.box.size_m)
             for field in ("label", "track_id", "score", "image_box", "box_kind", "attributes"):
                 assert getattr(found, field) == getattr(given, field)

@@ -93,7 +93,7 @@ def lost_object() -> LostObject:
 
 def same_box(a: OrientedBox, b: OrientedBox) -> bool:
     """Equal to the last bit."""
-    return bool((a.T_camera_box.as_matrix() == b.T_camera_box.as_matrix()).all() and (a.size_m == b.size_m).all())
+    return bool((a.pose == b.pose).all() and (a.size_m == b.size_m).all())
 
 
 def state_of(project: Project) -> dict[str, list[tuple[object, ...]]]:
@@ -132,7 +132,7 @@ def repr_of(label: object) -> str:
     """
     values = vars(label)
     box, is_open = values["box"], values["state"] is ReviewState.PROPOSED
-    rounded = (box.T_camera_box.as_matrix().round(9) + 0.0).tolist(), box.size_m.tolist()
+    rounded = (box.pose.round(9) + 0.0).tolist(), box.size_m.tolist()
     return repr({**values, "box": rounded, "time_ns": None if is_open else values["time_ns"]})
 
 

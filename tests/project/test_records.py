@@ -78,7 +78,7 @@ def test_the_geometry_of_a_view_is_read_back() -> None:
     assert (geometry.metres_per_px, geometry.origin_m, geometry.look_px) == (0.01, (-1.0, 0.5), 224)
 
 
-NEW = LabelCreated(uid="a", label="hand", box=BoxRecord.of(OrientedBox(RigidTransform.identity(), np.ones(3))))
+NEW = LabelCreated(uid="a", label="hand", box=BoxRecord.of(OrientedBox.at(RigidTransform.identity(), np.ones(3))))
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_pose_with_an_invalid_rotation_is_refused_with_a_clear_error() -> None
         pytest.raises(ProjectError, match=r"this box cannot be stored: rotation: .*not a rotation"),
         storable("this box"),
     ):
-        BoxRecord.of(OrientedBox(RigidTransform(sheared, normalize=False), np.ones(3)))
+        BoxRecord.of(OrientedBox(sheared, np.ones(3)))
 
 
 def test_a_created_label_cannot_be_proposed() -> None:

@@ -83,7 +83,7 @@ def test_equal_image_boxes_belong_to_two_objects(frame: Frame) -> None:
 def test_of_duplicates_the_one_from_the_objects_own_frustum_is_kept(frame: Frame, order: int) -> None:
     own, neighbours = seen(frame, OWN), seen(frame, OTHER)
     better = ended(frame, own, OWN)
-    worse = ended(frame, replace(neighbours, score=1.0), OrientedBox(OWN.T_camera_box, OWN.size_m * 0.9))
+    worse = ended(frame, replace(neighbours, score=1.0), OrientedBox(OWN.pose, OWN.size_m * 0.9))
     (found,) = finish(frame, [worse, better][::order], RcvConfig(min_image_agreement=0.0)).proposals
     assert found.image_box == own
 

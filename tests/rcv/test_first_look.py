@@ -149,7 +149,7 @@ def test_a_dropped_start_box_is_followed_by_a_first_look(generated, knowing: Cal
     config = first_look(Orientation.UPRIGHT)
     view = AnyClass(knowing("people").view)
     good = WarmStart(truth.label, truth.box)
-    wrong = WarmStart(truth.label, OrientedBox(truth.box.T_camera_box, truth.box.size_m * [1, 1, 0.4]))
+    wrong = WarmStart(truth.label, OrientedBox(truth.box.pose, truth.box.size_m * [1, 1, 0.4]))
     for start, dropped in ((good, False), (wrong, True)):
         (result,) = propose_from_boxes([frame], [[image_box]], view, config, [[start]])
         assert iou_3d(result.proposals[0].box, truth.box) > 0.85

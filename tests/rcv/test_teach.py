@@ -28,7 +28,7 @@ CONFIG = RcvConfig(view=ViewConfig(size_px=96))
 def corners_of(box: OrientedBox) -> np.ndarray:
     """The 8 corners by hand: centre + R (signs * size / 2)."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    matrix = box.T_camera_box.as_matrix()
+    matrix = box.pose
     return (signs * box.size_m / 2) @ matrix[:3, :3].T + matrix[:3, 3]
 
 

@@ -124,7 +124,7 @@ def test_edges_follow_lens_distortion_and_end_in_front_of_the_camera() -> None:
     assert len(lines) == 12
     middle = project(bent, box_corners(box)[[0, 1]].mean(axis=0)[None])[0]
     assert np.abs(lines[0] - middle).min(axis=0).max() < 0.5
-    around = OrientedBox(RigidTransform.from_translation([0.0, 0.0, 0.1]), np.array([1.0, 1.0, 1.0]))
+    around = OrientedBox.at(RigidTransform.from_translation([0.0, 0.0, 0.1]), np.array([1.0, 1.0, 1.0]))
     assert len(edges_px(camera, around)) == 4, "the edges of the far side"
 
 

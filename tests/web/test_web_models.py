@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
 from test_web_jobs import JOBS, ended
 
 if TYPE_CHECKING:
@@ -28,6 +30,14 @@ def test_a_project_without_models(live: Live) -> None:
         assert live.client.request(method, path).status_code == 404
     assert live.client.get(f"{MODELS}/{10**30}/pictures/0.jpg").status_code == 422
     assert live.client.get(f"{MODELS}/x/pictures/0.jpg").status_code == 422
+
+
+def test_detectors_are_loaded_at_once_when_the_page_asks(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Path, bool]] = []
+    detectors = live.context.caches.detectors
+    monkeypatch.setattr(detectors, "warm", lambda project, at_once=False: asked.append((project.path, at_once)))
+    assert live.client.post(f"{MODELS}/load").status_code == 204
+    assert [(path.name, at_once) for path, at_once in asked] == [("room", True)]
 
 
 def test_missing_training_data_is_reported(live: Live) -> None:

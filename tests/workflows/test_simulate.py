@@ -63,9 +63,7 @@ def test_true_boxes_are_imported_as_labels(people: Project) -> None:
         assert len(labels) == len(truths) == 3
         for label, truth in zip(labels, truths, strict=True):
             assert (label.source, label.state, label.label) == (Source.IMPORTED, ReviewState.ACCEPTED, "person")
-            np.testing.assert_allclose(
-                label.box.T_camera_box.as_matrix(), truth.box.T_camera_box.as_matrix(), atol=1e-9
-            )
+            np.testing.assert_allclose(label.box.pose, truth.box.pose, atol=1e-9)
     assert people.statistics().labels.total == 6
 
 

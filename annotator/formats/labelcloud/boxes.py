@@ -60,7 +60,7 @@ def box_of(entry: BoxObject, degrees: bool) -> OrientedBox:
     angles = [entry.rotations.z, entry.rotations.y, entry.rotations.x]
     center = np.array([entry.centroid.x, entry.centroid.y, entry.centroid.z])
     size = entry.dimensions
-    return OrientedBox(
+    return OrientedBox.at(
         RigidTransform.from_components(center, Rotation.from_euler("ZYX", angles, degrees=degrees)),
         np.array([size.length, size.width, size.height]),
     )
@@ -104,7 +104,7 @@ def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:
     axes = (edges / size[:, None]).T
     if np.linalg.det(axes) <= 0:
         raise ValueError("the vertices are not in labelCloud's order (seen from above, the first four are clockwise)")
-    box = OrientedBox(RigidTransform.from_components(center, Rotation.from_matrix(axes)), size)
+    box = OrientedBox.at(RigidTransform.from_components(center, Rotation.from_matrix(axes)), size)
     off = float(np.abs(box.T_camera_box.apply(CORNERS * size) - corners).max())
     if off > max(OFF_BOX_M, OFF_BOX_SHARE * float(size.min())):
         raise ValueError(f"the vertices lie up to {off:.3f} m off the corners of a box")

@@ -43,7 +43,7 @@ def box_from(translation: Vector3, rotation: Quaternion, size_wlh: Vector3) -> O
         ValueError: the rotation is not a unit quaternion.
     """
     width, length, height = size_wlh
-    return OrientedBox(pose(translation, rotation), np.array([length, width, height]))
+    return OrientedBox.at(pose(translation, rotation), np.array([length, width, height]))
 
 
 def scan(cloud: PointCloud, T_level_camera: RigidTransform) -> Float32[np.ndarray, "n 5"]:

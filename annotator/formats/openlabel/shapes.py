@@ -37,7 +37,7 @@ def box_from(values: tuple[float, ...]) -> OrientedBox:
         rotation = Rotation.from_euler("ZYX", values[5:2:-1])
     else:
         raise ValueError(f"a cuboid has 9 or 10 values, not {len(values)}")
-    return OrientedBox(RigidTransform.from_components(np.array(values[:3]), rotation), np.array(values[-3:]))
+    return OrientedBox.at(RigidTransform.from_components(np.array(values[:3]), rotation), np.array(values[-3:]))
 
 
 def _rotation(xyzw: tuple[float, ...]) -> Rotation:

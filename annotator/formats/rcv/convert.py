@@ -97,7 +97,7 @@ def label_from(record: RcvObject) -> Label:
     if np.abs(quaternion.as_matrix() - box.rotation).max() > AGREEMENT:
         raise ValueError("quaternion and rotation disagree; correct the quaternion from the rotation")
     # the quaternion gives an exactly orthonormal rotation, the matrix only a rounded one
-    box = OrientedBox(RigidTransform.from_components(np.array(record.center), quaternion), np.array(record.size))
+    box = OrientedBox.at(RigidTransform.from_components(np.array(record.center), quaternion), np.array(record.size))
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
         raise ValueError("corners disagree with center, size and rotation; correct the corners")
@@ -134,7 +134,7 @@ def _said_record(said: Said) -> RcvSaid:
 
 def _said(record: RcvSaid) -> Said:
     rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
-    box = OrientedBox(RigidTransform.from_components(np.array(record.center), rotation), np.array(record.size))
+    box = OrientedBox.at(RigidTransform.from_components(np.array(record.center), rotation), np.array(record.size))
     return Said(record.source, record.label, box, record.score, record.track_id, record.box_kind)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, bindparam, select
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import Attribute
@@ -12,6 +12,13 @@ from annotator.project.event_types import PAYLOAD, LabelAttributesSet
 from annotator.project.records import parsed, said_of
 from annotator.project.schema import events, labels
 from annotator.types import ReviewState, Source
+
+# Built once, since building a statement takes longer than running it.
+_VALUES_SET = select(events.c.payload, events.c.subject).where(
+    events.c.frame_id == bindparam("frame"),
+    events.c.kind == "label_attributes_set",
+    events.c.source == Source.MANUAL.value,
+)
 
 
 def kept_proposals(connection: Connection, attributes: Sequence[Attribute], frame_id: int) -> frozenset[str]:
@@ -23,13 +30,8 @@ def kept_proposals(connection: Connection, attributes: Sequence[Attribute], fram
     Args:
         attributes: of the project.
     """
-    query = select(events.c.payload, events.c.subject).where(
-        events.c.frame_id == frame_id,
-        events.c.kind == "label_attributes_set",
-        events.c.source == Source.MANUAL.value,
-    )
     touched = set[str]()
-    for row in connection.execute(query):
+    for row in connection.execute(_VALUES_SET, {"frame": frame_id}):
         payload = parsed(PAYLOAD.validate_json, row.payload)
         if isinstance(payload, LabelAttributesSet) and row.subject in (None, payload.uid):
             touched.add(payload.uid)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import uuid
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, func, select, true
+from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.kept import kept_proposals
@@ -15,12 +15,15 @@ from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.labels import NewLabel, stored_label
 from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable
-from annotator.project.schema import frames, labels
+from annotator.project.schema import AnyRow, frames, labels
 from annotator.project.sources.covering import covered_by
 from annotator.project.sources.lending import borrowed, conflicts, given_back, lent_names, without
 from annotator.project.sources.merge import merged
 from annotator.project.writing import Receipt, WriteContext, Writer
-from annotator.types import BoxKind, Label, ReviewState, Source
+from annotator.types import BoxKind, ReviewState, Source
+
+# Built once, since building a statement takes longer than running it.
+_OF_FRAMES = select(labels).where(labels.c.frame_id.in_(bindparam("frames", expanding=True))).order_by(labels.c.id)
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,16 @@ def bring(
         config = read_config(writer.folder)
         columns = select(frames.c.id, frames.c.revision, frames.c.finalised)
         rows = connection.execute(columns.where(frames.c.id.in_(frames_boxes))).all()
+        present = defaultdict[int, list[AnyRow]](list)
+        for row in connection.execute(_OF_FRAMES, {"frames": [*frames_boxes]}):
+            present[row.frame_id].append(row)
         return {
             row.id: _bring(
                 connection,
                 writer,
                 source,
                 frames_boxes[row.id],
-                _Place(row.id, row.revision, config),
+                _Place(row.id, row.revision, present[row.id], config),
                 author or source,
                 action,
             )
@@ -89,6 +95,7 @@ def bring(
 class _Place:
     frame_id: int
     revision: int
+    rows: Sequence[AnyRow]
     config: ProjectConfig
 
 
@@ -101,23 +108,23 @@ def _bring(
     author: str,
     action: str | None,
 ) -> Brought:
-    kept = kept_proposals(connection, place.config.attributes, place.frame_id)
-    staying = _staying(connection, place.frame_id, kept)
+    rows, attributes = place.rows, place.config.attributes
+    kept = kept_proposals(connection, attributes, place.frame_id) if rows else frozenset[str]()
+    staying = [stored_label(row).label for row in rows if not _is_open(row, kept)]
     taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
     with storable(f"a box of {source}"):
         new = [_said(source, box, taken) for box in boxes]
         covering = covered_by(boxes, staying)
         free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
         covered = [CoveredBox(said=each, by=uid) for each, uid in zip(new, covering, strict=True) if uid]
-        proposed = _Open.of(connection, place.frame_id, place.config.classes, kept)
+        proposed = _Open.of(rows, place.config.classes, kept)
         payload = proposed.after(source, free, covered)
     context = WriteContext(place.revision, author, Source.IMPORTED)
-    receipt = writer.to_frame_in(connection, place.frame_id, (payload,), context, action)
+    receipt = writer.to_frame_in(connection, place.frame_id, (payload,), context, action, place.config)
     together = sum(len(group) > 1 and any(each.source == source for each in group) for group in payload.objects)
     together += sum(any(each.source == source for each in own.said) for own in payload.ours)
     groups = [*payload.objects]
     groups += [(each, *own.said) for own in payload.ours for each in proposed.ours if each.uid == own.uid]
-    attributes = place.config.attributes
     differing = sum(conflicts([a for a in attributes if a.is_of(group[0].label)], group, source) for group in groups)
     return Brought(tuple(uid is None for uid in covering), together, differing, receipt)
 
@@ -134,7 +141,7 @@ def said_again(
     staying = connection.execute(select(labels.c.said).where(labels.c.uid.in_(kept))).scalars()
     present = {each.uid for content in staying for each in said_of(content)}
     known = [each for each in said if each.label in config.classes and each.uid not in present]
-    return _Open.of(connection, frame_id, config.classes, kept).after(source, known, [])
+    return _Open.of(_labels(connection, frame_id), config.classes, kept).after(source, known, [])
 
 
 def without_classes(
@@ -157,16 +164,20 @@ def without_classes(
             shown[frame_id].add(uid)
     for frame_id, uids in shown.items():
         kept = kept_proposals(connection, config.attributes, frame_id) - uids
-        proposed = _Open.of(connection, frame_id, staying, kept)
+        proposed = _Open.of(_labels(connection, frame_id), staying, kept)
         ours = [each for each in proposed.ours if each.label not in removed]
         hidden = [each for each in proposed.others if each.source == OWN]
         yield frame_id, _Open(proposed.others, ours, kept, proposed.borrows).after(OWN, hidden, [])
 
 
-def _staying(connection: Connection, frame_id: int, kept: Collection[str]) -> list[Label]:
-    stays = (labels.c.state != ReviewState.PROPOSED.value) | labels.c.uid.in_(kept)
-    rows = connection.execute(select(labels).where(labels.c.frame_id == frame_id, stays).order_by(labels.c.id))
-    return [stored_label(row).label for row in rows]
+def _labels(connection: Connection, frame_id: int) -> Sequence[AnyRow]:
+    """The rows of a frame's labels, in order."""
+    return connection.execute(_OF_FRAMES, {"frames": [frame_id]}).all()
+
+
+def _is_open(row: AnyRow, kept: Collection[str]) -> bool:
+    """Whether an import may replace a label: an open proposal that is not `kept`."""
+    return row.state == ReviewState.PROPOSED.value and row.uid not in kept
 
 
 def beside_new_pass(
@@ -186,7 +197,7 @@ def beside_new_pass(
     Returns:
         The event; None if the frame has no boxes of other software.
     """
-    proposed = _Open.of(connection, frame_id, classes, kept)
+    proposed = _Open.of(_labels(connection, frame_id), classes, kept)
     if not proposed.others:
         return None
     return _Open(proposed.others, list(new), kept).after(OWN, [], [])
@@ -255,12 +266,12 @@ class _Open:
     borrows: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, connection: Connection, frame_id: int, classes: Collection[str], kept: frozenset[str]) -> _Open:
-        """Reads them; boxes of classes that the project no longer has are left out."""
-        is_open = (labels.c.frame_id == frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
+    def of(cls, rows: Iterable[AnyRow], classes: Collection[str], kept: frozenset[str]) -> _Open:
+        """Reads them from the rows of a frame's labels, without boxes of classes that the project no longer has."""
         others, ours, borrows = list[SaidRecord](), list[SaidRecord](), set[str]()
-        query = select(labels).where(is_open, labels.c.uid.not_in(kept)).order_by(labels.c.id)
-        for row in connection.execute(query):
+        for row in rows:
+            if not _is_open(row, kept):
+                continue
             said = said_of(row.said)
             present = values_of(row.attributes)
             values = without(present, borrowed(present, said))

@@ -22,6 +22,9 @@ REMOVED = select(recordings.c.id).where(recordings.c.removed_ns.is_not(None))
 KEPT = frames.c.recording_id.not_in(REMOVED)
 """Of frames: their recording is in the project."""
 
+# Built once, since building a statement takes longer than running it.
+_LAST_HIDDEN = select(func.max(removed_rows.c.label_id))
+
 # Rows in one step, which bounds memory.
 _BATCH = 1000
 
@@ -68,7 +71,7 @@ def with_removed(connection: Connection) -> Iterator[None]:
 
 def next_label_id(connection: Connection) -> int | None:
     """The id of the next label; None if the database may choose it, as nothing is hidden."""
-    hidden = connection.execute(select(func.max(removed_rows.c.label_id))).scalar()
+    hidden = connection.execute(_LAST_HIDDEN).scalar()
     return None if hidden is None else max(hidden, connection.execute(select(func.max(labels.c.id))).scalar() or 0) + 1
 
 

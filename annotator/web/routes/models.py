@@ -99,6 +99,12 @@ def set_learning(project: str, body: Learning, ctx: Ctx, operator: Operator) -> 
     opened.configure(settings=opened.config.settings.model_copy(update={"learn_every": body.every}))
 
 
+@router.post("/load", status_code=204)
+def load(project: str, ctx: Ctx, operator: Operator) -> None:
+    """Begin to load the detectors in use, since the operator is about to draw."""
+    ctx.caches.detectors.warm(ctx.project(project), at_once=True)
+
+
 @router.post("/base/activate", status_code=204)
 def use_base(project: str, ctx: Ctx, operator: Operator) -> None:
     """Use the base detector in place of the project's own view detectors."""

@@ -52,8 +52,8 @@ def box_lines(size_m: Float64[np.ndarray, "3"]) -> Segments:
 
 def placed_box_lines(box: OrientedBox) -> Segments:
     """As `box_lines`, in the camera frame."""
-    T_camera_box = box.T_camera_box.as_matrix()  # faster than `rotation`, for frames with a hundred boxes
-    return (box_lines(box.size_m) @ T_camera_box[:3, :3].T + T_camera_box[:3, 3]).astype(np.float32)
+    pose = box.pose
+    return (box_lines(box.size_m) @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
 
 
 def frustum_lines(frame: Frame, image_box: Box2D) -> Segments:

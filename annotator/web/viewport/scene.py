@@ -201,7 +201,7 @@ class Scene:
             return None
         rotation = Rotation.from_quat(np.asarray(self._gizmo.wxyz, np.float64), scalar_first=True)
         pose = RigidTransform.from_components(np.asarray(self._gizmo.position, np.float64), rotation)
-        return OrientedBox(pose, selected.box.size_m)
+        return OrientedBox.at(pose, selected.box.size_m)
 
     # --- an object that is being labelled --------------------------------------------------------------------------
 

@@ -97,5 +97,5 @@ class PointCounts:
 
 
 def _key(frame: StoredFrame, box: OrientedBox) -> str:
-    content = box.T_camera_box.as_matrix().tobytes() + box.size_m.tobytes()
+    content = box.pose.tobytes() + box.size_m.tobytes()
     return f"{frame.id}:{hashlib.sha256(content).hexdigest()[:16]}"

@@ -422,8 +422,4 @@ def _measures(view: ReadyDetector, label: Label) -> bool:
 
 def _is_same(a: Label, b: Label) -> bool:
     """Returns True for the same class and box."""
-    return (
-        a.label == b.label
-        and np.array_equal(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix())
-        and np.array_equal(a.box.size_m, b.box.size_m)
-    )
+    return a.label == b.label and np.array_equal(a.box.pose, b.box.pose) and np.array_equal(a.box.size_m, b.box.size_m)

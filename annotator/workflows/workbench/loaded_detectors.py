@@ -167,8 +167,14 @@ class ReadyDetectors:
         except Exception:
             return Readiness("failed", problem="internal error, see the server's log")
 
-    def warm(self, project: Project) -> None:
-        """Loads the project's detectors soon, or when one is asked for; later calls for the project do nothing."""
+    def warm(self, project: Project, at_once: bool = False) -> None:
+        """Loads the project's detectors soon, or when one is asked for; later calls for the project do nothing.
+
+        Args:
+            at_once: begin now, since an operator is about to draw; a later call ends the wait of an earlier one.
+        """
+        if at_once:
+            self._asked.set()
         with self._lock:
             if project.path in self._warmed:
                 return

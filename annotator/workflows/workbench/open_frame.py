@@ -97,7 +97,7 @@ class OpenFrame:
 
     def points_in(self, box: OrientedBox) -> int:
         """Returns the number of points in a box; counted once for each box."""
-        key = box.T_camera_box.as_matrix().tobytes() + box.size_m.tobytes()
+        key = box.pose.tobytes() + box.size_m.tobytes()
         count = self._counts.get(key)
         if count is None:
             count = self._counts[key] = self.index.count(box)

@@ -239,7 +239,7 @@ def _why_no_detector(detector: Detector | None, label: str, config: RcvConfig, p
 def _recurse(
     opened: OpenFrame, box: OrientedBox, label: str, config: RcvConfig, detector: Detector
 ) -> ObjectState | None:
-    inside = opened.index.inside(OrientedBox(box.T_camera_box, box.size_m * SEARCH_FACTOR))
+    inside = opened.index.inside(OrientedBox(box.pose, box.size_m * SEARCH_FACTOR))
     cloud = opened.with_normals.cloud.select(np.sort(inside))
     if len(cloud) < config.min_points:
         return None

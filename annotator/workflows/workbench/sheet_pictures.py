@@ -149,6 +149,6 @@ class SheetPictures:
 
     @staticmethod
     def _key(project: Project, stored: StoredFrame, box: OrientedBox) -> Key:
-        pose = box.T_camera_box.as_matrix().tobytes()
+        pose = box.pose.tobytes()
         adjusted = project.adjustments.newest(stored.recording_id)
         return str(project.path), stored.id, stored.key, adjusted, pose, box.size_m.tobytes()

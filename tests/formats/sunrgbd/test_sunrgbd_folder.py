@@ -115,7 +115,7 @@ def test_the_metadata_table_keeps_any_rotation(
     np.testing.assert_allclose(first.T_camera_upright.as_matrix(), T.as_matrix(), atol=1e-9)
     for truth, (name, box, _) in zip(second.truths, boxes, strict=True):
         assert truth.label == name
-        np.testing.assert_allclose(truth.box.T_camera_box.as_matrix(), box.T_camera_box.as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(truth.box.pose, box.pose, atol=1e-9)
         np.testing.assert_allclose(truth.box.size_m, box.size_m, atol=1e-9)
 
 

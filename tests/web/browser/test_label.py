@@ -128,7 +128,9 @@ def test_a_box_on_the_side_view_alone_is_restored_after_a_reload(bench: Bench) -
     bench.wait_for_view(1, views[1])
     bench.draw_on_view(1, views[1], bench.scene.view_box(0, views[1]))
     bench.saved()
-    bench.page.reload()
+    # the detectors are loaded before an object is drawn
+    with bench.page.expect_request("**/models/load"):
+        bench.page.reload()
     bench.page.get_by_test_id("object").get_by_role("button").first.click()
     bench.page.get_by_test_id("view-side").get_by_test_id("editor-box").wait_for(state="attached")
     assert bench.page.get_by_test_id("view-front").get_by_test_id("editor-box").count() == 0

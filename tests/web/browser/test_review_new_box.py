@@ -71,8 +71,9 @@ ACCEPTED_TWICE = """async () => {
 
 
 def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
-    """Presses B and drags a box on the image."""
-    desk.press("b")
+    """Presses B, for which the page has the detectors loaded, and drags a box on the image."""
+    with desk.page.expect_request("**/models/load"):
+        desk.press("b")
     expect(desk.page.get_by_test_id("act-draw")).to_have_attribute("aria-pressed", "true")
     drag_box(desk.page, "review-image", box, 320, 240)
 

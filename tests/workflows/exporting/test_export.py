@@ -73,7 +73,7 @@ def test_an_exported_dataset_reads_back_unchanged(people: Project, tmp_path: Pat
         kept = [label for label in people.labels.of_frame(stored.id) if label.state is not ReviewState.REJECTED]
         for a, b in zip(back.labels, kept, strict=True):
             assert (a.uid, a.label, a.state, a.source, a.track_id) == (b.uid, b.label, b.state, b.source, b.track_id)
-            np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
+            np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
             np.testing.assert_allclose(a.box.size_m, b.box.size_m, atol=1e-9)
 
 

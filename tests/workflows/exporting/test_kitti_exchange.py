@@ -36,7 +36,7 @@ def boxes(project: Project) -> dict[str, list[tuple[str, OrientedBox]]]:
 
 
 def assert_same(found: OrientedBox, expected: OrientedBox, atol: float) -> None:
-    np.testing.assert_allclose(found.T_camera_box.as_matrix(), expected.T_camera_box.as_matrix(), atol=atol)
+    np.testing.assert_allclose(found.pose, expected.pose, atol=atol)
     np.testing.assert_allclose(found.size_m, expected.size_m, atol=atol)
 
 

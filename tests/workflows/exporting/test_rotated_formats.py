@@ -39,7 +39,7 @@ def label_freely(project: Project) -> None:
     rng = np.random.default_rng(0)
     for number, stored in enumerate(project.frames.of()[:-1]):
         boxes = [
-            OrientedBox(
+            OrientedBox.at(
                 RigidTransform.from_components(rng.normal((0, 0, 3)), Rotation.random(rng=rng)),
                 rng.uniform(0.1, 2, 3),
             )

@@ -49,7 +49,7 @@ def said_in(project: Project) -> list[Said]:
 
 
 def same(a: Said, b: Said) -> bool:
-    is_near = np.allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), rtol=0, atol=1e-12)
+    is_near = np.allclose(a.box.pose, b.box.pose, rtol=0, atol=1e-12)
     return is_near and [a.source, a.label, a.score, a.track_id, a.box_kind, list(a.box.size_m)] == [
         b.source, b.label, b.score, b.track_id, b.box_kind, list(b.box.size_m)
     ]  # fmt: skip

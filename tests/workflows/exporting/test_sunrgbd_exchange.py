@@ -29,7 +29,7 @@ def boxes(project: Project) -> list[tuple[str, OrientedBox]]:
 def assert_same(found: list[tuple[str, OrientedBox]], expected: list[tuple[str, OrientedBox]], atol: float) -> None:
     for (label, box), (name, other) in zip(found, expected, strict=True):
         assert label == name
-        np.testing.assert_allclose(box.T_camera_box.as_matrix(), other.T_camera_box.as_matrix(), atol=atol)
+        np.testing.assert_allclose(box.pose, other.pose, atol=atol)
         np.testing.assert_allclose(box.size_m, other.size_m, atol=atol)
 
 

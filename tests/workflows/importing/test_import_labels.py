@@ -71,7 +71,7 @@ def test_an_rcv_export_can_be_imported(
             (label.label, label.score, label.track_id, Source.IMPORTED) for label in kept
         ]
         for a, b in zip(kept, back, strict=True):
-            np.testing.assert_allclose(a.box.T_camera_box.as_matrix(), b.box.T_camera_box.as_matrix(), atol=1e-9)
+            np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
             np.testing.assert_allclose(a.box.size_m, b.box.size_m)
 
 

@@ -27,7 +27,7 @@ def frame() -> Frame:
 
 
 def seed(x_m: float, y_m: float = 0.0, size_m: float = 0.1, label: str = "hand") -> WarmStart:
-    return WarmStart(label, OrientedBox(RigidTransform.from_translation([x_m, y_m, 1.0]), np.full(3, size_m)))
+    return WarmStart(label, OrientedBox.at(RigidTransform.from_translation([x_m, y_m, 1.0]), np.full(3, size_m)))
 
 
 def outline(of: WarmStart) -> Box2D:

@@ -61,10 +61,7 @@ def proposed(people: Project, truths: list[list[Truth]]) -> tuple[Project, dict[
     rng, owner = np.random.default_rng(5), {}
     for frame, objects in zip(people.frames.of(), truths, strict=True):
         # rigid objects: sizes that change over time cannot be smoothed
-        rigid = [
-            replace(o, box=OrientedBox(o.box.T_camera_box, r.box.size_m))
-            for o, r in zip(objects, truths[0], strict=True)
-        ]
+        rigid = [replace(o, box=OrientedBox(o.box.pose, r.box.size_m)) for o, r in zip(objects, truths[0], strict=True)]
         shuffled = [rigid[int(place)] for place in rng.permutation(len(objects))]
         found = [proposal(put_off(truth.box, rng)) for truth in shuffled]
         uids = people.proposals.replace(frame.id, found, by_machine(people, frame)).uids

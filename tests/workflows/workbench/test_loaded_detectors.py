@@ -88,6 +88,12 @@ def test_a_detector_is_loaded_ahead_after_a_while_or_when_it_is_asked_for(
     assert len(loads) == 1
     assert ready.get(people, DetectorKind.VIEW) is not None and len(loads) == 2
     ready.close()
+    ready = ReadyDetectors()
+    ready.warm(people)
+    ready.warm(people, at_once=True)
+    ready._loader.submit(int).result(60)
+    assert len(loads) == 3
+    ready.close()
 
 
 def test_a_server_that_ends_does_not_wait_to_load_a_detector(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:

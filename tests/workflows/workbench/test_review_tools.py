@@ -104,7 +104,7 @@ def test_refitting_improves_a_displaced_box(
 
 def test_without_a_detector_the_box_is_fitted_to_the_points_with_a_note(opened: OpenFrame, truths: list[Truth]) -> None:
     box = truths[0].box
-    wide = OrientedBox(box.T_camera_box, box.size_m + 0.02)
+    wide = OrientedBox(box.pose, box.size_m + 0.02)
     found = refit(opened, wide, "person", RcvConfig(), None)
     assert found.method == POINTS
     assert found.note is not None and "no pseudo-view detector yet" in found.note

@@ -50,6 +50,7 @@ export function mount(root, app) {
     return { unmount: () => {} };
   }
   root.classList.add("fixed");
+  app.api.post(app.path("models", "load")).catch(app.toast);
   const work = createWork(app);
   const order = createOrder(app);
   const ask = createAsk(app, () => work.kind);

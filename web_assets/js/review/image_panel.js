@@ -130,6 +130,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
 
   /** @param {string | null} label */
   function draw(label) {
+    if (label !== null) app.api.post(app.path("models", "load")).catch(app.toast);
     wanted = label;
     editor.setBoxes([]);
     show();
