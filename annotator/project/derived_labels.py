@@ -44,6 +44,7 @@ Value = str | int | float | None
 
 # Built once, since building a statement takes longer than running it.
 _INSERT = insert(labels)
+_UPDATE = update(labels).where(labels.c.uid == bindparam("same_uid"), labels.c.frame_id == bindparam("same_frame"))
 _DELETE_IMPORTED = delete(labels).where(
     labels.c.frame_id == bindparam("frame"),
     labels.c.state == ReviewState.PROPOSED.value,
@@ -232,9 +233,12 @@ def put_label(connection: Connection, event: Event, uid: str, values: dict[str, 
     Raises:
         ProjectError: it is not in the frame.
     """
-    same = (labels.c.uid == uid) & (labels.c.frame_id == event.frame_id)
     changes = {"author": event.author, "time_ns": event.time_ns, "event_id": event.id} | values
-    _require_one(uid, connection.execute(update(labels).where(same).values(**changes)).rowcount)
+    computed = {name: value for name, value in changes.items() if isinstance(value, ColumnElement)}
+    plain = {name: value for name, value in changes.items() if name not in computed}
+    statement = _UPDATE.values(computed) if computed else _UPDATE
+    same = {"same_uid": uid, "same_frame": event.frame_id}
+    _require_one(uid, connection.execute(statement, same | plain).rowcount)
 
 
 def _require_one(uid: str, changed: int) -> None:

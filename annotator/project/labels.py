@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, Select, bindparam, func, select
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import AttributeOf
@@ -366,10 +366,13 @@ def _created(entry: NewLabel) -> LabelCreated:
     )
 
 
+# Built once, since building a statement takes longer than running it.
+_OF_FRAME = select(labels).where(labels.c.frame_id == bindparam("frame")).order_by(labels.c.id)
+
+
 def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
     """The labels of one frame, within the caller's transaction."""
-    query = select(labels).where(labels.c.frame_id == frame_id).order_by(labels.c.id)
-    return tuple(map(_label, connection.execute(query)))
+    return tuple(map(_label, connection.execute(_OF_FRAME, {"frame": frame_id})))
 
 
 @lru_cache(maxsize=4096)

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import Connection, Select, bindparam, select
 
 from annotator.project.classes.applying import frame_values, values_of
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
@@ -32,6 +32,9 @@ from annotator.types.label import AttributeValue
 from annotator.types.names import alternatives
 
 Values = dict[str, AttributeValue]
+
+# Built once, since building a statement takes longer than running it.
+_LABEL = select(labels).where(labels.c.uid == bindparam("uid"))
 
 
 def completed(
@@ -168,7 +171,7 @@ def _after_edit(
     connection: Connection, attributes: Sequence[Attribute], frame_id: int | None, payload: LabelEdited | LabelTracked
 ) -> dict[str, AttributeValue | None]:
     """What changes with the class and the track of a label."""
-    row = connection.execute(select(labels).where(labels.c.uid == payload.uid)).first()
+    row = connection.execute(_LABEL, {"uid": payload.uid}).first()
     if row is None:  # applying the event reports it
         return {}
     present, name = values_of(row.attributes), row.label
@@ -215,7 +218,7 @@ def _is_same(a: AttributeValue, b: AttributeValue | None) -> bool:
 
 
 def _present(connection: Connection, uid: str) -> AnyRow:
-    row = connection.execute(select(labels.c.label).where(labels.c.uid == uid)).first()
+    row = connection.execute(_LABEL, {"uid": uid}).first()
     if row is None:
         raise NotFoundError(f"the project has no label {uid}; it may have been deleted; reload the frame")
     return row
