@@ -399,8 +399,9 @@ def _label(row: AnyRow) -> Label:
     )
 
 
+@lru_cache(maxsize=2048)
 def stored_label(row: AnyRow) -> StoredLabel:
-    """The label of a table row."""
+    """The label of a table row; the same object for an equal row, as long as it is remembered."""
     origin = None if row.origin is None else Origin(row.origin)
     image_box = box_2d_of(row.image_box)
     linked, said = row.track_linked, said_of(row.said)

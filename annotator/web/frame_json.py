@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 from fastapi.responses import JSONResponse
@@ -100,7 +100,7 @@ def _frame_state(ctx: Context, name: str, project: Project, frame_id: int, opera
     objects, labels = opened.newest(
         "json",
         page.frame.revision,
-        lambda: ([_object(name, project, drawn) for drawn in shown.objects], _labels(project, shown.labels)),
+        lambda: (_objects(name, project, shown.objects, opened), _labels(project, shown.labels, opened)),
     )
     return FrameStateJson.model_construct(
         frame=_frame(shown),
@@ -115,8 +115,8 @@ def _frame_state(ctx: Context, name: str, project: Project, frame_id: int, opera
         image_boxes=None
         if boxes is None
         else ImageBoxesJson(boxes=[Box2DOut.of(box) for box in boxes.boxes], box_kind=boxes.box_kind),
-        objects=objects,
-        labels=labels,
+        objects=list(objects.values()),
+        labels=list(labels.values()),
         others=_others(shown, opened, rigs.labels_of(siblings)),
         siblings=[each.frame.id for each in siblings],
         open_by=ctx.hub.open_by(name, frame_id, operator),
@@ -219,13 +219,20 @@ def _frame(shown: ShownFrame) -> FrameJson:
     )
 
 
-def _labels(project: Project, shown: Sequence[ShownLabel]) -> list[LabelJson]:
+# What the JSON of a label depends on: the label, the name of what measured it, and whether it is kept.
+_Facts = tuple[ShownLabel, str | None, bool]
+
+
+def _labels(project: Project, shown: Sequence[ShownLabel], opened: OpenFrame) -> dict[_Facts, LabelJson]:
     run_ids = {label.stored.run_id for label in shown} - {None}
     measured_by = base_titles(project) if run_ids else {}
     # most frames have none, and need no query
     may_be_kept = {each.stored.frame_id for each in shown if each.stored.label.attributes}
     kept = frozenset[str]().union(*(project.labels.kept(frame_id) for frame_id in may_be_kept))
-    return [_label(each, measured_by.get(each.stored.run_id or 0), each.stored.label.uid in kept) for each in shown]
+    # only those that have changed are converted anew
+    before: dict[_Facts, LabelJson] = (opened.latest("json") or ((), {}))[1]
+    facts = [(each, measured_by.get(each.stored.run_id or 0), each.stored.label.uid in kept) for each in shown]
+    return {each: before.get(each) or _label(*each) for each in facts}
 
 
 def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
@@ -268,6 +275,18 @@ def quality_json(quality: Quality | None) -> QualityJson | None:
 
 def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
+
+
+def _objects(
+    name: str, project: Project, shown: Sequence[ShownObject], opened: OpenFrame
+) -> dict[Hashable, ObjectJson]:
+    """The drawn objects; only those that have changed are converted anew."""
+    before: dict[Hashable, ObjectJson] = (opened.latest("json") or ({},))[0]
+    facts = {
+        (name, each.image_box, tuple((view.event_id, view.boxes) for view in each.views), each.uid): each
+        for each in shown
+    }
+    return {key: before.get(key) or _object(name, project, each) for key, each in facts.items()}
 
 
 def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:

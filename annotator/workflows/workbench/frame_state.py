@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -80,7 +81,7 @@ def present_page(project: Project, frame_id: int, opened: OpenFrame) -> FramePag
 
 
 def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame:
-    """Returns the present state of a frame; results that depend on its labels are computed once per revision.
+    """Returns the present state of a frame; what depends on a label is computed again only if the label has changed.
 
     Raises:
         NotFoundError: no such frame.
@@ -93,11 +94,14 @@ def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame
 
 
 def _shown_labels(page: FramePage, opened: OpenFrame) -> tuple[ShownLabel, ...]:
-    edges = visible_edges(opened.frame.camera, [stored.label.box for stored in page.labels])
-    return tuple(
-        ShownLabel(stored, outline, opened.points_in(stored.label.box), doubt(stored.quality, stored.label.score))
-        for stored, outline in zip(page.labels, edges, strict=True)
-    )
+    before: tuple[Sequence[ShownLabel], Any] = opened.latest("shown") or ((), ())
+    shown = {each.stored: each for each in before[0]}
+    new = [stored for stored in page.labels if stored not in shown]
+    edges = visible_edges(opened.frame.camera, [stored.label.box for stored in new])
+    for stored, outline in zip(new, edges, strict=True):
+        points, label = opened.points_in(stored.label.box), stored.label
+        shown[stored] = ShownLabel(stored, outline, points, doubt(stored.quality, label.score))
+    return tuple(shown[stored] for stored in page.labels)
 
 
 def shown_others(others: Sequence[OtherLabel], own: Sequence[StoredLabel], opened: OpenFrame) -> list[ShownOther]:

@@ -134,6 +134,10 @@ class OpenFrame:
         result: T = cached[1]
         return result
 
+    def latest(self, name: str) -> Any:
+        """Returns the result of the last call of `newest`, of any revision; None if there was none."""
+        return self._newest.get(name, (0, None))[1]
+
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Returns a result that depends on nothing but the frame and `key`; the latest results are kept."""
         with self._lock:
