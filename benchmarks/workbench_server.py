@@ -31,8 +31,15 @@ class Server:
     def __init__(self, projects: Path, log: Path | None = None) -> None:
         arguments = ["-m", "annotator", "serve", "--projects", str(projects), "--port", "0"]
         with (log or Path(os.devnull)).open("wb") as errors:
+            # a session of its own, as in its own terminal: Linux shares the processor among sessions, and in practice a
+            # benchmark's clients are on other computers
             self._process = subprocess.Popen(
-                [sys.executable, *arguments], env=os.environ, stdout=subprocess.PIPE, stderr=errors, text=True
+                [sys.executable, *arguments],
+                env=os.environ,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                start_new_session=True,
             )
         assert self._process.stdout is not None
         printed = re.search(r"(http://[^/]+)/\S+", self._process.stdout.readline())
