@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, func, select
+from sqlalchemy import Connection, Select, func, select
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import AttributeOf
@@ -28,7 +28,7 @@ from annotator.project.event_types import (
 from annotator.project.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
 from annotator.project.review.value_filter import ValueFilter
 from annotator.project.review.waiting import By, Formula, WaitingProposal, waiting, waiting_sources, worst_of_frames
-from annotator.project.schema import AnyRow, frames, labels
+from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.undo_state import label_state
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
@@ -366,13 +366,9 @@ def _created(entry: NewLabel) -> LabelCreated:
     )
 
 
-# Built once, since building a statement takes longer than running it.
-_OF_FRAME = select(labels).where(labels.c.frame_id == bindparam("frame")).order_by(labels.c.id)
-
-
 def read_labels(connection: Connection, frame_id: int) -> tuple[Label, ...]:
     """The labels of one frame, within the caller's transaction."""
-    return tuple(map(_label, connection.execute(_OF_FRAME, {"frame": frame_id})))
+    return tuple(map(_label, connection.execute(LABELS_OF_FRAME, {"frame": frame_id})))
 
 
 @lru_cache(maxsize=4096)

@@ -14,7 +14,7 @@ from annotator.project.classes.applying import frame_values
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, stored_label
 from annotator.project.project import Project
-from annotator.project.schema import frames, image_labels, labels, recordings
+from annotator.project.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
@@ -78,7 +78,7 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
         previous, following = row.previous, row.next
         if known is not None and known.frame.revision == frame.revision:
             return replace(known, frame=frame, previous=previous, next=following, recording_name=name)
-        stored = tuple(map(stored_label, connection.execute(_LABELS, {"frame": frame_id})))
+        stored = tuple(map(stored_label, connection.execute(LABELS_OF_FRAME, {"frame": frame_id})))
         boxes, views = read_image_boxes(connection, frame_id), read_view_boxes(connection, frame_id)
         values = frame_values(connection, frame_id)
     return FramePage(frame, previous, following, name, stored, boxes, views, values)
@@ -102,7 +102,7 @@ def _beside(is_before: bool) -> ScalarSelect[Any]:
     return query.order_by(place.desc() if is_before else place).limit(1).correlate(frames).scalar_subquery()
 
 
-# Built once, since building these frequent queries takes longer than running them.
+# Built once, since building this frequent query takes longer than running it.
 _HEAD = (
     select(
         frames,
@@ -113,7 +113,6 @@ _HEAD = (
     .join(recordings, recordings.c.id == frames.c.recording_id)
     .where(frames.c.id == bindparam("frame"), recordings.c.removed_ns.is_(None))
 )
-_LABELS = select(labels).where(labels.c.frame_id == bindparam("frame")).order_by(labels.c.id)
 
 
 def list_frames(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from typing import Any
 
-from sqlalchemy import Boolean, Column, Dialect, Float, ForeignKey, Integer, MetaData, Table, Text
+from sqlalchemy import Boolean, Column, Dialect, Float, ForeignKey, Integer, MetaData, Table, Text, bindparam, select
 from sqlalchemy.types import TypeDecorator
 
 from annotator.types.errors import RESTORE, ProjectError
@@ -239,5 +239,9 @@ models = Table(
     Column("active", Boolean, nullable=False),
     Column("sha256", Text),
 )
+
+# Queries of many modules, built once, since building a statement takes longer than running it.
+LABEL_OF_UID = select(labels).where(labels.c.uid == bindparam("uid"))
+LABELS_OF_FRAME = select(labels).where(labels.c.frame_id == bindparam("frame")).order_by(labels.c.id)
 
 DERIVED = (labels, image_labels, view_labels, revertible, adjustments, frame_attributes, removed_rows)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from sqlalchemy import Connection, bindparam, select
+from sqlalchemy import Connection, select
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project.adjusting.adjustment import adjustment_json, adjustment_of, read_adjustment
@@ -51,7 +51,7 @@ from annotator.project.records import (
     said_of,
     suggestion_of,
 )
-from annotator.project.schema import AnyRow, frames, image_labels, labels, view_labels
+from annotator.project.schema import LABEL_OF_UID, AnyRow, frames, image_labels, labels, view_labels
 from annotator.project.sources.lending import given_back
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
@@ -253,13 +253,9 @@ def _same_view(first: ViewBoxesState, second: ViewBoxesState) -> bool:
     return np.allclose(a, b, rtol=0, atol=SAME_VIEW) and first.model_copy(update={"geometry": geometry}) == second
 
 
-# Built once, since building this frequent query takes longer than running it.
-_LABEL = select(labels).where(labels.c.uid == bindparam("uid"))
-
-
 def label_state(connection: Connection, uid: str) -> LabelState | None:
     """The state of a label; None if there is none of this uid."""
-    row = connection.execute(_LABEL, {"uid": uid}).first()
+    row = connection.execute(LABEL_OF_UID, {"uid": uid}).first()
     if row is None:
         return None
     return LabelState(

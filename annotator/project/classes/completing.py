@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, select
+from sqlalchemy import Connection, Select, select
 
 from annotator.project.classes.applying import frame_values, values_of
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
@@ -24,7 +24,7 @@ from annotator.project.event_types import (
     ProposalsReplaced,
 )
 from annotator.project.records import SaidRecord, said_of, track_of
-from annotator.project.schema import AnyRow, frames, labels
+from annotator.project.schema import LABEL_OF_UID, AnyRow, frames, labels
 from annotator.project.sources.lending import borrowed, lend
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
@@ -32,9 +32,6 @@ from annotator.types.label import AttributeValue
 from annotator.types.names import alternatives
 
 Values = dict[str, AttributeValue]
-
-# Built once, since building a statement takes longer than running it.
-_LABEL = select(labels).where(labels.c.uid == bindparam("uid"))
 
 
 def completed(
@@ -171,7 +168,7 @@ def _after_edit(
     connection: Connection, attributes: Sequence[Attribute], frame_id: int | None, payload: LabelEdited | LabelTracked
 ) -> dict[str, AttributeValue | None]:
     """What changes with the class and the track of a label."""
-    row = connection.execute(_LABEL, {"uid": payload.uid}).first()
+    row = connection.execute(LABEL_OF_UID, {"uid": payload.uid}).first()
     if row is None:  # applying the event reports it
         return {}
     present, name = values_of(row.attributes), row.label
@@ -218,7 +215,7 @@ def _is_same(a: AttributeValue, b: AttributeValue | None) -> bool:
 
 
 def _present(connection: Connection, uid: str) -> AnyRow:
-    row = connection.execute(_LABEL, {"uid": uid}).first()
+    row = connection.execute(LABEL_OF_UID, {"uid": uid}).first()
     if row is None:
         raise NotFoundError(f"the project has no label {uid}; it may have been deleted; reload the frame")
     return row

@@ -15,7 +15,7 @@ from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.labels import NewLabel, stored_label
 from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable
-from annotator.project.schema import AnyRow, frames, labels
+from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.sources.covering import covered_by
 from annotator.project.sources.lending import borrowed, conflicts, given_back, lent_names, without
 from annotator.project.sources.merge import merged
@@ -172,7 +172,7 @@ def without_classes(
 
 def _labels(connection: Connection, frame_id: int) -> Sequence[AnyRow]:
     """The rows of a frame's labels, in order."""
-    return connection.execute(_OF_FRAMES, {"frames": [frame_id]}).all()
+    return connection.execute(LABELS_OF_FRAME, {"frame": frame_id}).all()
 
 
 def _is_open(row: AnyRow, kept: Collection[str]) -> bool:
