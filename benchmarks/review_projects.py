@@ -61,6 +61,28 @@ def copied(project: Path, folder: Path, name: str) -> Iterator[Project]:
         yield opened
 
 
+@contextmanager
+def unlabelled(path: Path, folder: Path, rotation: BoxRotation) -> Iterator[Project]:
+    """A new project of a recording with true boxes, which are not in the project.
+
+    Raises:
+        ConfigError: the recording has no true boxes, or too few frames.
+        AnnotatorError: it cannot be read.
+    """
+    recording = open_recording(path)
+    if len(recording) < 2 * TAUGHT_FRAMES:
+        raise ConfigError(
+            f"{path}: has {len(recording)} frames; {TAUGHT_FRAMES} of them teach, and as many at least are reviewed"
+        )
+    truths = [load_truth(recording, index, recording.frame(index)) for index in range(len(recording))]
+    classes = sorted({truth.label for each in truths for truth in each})
+    if not classes:
+        raise ConfigError(f"{path}: has no true boxes to teach and to review against")
+    with create_project(folder, "taught", classes, settings=ProjectSettings(rotation=rotation)) as project:
+        register_recording(project, recording)
+        yield project
+
+
 def teach(
     path: Path, folder: Path, rotation: BoxRotation, minutes: float | None, progress: ProgressCallback | None = None
 ) -> Path:
@@ -78,22 +100,13 @@ def teach(
         ConfigError: the recording has no true boxes, or too few frames.
         AnnotatorError: it cannot be read, or the training failed.
     """
-    recording = open_recording(path)
-    if len(recording) < 2 * TAUGHT_FRAMES:
-        raise ConfigError(
-            f"{path}: has {len(recording)} frames; {TAUGHT_FRAMES} of them teach, and as many at least are reviewed"
-        )
-    truths = [load_truth(recording, index, recording.frame(index)) for index in range(len(recording))]
-    classes = sorted({truth.label for each in truths for truth in each})
-    if not classes:
-        raise ConfigError(f"{path}: has no true boxes to teach and to review against")
-    with create_project(folder, "taught", classes, settings=ProjectSettings(rotation=rotation)) as project:
-        register_recording(project, recording)
+    with unlabelled(path, folder, rotation) as project:
+        recording = open_recording(path)
         source = FrameSource(project)
         # the page's "Most useful first": far from each other
         for item in queue(project, Order.TEACH, most=TAUGHT_FRAMES).items:
             index = item.frame.index or 0
-            objects = visible_objects(recording, index, source.read(item.frame), classes)
+            objects = visible_objects(recording, index, source.read(item.frame), project.config.classes)
             new = [NewLabel(each.label, each.box) for each in objects]
             revision = item.frame.revision
             if new:

@@ -1,16 +1,20 @@
 """The estimated up direction against the known one, on generated rooms and on recordings.
 
-python -m benchmarks.up [RECORDING ...] [--rooms 8] [--snapshots 100] [--pictures DIR] [--json]
+python -m benchmarks.up [RECORDING ...] [--rooms 8] [--snapshots 100] [--drawn 0 1 ...] [--pictures DIR] [--json]
 
 Generated: rooms of each preset of `annotator generate`, and random arrangements as the base detector learns from,
 seen by depth cameras and LiDARs. Recordings that know gravity are compared with it; of others, the estimate is shown.
 A direction is proposed if it is certain enough; "right" is within 2 degrees.
+
+With --drawn, a simulated operator (`review_operator`) draws the boxes of ten frames of each recording with free
+rotation, with a hand of each seed. The axis that these boxes share is compared with gravity, or with the axis that the
+true boxes share.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,18 +23,32 @@ import cv2
 import numpy as np
 import tyro
 
-from annotator.geometry.projection import project
+from annotator.geometry.common_axis import common_axis
+from annotator.geometry.projection import project as projected
 from annotator.geometry.up_direction import UpEstimate, estimate_up
+from annotator.project import BoxRotation
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated
 from annotator.synthetic.snapshots import snapshot
 from annotator.synthetic.writer import PRESETS
-from annotator.types import Frame
+from annotator.types import Frame, OrientedBox
 from annotator.types.errors import FrameError
-from annotator.workflows.recorded.up_direction import LEAST_CERTAINTY, MOST_FRAMES, agreed_up
+from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.recorded.up_direction import (
+    LEAST_CERTAINTY,
+    MOST_BOXES,
+    MOST_FRAMES,
+    agreed_up,
+    up_of_boxes,
+)
+from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import Table, finish, guarded
+from benchmarks.review_operator import Operator
+from benchmarks.review_projects import TAUGHT_FRAMES, unlabelled
 
 RIGHT_DEG = 2.0
+# Of the drawn boxes: 3D IoU from which one is right, and the hand's error in pixels.
+QUALITY, ERROR_PX = 0.7, 2.0
 # Not used in training.
 VERSION = 7
 
@@ -45,6 +63,8 @@ class Arguments:
     """Generated rooms of each preset."""
     snapshots: int = 100
     """Generated random arrangements."""
+    drawn: tuple[int, ...] = ()
+    """Seeds of the hand that draws boxes in the recordings, which must have true boxes."""
     pictures: Path | None = None
     """Folder for a picture of the level on each recording's frames."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -116,6 +136,36 @@ def of_recording(path: Path, pictures: Path | None) -> dict[str, Any]:
     }
 
 
+def of_drawn(path: Path, seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """What boxes tell that are drawn with free rotation on ten frames, by each hand."""
+    recording = open_recording(path)
+    true = [
+        truth.box for index in range(len(recording)) for truth in load_truth(recording, index, recording.frame(index))
+    ]
+    gravity = recording.frame(0).up
+    expected = common_axis(_rotations(true[:: max(1, len(true) // 60)])).axis if gravity is None else gravity
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder, unlabelled(path, Path(folder), BoxRotation.FREE) as project:
+            frames = [item.frame for item in queue(project, Order.TEACH, most=TAUGHT_FRAMES).items]
+            frames.sort(key=lambda frame: frame.index or 0)
+            Operator(project, frames, QUALITY, ERROR_PX, seed).review(False)
+            boxes = project.labels.recent_boxes(MOST_BOXES)
+        shared, found = common_axis(_rotations([each.box for each in boxes])), up_of_boxes(boxes)
+        yield {
+            "recording": path.name,
+            "seed": seed,
+            "boxes": len(boxes),
+            "spread_deg": float(np.degrees(shared.spread_rad)),
+            "alike": shared.alike,
+            "error_deg": float(np.degrees(np.arccos(min(1.0, abs(shared.axis @ expected))))),
+            "proposed": found is not None,
+        }
+
+
+def _rotations(boxes: Sequence[OrientedBox]) -> np.ndarray:
+    return np.stack([box.pose[:3, :3] for box in boxes])
+
+
 def with_level(frame: Frame, found: UpEstimate) -> np.ndarray:
     """The image with a level grid below the camera's optical axis, and plumb lines on some points."""
     picture = frame.rgb.copy()
@@ -131,7 +181,7 @@ def with_level(frame: Frame, found: UpEstimate) -> np.ndarray:
         lines.append(point + 0.08 * near_m * np.linspace(0, 1, 10)[:, None] * found.up)
     colour = (0, 255, 0) if found.certainty >= LEAST_CERTAINTY else (255, 60, 0)
     for line in lines:
-        px = project(frame.camera, line)
+        px = projected(frame.camera, line)
         px = px[np.isfinite(px).all(axis=1) & (np.abs(px) < 1e4).all(axis=1)]
         cv2.polylines(picture, [px.round().astype(np.int32)], False, colour, 1, cv2.LINE_AA)
     cv2.putText(picture, f"{found.certainty:.2f}", (8, 28), cv2.FONT_HERSHEY_SIMPLEX, 1, colour, 2)
@@ -149,6 +199,9 @@ def main() -> None:
     groups["arrangements, depth camera"] = scored(arrangements(arguments.snapshots, lidar=False))
     groups["arrangements, LiDAR"] = scored(arrangements(arguments.snapshots, lidar=True))
     recordings = [of_recording(path, arguments.pictures) for path in arguments.recordings]
+    drawn = (
+        [each for path in arguments.recordings for each in of_drawn(path, arguments.drawn)] if arguments.drawn else []
+    )
     table = Table("generated", *next(iter(groups.values())))
     for name, row in groups.items():
         table.add(name, *row.values())
@@ -156,7 +209,11 @@ def main() -> None:
     for each in recordings:
         up = each["reason"] if each["up"] is None else " ".join(f"{x:.3f}" for x in each["up"])
         listed.add(each["recording"], f"{each['certainty']:.2f}", str(each["error_deg_by_frame"]), up)
-    finish({"generated": groups, "recordings": recordings}, arguments.json, table, listed)
+    by_hand = Table("drawn in", "seed", "boxes", "spread, degrees", "alike", "error, degrees", "proposed")
+    for each in drawn:
+        by_hand.add(*each.values())
+    shown = (table, listed, by_hand) if drawn else (table, listed)
+    finish({"generated": groups, "recordings": recordings, "drawn": drawn}, arguments.json, *shown)
 
 
 if __name__ == "__main__":

@@ -124,8 +124,9 @@ def summary_lines(done: AnnotateSummary) -> list[str]:
     backends = f"; detectors on {named}" if named else ""
     proposals = f"{amount(done.proposals, 'proposal')} ({amount(done.without, 'frame')} without)"
     lines = [
+        *done.learned,
         f"{amount(done.done, 'frame')} done, {proposals}, "
-        f"{done.skipped} skipped, {done.failures} failed; {done.seconds:.1f} s{rate}{backends}"
+        f"{done.skipped} skipped, {done.failures} failed; {done.seconds:.1f} s{rate}{backends}",
     ]
     lines += [f"  failed {key}: {reason}" for key, reason in done.failed[:SHOWN_FAILURES]]
     if done.failures > SHOWN_FAILURES:

@@ -91,6 +91,8 @@ def run(
             bar.update(tasks[role], completed=done, total=total, note=_note(step))
 
         trained = train(opened, plan, roles=roles, progress=progress)
+    for line in trained[0].learned:
+        print_line(line)
     for result in trained:
         print_line(_summary(result))
     print_line(f"next: annotator annotate {project}")

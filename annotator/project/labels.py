@@ -182,12 +182,18 @@ class Labels:
         with self.writer.store.read() as connection:
             return tuple(map(stored_label, connection.execute(ordered)))
 
-    def recent_boxes(self, label: str, most: int) -> tuple[ReviewedBox, ...]:
-        """The latest reviewed boxes of a class that enclose whole objects, the newest first."""
-        of_class = select(labels.c.id).where(labels.c.label == label, labels.c.box_kind == BoxKind.BOX.value)
+    def recent_boxes(
+        self, most: int, *, label: str | None = None, recording: int | None = None
+    ) -> tuple[ReviewedBox, ...]:
+        """The latest reviewed boxes that enclose whole objects (of a class, of a recording), the newest first."""
+        whole = select(labels.c.id).where(labels.c.box_kind == BoxKind.BOX.value)
+        if label is not None:
+            whole = whole.where(labels.c.label == label)
+        if recording is not None:
+            whole = whole.join(frames, frames.c.id == labels.c.frame_id).where(frames.c.recording_id == recording)
         # one query for each state, so that the index gives the order
         latest = [
-            of_class.where(labels.c.state == state.value).order_by(labels.c.id.desc()).limit(most) for state in REVIEWED
+            whole.where(labels.c.state == state.value).order_by(labels.c.id.desc()).limit(most) for state in REVIEWED
         ]
         with self.writer.store.read() as connection:
             ids = sorted((id_ for query in latest for id_ in connection.execute(query).scalars()), reverse=True)[:most]

@@ -35,7 +35,7 @@ def reviewed_sizes(project: Project, without_frames: Collection[int] = ()) -> tu
     """
     sizes = []
     for label in project.config.classes:
-        reviewed = project.labels.recent_boxes(label, MOST_READ)
+        reviewed = project.labels.recent_boxes(MOST_READ, label=label)
         boxes = list(_of_each_track(item for item in reviewed if item.frame_id not in without_frames))[:MOST_BOXES]
         if boxes:
             sizes.append(_typical(label, boxes, project.config.settings.rotation))

@@ -79,7 +79,7 @@ def train_work(job: JobContext, request: TrainRequest) -> Outcome:
         trained = train(job.project, plan, roles=roles, progress=reporter.step, stop=job.stopped)
     except TrainingStoppedError as error:
         raise JobStoppedError(RESUMES) from error
-    figures = "; ".join(f"{t.role} detector: {_result(t)}" for t in trained)
+    figures = "; ".join([*(f"{t.role} detector: {_result(t)}" for t in trained), *trained[0].learned])
     left_out = [line for t in trained for line in t.left_out]
     return Outcome(f"trained: {figures}", {"models": [t.model.id for t in trained], "left_out": left_out})
 
@@ -327,6 +327,7 @@ def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
         message += f", {amount(done.skipped, 'frame')} done before"
     if done.failures:
         message += f", {amount(done.failures, 'frame')} failed"
+    message += "".join(f"; {line}" for line in done.learned)
     failed = [{"key": key, "reason": reason} for key, reason in done.failed[:MOST_FAILURES]]
     result = {"frames": done.done, "proposals": done.proposals, "skipped": done.skipped, "without": done.without}
     return Outcome(message + source, {**result, "failed": failed, "failures": done.failures})

@@ -24,6 +24,7 @@ from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.engines.sources import GivenDetectors
 from annotator.workflows.proposing.engines.tasks import FrameAnswer, FrameSpec, Identity, Task, pickle_exactly
+from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.tracks.previous_boxes import seeds_of
 
 # Frames per task, which go through the recursion together: enough for full detector batches, few enough for memory.
@@ -68,6 +69,8 @@ def annotate_with(
     A failed frame is stored with the reason, and tried again by the next call; the others continue. Each frame is
     committed at once, so an interrupted call loses only the tasks in flight.
 
+    Reviewed boxes may give the up direction of a recording first (`learn_up`).
+
     Args:
         engine: does the work; closed if an exception ends the batch, else it can be used again.
         config: the recursion's settings; set to the engine's detectors (`for_detector`), the orientation for each
@@ -89,12 +92,13 @@ def annotate_with(
     pickle_exactly()  # for the seeds in tasks
     rotation = rotation or project.config.settings.rotation
     try:
+        learned = learn_up(project, rotation, recordings)
         identity = engine.start()
         config = config.for_detector(identity.box_kind, identity.class_agnostic, identity.image_kind)
         run = project.jobs.start(**_description(identity, config, rotation, from_reviewed))
         present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
         frames = pending if limit is None else min(pending, limit)
-        summary = AnnotateSummary(frames=frames, skipped=present - pending, backends=identity.backends)
+        summary = AnnotateSummary(frames=frames, skipped=present - pending, backends=identity.backends, learned=learned)
         batch = Batch(project, run, frames, recordings, summary, config.box_kind)
         tasks = _tasks(batch, config, rotation, from_reviewed)
         _run_tasks(engine, tasks, batch, progress)

@@ -42,6 +42,7 @@ class AnnotateSummary:
         more_failed: number of further failed frames.
         seconds: duration of the batch.
         backends: of the image and the view detector, e.g. ("openvino", "openvino").
+        learned: messages on up directions that reviewed boxes gave (`learn_up`).
     """
 
     frames: int = 0
@@ -53,6 +54,7 @@ class AnnotateSummary:
     more_failed: int = 0
     seconds: float = 0.0
     backends: tuple[str, ...] = ()
+    learned: tuple[str, ...] = ()
 
     @property
     def failures(self) -> int:

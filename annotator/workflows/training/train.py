@@ -21,6 +21,7 @@ from annotator.types import DetectorKind
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
+from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.agnostic_samples import MOST_DRAWS, agnostic_samples, with_generated
 from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
@@ -78,6 +79,7 @@ class Trained:
         seconds: duration of the training.
         left_out: messages on data left out: unreadable frames, unreviewed proposals, boxes of the other kind.
         decision: how held-out frames decided; None for an image detector.
+        learned: messages on up directions that reviewed boxes gave before (`learn_up`).
     """
 
     role: DetectorKind
@@ -87,6 +89,7 @@ class Trained:
     seconds: float
     left_out: tuple[str, ...] = ()
     decision: Decision | None = None
+    learned: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,8 @@ def train(
 ) -> list[Trained]:
     """Trains the detectors one after the other, and registers each.
 
+    Reviewed boxes may give the up direction of a recording first (`learn_up`).
+
     An image detector is activated as soon as it is trained. The view detector is trained in parts (`rounds`), and after
     each part held-out frames decide whether it is activated.
 
@@ -140,6 +145,7 @@ def train(
         TrainingStoppedError: `stop` returned true.
     """
     rcv_config(project)  # invalid settings are reported before the samples are made
+    learned = learn_up(project)
     material = gather(project, roles)
     for role in roles:
         remove_leftovers(project, role)
@@ -152,7 +158,7 @@ def train(
             results.append(_train_image(project, material, plan, report, stop))
         else:
             results.append(_ViewTraining(project, material, plan, report, stop).run())
-    return results
+    return [replace(result, learned=learned) for result in results]
 
 
 def _check_start(project: Project, role: DetectorKind, config: TrainingConfig) -> None:

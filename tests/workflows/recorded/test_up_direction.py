@@ -1,0 +1,176 @@
+"""The up direction that reviewed boxes give, and when it is left alone."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
+from annotator.rcv.config import Orientation, RcvConfig
+from annotator.recordings import open_recording
+from annotator.types import BoxKind, OrientedBox, ReviewState
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.frame_source import FrameSource, orientation_for
+from annotator.workflows.proposing.annotate import annotate
+from annotator.workflows.recorded.up_direction import LEAST_BOX_FRAMES, estimate_recording_up, learn_up
+
+FRAMES = LEAST_BOX_FRAMES + 2
+UP = np.array([0.1, -0.95, -0.3]) / np.linalg.norm([0.1, -0.95, -0.3])
+
+
+@pytest.fixture
+def wall(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
+    """A recording whose frames do not tell which way is up: a wall in front of the camera."""
+
+    def fill(made: Path) -> None:
+        import cv2
+
+        folder = made / "wall"
+        for name in ("color", "depth"):
+            (folder / name).mkdir(parents=True)
+        for number in range(FRAMES):
+            cv2.imwrite(str(folder / f"color/{number:06d}.jpg"), np.full((60, 80, 3), 90, np.uint8))
+            cv2.imwrite(str(folder / f"depth/{number:06d}.png"), np.full((60, 80), 2000, np.uint16))
+        text = '{"width": 80, "height": 60, "intrinsic_matrix": [70, 0, 0, 0, 70, 0, 39.5, 29.5, 1]}'
+        (folder / "camera_intrinsic.json").write_text(text)
+
+    return made_once("wall", fill) / "wall"
+
+
+@pytest.fixture
+def project(tmp_path: Path, wall: Path) -> Iterator[Project]:
+    with create_project(tmp_path, "p", ("person", "hand")) as created:
+        register_recording(created, open_recording(wall))
+        yield created
+
+
+def review(
+    project: Project,
+    turns: np.ndarray,
+    *,
+    up: np.ndarray = UP,
+    lean_deg: float = 4.0,
+    state: ReviewState = ReviewState.EDITED,
+    kind: BoxKind = BoxKind.BOX,
+    label: str = "person",
+) -> None:
+    """Reviews a box in each frame that stands along `up`, leaning a little, with these headings (radians)."""
+    random = np.random.default_rng(1)
+    upright = Rotation.align_vectors(up[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    for frame, turn in zip(project.frames.of(), turns, strict=False):
+        lean = Rotation.from_rotvec(random.normal(size=3) * np.radians(lean_deg) / np.sqrt(3))
+        rotation = (lean * upright * Rotation.from_euler("z", turn)).as_matrix()
+        box = OrientedBox.from_parts(np.array([0.0, 0.0, 2.0]), rotation, np.array([0.3, 0.5, 1.7]))
+        new = NewLabel(label, box, box_kind=kind, state=state)
+        project.labels.create(frame.id, [new], WriteContext(frame.revision, "ann"))
+
+
+def up_of(project: Project) -> np.ndarray | None:
+    return FrameSource(project).read(project.frames.of()[0]).up
+
+
+TURNING = np.linspace(0, 2.5, FRAMES)
+
+
+def test_boxes_that_stand_and_turn_make_further_boxes_upright(project: Project) -> None:
+    review(project, TURNING)
+    (message,) = learn_up(project)
+    assert message.startswith("wall: boxes are upright from now on, since 10 reviewed boxes stand along it")
+    assert "annotator up p wall --clear" in message
+    up = up_of(project)
+    assert up is not None
+    assert np.degrees(np.arccos(up @ UP)) < 4
+    frame = FrameSource(project).read(project.frames.of()[0])
+    assert orientation_for(BoxRotation.AUTO, frame) is Orientation.UPRIGHT
+    assert learn_up(project) == ()
+
+
+@pytest.mark.parametrize("taken_back", ["undo", "clear"])
+def test_a_direction_that_was_taken_back_is_not_set_again(project: Project, taken_back: str) -> None:
+    review(project, TURNING)
+    learn_up(project)
+    if taken_back == "undo":
+        project.history.undo("up direction of reviewed boxes")
+    else:
+        project.adjustments.set_up(project.recordings.all()[0].id, None, "ann")
+    assert up_of(project) is None
+    assert learn_up(project) == ()
+
+
+def test_boxes_that_do_not_tell_are_left_alone(project: Project) -> None:
+    review(project, TURNING[: LEAST_BOX_FRAMES - 1])
+    assert learn_up(project) == ()  # too few frames
+    review(project, TURNING, state=ReviewState.REJECTED)
+    review(project, TURNING, kind=BoxKind.SILHOUETTE)
+    assert learn_up(project) == ()  # not reviewed, not whole
+    assert up_of(project) is None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"turns": np.full(FRAMES, 0.4)},  # never turned: each of its axes is shared
+        {"turns": TURNING, "up": np.array([0.7, -0.7, 0.1]) / np.linalg.norm([0.7, -0.7, 0.1])},  # lies
+        {"turns": TURNING, "lean_deg": 30.0},
+    ],
+)
+def test_boxes_that_do_not_stand_or_do_not_turn_are_left_alone(project: Project, wrong: dict[str, object]) -> None:
+    review(project, **wrong)  # type: ignore[arg-type]
+    assert learn_up(project) == ()
+
+
+def test_boxes_of_another_class_that_lean_keep_the_rotation_free(project: Project) -> None:
+    review(project, TURNING)
+    review(project, TURNING, up=np.array([0.6, -0.6, 0.5]) / np.linalg.norm([0.6, -0.6, 0.5]), label="hand")
+    assert learn_up(project) == ()
+
+
+def test_a_set_rotation_and_a_known_direction_stay(tmp_path: Path, wall: Path) -> None:
+    for number, rotation in enumerate((BoxRotation.FREE, BoxRotation.UPRIGHT)):
+        settings = ProjectSettings(rotation=rotation)
+        with create_project(tmp_path, f"set{number}", ("person",), settings=settings) as project:
+            register_recording(project, open_recording(wall))
+            review(project, TURNING)
+            assert learn_up(project) == ()
+    with create_project(tmp_path, "known", ("person",)) as project:
+        register_recording(project, open_recording(wall), up=(0.0, -1.0, 0.0))
+        review(project, TURNING)
+        assert learn_up(project) == ()
+        assert up_of(project) == pytest.approx([0, -1, 0])
+
+
+def test_a_direction_that_the_files_give_stays(tmp_path: Path, wall: Path) -> None:
+    folder = shutil.copytree(wall, tmp_path / "wall")
+    (folder / "gravity.json").write_text('{"up": [0, -1, 0]}')
+    with create_project(tmp_path, "known", ("person",)) as project:
+        register_recording(project, open_recording(folder))
+        review(project, TURNING)
+        assert learn_up(project) == ()
+        assert up_of(project) == pytest.approx([0, -1, 0])
+
+
+def test_the_batch_says_it_and_proposes_upright_boxes(
+    project: Project, knowing: Callable[..., Detectors], generated: Path
+) -> None:
+    review(project, TURNING)
+    done = annotate(project, knowing("people"), RcvConfig(max_steps=1), limit=1)
+    assert len(done.learned) == 1
+    assert up_of(project) is not None
+    assert annotate(project, knowing("people"), RcvConfig(max_steps=1), limit=1).learned == ()
+
+
+def test_an_estimate_uses_the_boxes_if_the_frames_do_not_tell(project: Project) -> None:
+    recording = project.recordings.all()[0].id
+    assert estimate_recording_up(project, recording).up is None
+    review(project, TURNING)
+    found = estimate_recording_up(project, recording)
+    assert found.up is not None
+    assert np.degrees(np.arccos(np.dot(found.up, UP))) < 4
+    assert found.reason == "10 reviewed boxes stand along it and are turned about it"
+    assert up_of(project) is None
