@@ -38,13 +38,18 @@ class Corrections:
         self.shown_class = desk.project.config.classes[0]
 
     def corrected(
-        self, frame: StoredFrame, box: OrientedBox, thing: Thing, bill: Bill, can_redraw: bool
+        self, frame: StoredFrame, box: OrientedBox, thing: Thing, bill: Bill, can_redraw: bool, margin: float = 0.0
     ) -> tuple[OrientedBox, bool]:
-        """Corrects a box until it is good enough; returns it, and whether it was drawn anew."""
+        """Corrects a box until it is good enough; returns it, and whether it was drawn anew.
+
+        Args:
+            margin: how much better than right it is to be, 3D IoU.
+        """
+        quality = self._desk.quality + margin * (1 - self._desk.quality)
         tried = set() if can_redraw else {"redraw"}
         actions, is_new = 0, False
-        while iou_3d(box, thing.box) < self._desk.quality and actions < MOST_ACTIONS:
-            drags = plan(box, thing.box, self._desk.quality, self._moves)
+        while iou_3d(box, thing.box) < quality and actions < MOST_ACTIONS:
+            drags = plan(box, thing.box, quality, self._moves)
             by_hand_s = sum(move.seconds + M for move in drags)
             offers = {"drag": by_hand_s}
             for kind, seconds in (("refit", KEY_S), ("redraw", DRAG_S + 2 * KEY_S)):
@@ -62,7 +67,7 @@ class Corrections:
                 found = self._refitted(frame, box, thing, bill) if choice == "refit" else self.drawn(frame, thing, bill)
                 if found is not None:
                     is_better = iou_3d(found, thing.box) > iou_3d(box, thing.box)
-                    self._helped[choice] += iou_3d(found, thing.box) >= self._desk.quality
+                    self._helped[choice] += iou_3d(found, thing.box) >= quality
                     if is_better:
                         box, is_new = found, is_new or choice == "redraw"
                     else:
@@ -86,7 +91,6 @@ class Corrections:
         image_box = None if outline is None else inaccurate(camera, outline, errors_px)
         if image_box is None:
             return None
-        bill.act("draw key", KEY_S)
         if thing.label != self.shown_class:
             bill.act("class", KEY_S)
             self.shown_class = thing.label

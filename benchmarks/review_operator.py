@@ -46,6 +46,9 @@ SAME_IOU, SAME_DISTANCE = 0.05, 0.4
 SHEET_FROM, FOLLOW_FROM = 3, 3
 # Followed boxes are expected to be right until so many of them were seen.
 OPTIMISM = 4
+# How much better than right a box is made before the later ones follow it or are corrected like it, share of the way to
+# a perfect one: they inherit its errors, and add theirs.
+CARE = 0.15
 
 # So many boxes' small pictures are seen at once in the list of a frame's boxes, at 1366 x 768.
 SEEN_TOGETHER = 4
@@ -204,7 +207,8 @@ class Operator:
             bill.act("class", KEY_S)
         was_right = self.desk.is_right(label, thing)
         self._count(label, was_right)
-        box, is_new = self._corrections.corrected(frame, label.box, thing, bill, can_redraw=True)
+        margin = 0.0 if was_right or not self._has_later(frame, label) else CARE
+        box, is_new = self._corrections.corrected(frame, label.box, thing, bill, can_redraw=True, margin=margin)
         if is_new:
             # the new box stays selected
             for kind in ("accept", "next box", "reject"):
@@ -234,7 +238,7 @@ class Operator:
 
         Returns whether the page has gone on to the next box.
         """
-        if label.track_id is None or len(self._shown(label.track_id, frame)) < FOLLOW_FROM:
+        if not self._has_later(frame, label) or label.track_id is None:
             return False
         made_by = next((key for key, uids in self._made.items() if label.uid in uids), None)
         # one key: worth a try; what it made before drifts, or was corrected too far: begin anew
@@ -249,6 +253,10 @@ class Operator:
             self._use_sheet(label.track_id, frame, is_back=True)
             return True
         return helped and key == "follow"
+
+    def _has_later(self, frame: StoredFrame, label: Label) -> bool:
+        """Whether it pays to help the later proposals of a box's track."""
+        return label.track_id is not None and len(self._shown(label.track_id, frame)) >= FOLLOW_FROM
 
     def _correct_alike(self, frame: StoredFrame, label: Label, bill: Bill) -> bool:
         """Corrects the later proposals of a track like a box; returns False if there is none.
@@ -273,10 +281,12 @@ class Operator:
         if box is None:
             return
         self.desk.look(frame, box, bill)
-        box, _ = self._corrections.corrected(frame, box, thing, bill, can_redraw=False)
+        is_last = frame.id == self.desk.frames[-1].id
+        margin = 0.0 if is_last else CARE
+        box, _ = self._corrections.corrected(frame, box, thing, bill, can_redraw=False, margin=margin)
         created = self._created(thing, box)
         self.desk.store(frame, [created])
-        if frame.id == self.desk.frames[-1].id:
+        if is_last:
             bill.act("accept", KEY_S)
         else:
             # this key also accepts a new box

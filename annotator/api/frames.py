@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from annotator.api.inputs import camera_of, depth_of, image_of, points_of, transform_of, up_of
-from annotator.geometry.projection import inside_image, project, unproject_depth
+from annotator.geometry.projection import inside_image, pixel_colors, project, unproject_depth
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ArgumentError
 
@@ -63,7 +63,7 @@ def frame_from_rgbd(
     camera = camera_of(intrinsics, image.shape, distortion)
     depth_m = depth_of(depth, depth_scale, image.shape)
     xyz_m, pixel_index = unproject_depth(camera, depth_m)
-    cloud = PointCloud(xyz_m, rgb=image.reshape(-1, 3).take(pixel_index, axis=0), pixel_index=pixel_index)
+    cloud = PointCloud(xyz_m, rgb=pixel_colors(image, pixel_index), pixel_index=pixel_index)
     return Frame(key, index, camera, image, cloud, depth_m, up_of(up), None, timestamp_ns)
 
 

@@ -92,20 +92,25 @@ def unproject_depth(
     Raises:
         GeometryError: the sizes of depth image and camera differ.
     """
+    from annotator.geometry.kernels.depth_points import depth_points
+
     require_image_size(camera, depth_m)
-    columns = _ray_columns(camera_key(camera))
-    depth = np.asarray(depth_m, np.float32)
-    usable = (depth > 0) & (depth < np.inf)
-    if (has_ray := _has_ray(camera_key(camera))) is not None:
-        usable &= has_ray
-    index = np.flatnonzero(usable)
-    z = depth.reshape(-1).take(index)
-    xyz = np.empty((len(index), 3), np.float32)
-    # column by column: numpy takes five times as long for rows of two numbers
-    for axis, column in enumerate(columns):
-        np.multiply(column.take(index), z, out=xyz[:, axis])
-    xyz[:, 2] = z
-    return xyz, index.astype(np.int32)
+    depth = np.ascontiguousarray(depth_m, np.float32).reshape(-1)
+    return depth_points(depth, *_ray_columns(camera_key(camera)))
+
+
+def pixel_colors(rgb: UInt8[np.ndarray, "h w 3"], pixel: Int32[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """The colours of an image at pixels, which are given by `v * width + u`.
+
+    Raises:
+        IndexError: a pixel lies outside the image.
+    """
+    from annotator.geometry.kernels.depth_points import colors_at
+
+    colors = np.ascontiguousarray(rgb).reshape(-1, 3)
+    if len(pixel) and not 0 <= pixel.min() <= pixel.max() < len(colors):
+        raise IndexError(f"pixels {pixel.min()} to {pixel.max()} are not all in an image of {len(colors)} pixels")
+    return colors_at(colors, pixel)
 
 
 def straightened(camera: Camera, rgb: UInt8[np.ndarray, "h w 3"]) -> tuple[Camera, UInt8[np.ndarray, "h w 3"]]:
@@ -152,10 +157,3 @@ def _ray_columns(key: CameraKey) -> tuple[Float32[np.ndarray, "n"], Float32[np.n
     """x/z and y/z of the rays of all pixels, row by row."""
     rays = _pixel_rays(key).reshape(-1, 2)
     return rays[:, 0].copy(), rays[:, 1].copy()
-
-
-@lru_cache(maxsize=4)
-def _has_ray(key: CameraKey) -> Bool[np.ndarray, "h w"] | None:
-    """Which pixels have a ray; None if all have one."""
-    has_ray = ~np.isnan(_pixel_rays(key)[..., 0])
-    return None if has_ray.all() else has_ray

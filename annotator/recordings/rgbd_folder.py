@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from annotator.files import open_file
-from annotator.geometry.projection import unproject_depth
+from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_depth, read_rgb
@@ -141,7 +141,7 @@ def read_images(
     if depth is None or depth.T_color_depth is None:
         depth_m = depth_metres(depth_path, raw, color)
         xyz_m, pixel = unproject_depth(color.camera, depth_m)
-        cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel)
+        cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
         problem = "no pixel has a depth, so the cloud is empty"
     else:
         _check_size(depth_path, raw, depth, "correct the file")

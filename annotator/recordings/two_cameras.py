@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.distortion import distort_planes
-from annotator.geometry.projection import CameraKey, camera_key, pixel_rays, require_image_size
+from annotator.geometry.projection import CameraKey, camera_key, pixel_colors, pixel_rays, require_image_size
 from annotator.types import Camera, PointCloud
 from annotator.types.errors import GeometryError
 
@@ -65,7 +65,7 @@ def registered(
     nearest_m = np.full(color_camera.width_px * color_camera.height_px, np.inf, np.float32)
     np.minimum.at(nearest_m, pixel, xyz_m[:, 2])
     nearest_m[np.isinf(nearest_m)] = 0
-    return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0)), nearest_m.reshape(rgb.shape[:2])
+    return PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel)), nearest_m.reshape(rgb.shape[:2])
 
 
 def seen_points(

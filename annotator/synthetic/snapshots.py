@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Int16
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.projection import project, unproject_depth
+from annotator.geometry.projection import pixel_colors, project, unproject_depth
 from annotator.synthetic.arrangements import INDOORS, Arrangement, street, with_track
 from annotator.synthetic.lidar import random_lidar, scan
 from annotator.synthetic.mesh import Mesh, joined
@@ -114,7 +114,7 @@ def _depth_frame(
     depth = depth_image(ideal, sensor, random).astype(np.float32) / 1000
     rgb = colour_image(ideal, sensor, random)
     xyz, pixel = unproject_depth(camera, depth)
-    cloud = PointCloud(xyz, rgb.reshape(-1, 3)[pixel], pixel_index=pixel)
+    cloud = PointCloud(xyz, pixel_colors(rgb, pixel), pixel_index=pixel)
     frame = Frame(str(seed), 0, camera, rgb, cloud, depth, up)
     track = ideal.track.ravel()[pixel]
     return Snapshot(frame, _seen(actors, T_world_camera, track))

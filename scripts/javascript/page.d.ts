@@ -221,6 +221,10 @@ interface EditorOptions {
   single?: boolean;
   /** True by default; a function is called each time. */
   canDraw?: boolean | (() => boolean);
+  /** Whether a box was asked for: if not, a drag draws one all the same, but no lines show where, and Insert does not. */
+  isAsked?: () => boolean;
+  /** A drag with a shorter side draws no box, CSS pixels; 0 by default. */
+  leastDraw?: number;
   canMove?: boolean;
   canDelete?: boolean;
   /** Boxes end at the picture's border; true by default. */

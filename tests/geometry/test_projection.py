@@ -9,7 +9,7 @@ from geometry_strategies import cameras
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.geometry.projection import pixel_rays, project, undistort_px, unproject_depth
+from annotator.geometry.projection import pixel_colors, pixel_rays, project, undistort_px, unproject_depth
 from annotator.types import Camera
 from annotator.types.errors import GeometryError
 
@@ -114,3 +114,14 @@ def test_rays_are_cached_per_camera_and_read_only() -> None:
     assert pixel_rays(Camera(640, 480, 500.0, 511.0, 319.5, 239.5)) is not rays
     with pytest.raises(ValueError, match="read-only"):
         rays[0, 0] = 1.0
+
+
+def test_colours_are_those_of_the_points_pixels() -> None:
+    rgb = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
+    _, pixel = unproject_depth(PINHOLE, depth_image(PINHOLE, 1))
+    np.testing.assert_array_equal(pixel_colors(rgb, pixel), rgb.reshape(-1, 3)[pixel])
+    np.testing.assert_array_equal(pixel_colors(rgb[:, ::-1], pixel), rgb[:, ::-1].reshape(-1, 3)[pixel])
+    assert pixel_colors(rgb, pixel[:0]).shape == (0, 3)
+    for wrong in (-1, 480 * 640):
+        with pytest.raises(IndexError, match="not all in an image of 307200 pixels"):
+            pixel_colors(rgb, np.array([0, wrong], np.int32))

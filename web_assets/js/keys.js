@@ -113,7 +113,7 @@ export const KEYS = [
     id: "draw-box",
     keys: ["B", "Insert"],
     shown: ["B"],
-    label: "New box: drag on the image",
+    label: "New box: drag on the image (also without this key)",
     modes: ["review"],
     group: "Review",
   },

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
+from annotator.geometry.projection import pixel_colors
 from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
 from annotator.recordings.kinect.connection import NAME, load_pyk4a, open_device
 from annotator.recordings.kinect.imu import SAMPLE, WITHIN_NS, up_at_rest
@@ -185,7 +186,7 @@ class KinectDevice:
         self._read_accelerations(time_ns)
         rgb = _rgb(self.name, capture.color)
         xyz_m, pixel = self.calibration.seen_points(_depth_mm(self.name, capture.depth, self._mode.size))
-        cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0))
+        cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel))
         key, self._frames = f"{self._frames:06d}", self._frames + 1
         frame = Frame(
             key, self._frames - 1, self.calibration.color, rgb, cloud, up=self._up(time_ns), timestamp_ns=time_ns

@@ -23,6 +23,7 @@ from jaxtyping import Float64, UInt8, UInt16
 
 from annotator.files import open_file
 from annotator.frame_limits import frame_memory
+from annotator.geometry.projection import pixel_colors
 from annotator.recordings.kinect.attachments import REMEDY, tagged_ns, tags_and_calibration
 from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
 from annotator.recordings.kinect.captures import Capture, find_captures
@@ -80,7 +81,7 @@ class AzureKinect(KeyedFrames):
             decoding = executor.submit(self.color_image, i)
             xyz_m, pixel = self.calibration.seen_points(self.depth_image(i))
             color = decoding.result()
-        cloud = PointCloud(xyz_m, rgb=color.reshape(-1, 3).take(pixel, axis=0))
+        cloud = PointCloud(xyz_m, rgb=pixel_colors(color, pixel))
         if len(cloud) == 0:
             raise FrameError(
                 self.path,

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.projection import unproject_depth
+from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
 from annotator.recordings.clouds.columns import RawCloud
@@ -198,7 +198,7 @@ class RosBag(KeyedFrames):
             source.require_size(depth_m.shape)
         if _are_equal(source.camera, camera) and np.allclose(T.as_matrix(), np.eye(4)):
             xyz_m, pixel = unproject_depth(camera, depth_m)
-            return PointCloud(xyz_m, rgb=rgb.reshape(-1, 3).take(pixel, axis=0), pixel_index=pixel), depth_m
+            return PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel), depth_m
         return registered(depth_m, source.camera, T, rgb, camera)
 
     def _T_color_depth(

@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
-from annotator.geometry.projection import unproject_depth
+from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys, unread_note
 from annotator.recordings.recording import KeyedFrames, NotFound
@@ -94,7 +94,7 @@ class SunRgbdScenes(KeyedFrames):
             raise FrameError(
                 depth_path, "no pixel has a depth, so the cloud is empty", "copy it again, or remove the scene"
             )
-        cloud = PointCloud(xyz_m, rgb=rgb.reshape(-1, 3)[pixel], pixel_index=pixel)
+        cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
         return Frame(key, i, camera, rgb, cloud, depth_m, calibration.up, calibration.T_camera_upright)
 
 

@@ -98,7 +98,12 @@ def _tiles(ctx: Context, project: Project, boxes: Sequence[tuple[StoredFrame, La
             tile = TileJson(uid=label.uid, png=base64.b64encode(content).decode())
         return tile.model_dump_json() + "\n"
 
-    return StreamingResponse(drawn_ahead(line, shown), media_type="application/x-ndjson")
+    async def lines() -> AsyncIterator[str]:
+        with ctx.caches.detectors.holding_off():
+            async for each in drawn_ahead(line, shown):
+                yield each
+
+    return StreamingResponse(lines(), media_type="application/x-ndjson")
 
 
 async def drawn_ahead(draw: Callable[[Entry], str], entries: Sequence[Entry]) -> AsyncIterator[str]:

@@ -53,7 +53,8 @@ async def forward_http(request: Request, viewport: ViserEndpoint, path: str) -> 
     """Forwards a request for one of viser's files."""
     headers = {name: request.headers[name] for name in FORWARDED_REQUEST if name in request.headers}
     async with (
-        httpx.AsyncClient(timeout=TIMEOUT_S) as client,
+        # plain HTTP on this machine: no proxy of the environment, and no certificates, which take 60 ms to load
+        httpx.AsyncClient(timeout=TIMEOUT_S, trust_env=False, verify=False) as client,
         client.stream(
             "GET", httpx.URL(scheme="http", host=HOST, port=viewport.port, path=f"/{path}"), headers=headers
         ) as response,

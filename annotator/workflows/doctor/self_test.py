@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.projection import unproject_depth
+from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import AnnotatorError
 from annotator.workflows.doctor.report import Line, State
@@ -45,7 +45,7 @@ def generated_frame() -> Frame:
     shade = np.where(near < far, 200, np.where(floor < wall, 120, 60))[..., None] + rng.integers(-40, 41, (*u.shape, 3))
     rgb = shade.astype(np.uint8)
     xyz, pixel_index = unproject_depth(CAMERA, depth)
-    cloud = PointCloud(xyz, rgb.reshape(-1, 3)[pixel_index], pixel_index=pixel_index)
+    cloud = PointCloud(xyz, pixel_colors(rgb, pixel_index), pixel_index=pixel_index)
     return Frame("0", 0, CAMERA, rgb, cloud, depth)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import UInt8
@@ -14,21 +14,22 @@ from annotator.project import Effort, FramePart, Project, Receipt, WriteContext
 from annotator.project.event_types import LabelAccepted
 from annotator.types import Frame, OrientedBox, ReviewState
 from annotator.types.errors import ConfigError
-from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.ortho_views import ortho_views
+from annotator.workflows.workbench.ortho_views import shown_volume, views_of_points
 
 # Side of each of the three views, and their distance, pixels; points that they are drawn from, at most.
 VIEW_PX, GAP_PX, MOST_POINTS = 96, 2, 8_000
 # Colours of the gap, of the box, and of the side that it heads to.
 GAP, LINE, FRONT = (24, 26, 30), (255, 209, 71), (255, 120, 60)
-# Nothing beyond this distance from a box's centre is on its views, in half diagonals.
-REACH = 2.5
 
 
 def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
     """The top, front and side view of a box beside each other, with its outline, (96, 292, 3)."""
     strip = np.full((VIEW_PX, 3 * VIEW_PX + 2 * GAP_PX, 3), GAP, np.uint8)
-    for number, item in enumerate(ortho_views(OpenFrame(_near(frame, box)), box, VIEW_PX)):
+    # an index of all points takes longer than the views
+    near = np.flatnonzero(contains(shown_volume(box), frame.cloud.xyz_m))
+    kept = thin(len(near), MOST_POINTS)
+    views = views_of_points(frame.cloud, near if kept is None else near[kept], box, VIEW_PX)
+    for number, item in enumerate(views):
         left = number * (VIEW_PX + GAP_PX)
         part = strip[:, left : left + VIEW_PX]
         part[:] = item.view.rgb
@@ -41,15 +42,6 @@ def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
             # the heading is up
             part[y0 : y0 + 2, x0 : x1 + 1] = FRONT
     return strip
-
-
-def _near(frame: Frame, box: OrientedBox) -> Frame:
-    """The frame with the points around a box alone, thinned out: an index of all points takes longer than the views."""
-    reach_m = REACH * float(np.linalg.norm(box.size_m))
-    around = OrientedBox.from_parts(box.center_m, np.eye(3), np.full(3, reach_m))
-    near = np.flatnonzero(contains(around, frame.cloud.xyz_m))
-    kept = thin(len(near), MOST_POINTS)
-    return replace(frame, cloud=frame.cloud.select(near if kept is None else near[kept]))
 
 
 def _half_m(axes: np.ndarray, box: OrientedBox) -> np.ndarray:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYetError
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,7 +23,7 @@ from annotator.workflows.warm_up import warm_up_with
 LOG = logging.getLogger("annotator.detectors")
 
 # Loading a detector ahead takes the processor, which a new server needs for its first page and contact sheet.
-WARM_AFTER_S = 2.0
+WARM_AFTER_S = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +139,9 @@ class ReadyDetectors:
         self._use = threading.Lock()
         self._loader = ThreadPoolExecutor(1, "detectors")
         self._warmed: set[Path] = set()
-        self._asked = threading.Event()
+        self._calm = threading.Condition()
+        self._is_asked = False
+        self._holds = 0
         self._loading: dict[tuple[Path, DetectorKind], tuple[tuple[str, Names], Future[ReadyDetector]]] = {}
 
     def get(self, project: Project, role: DetectorKind, wait_s: float | None = None) -> ReadyDetector | None:
@@ -157,7 +160,7 @@ class ReadyDetectors:
         model = used_model(project, role)
         if model is None:
             return Readiness("none")
-        self._asked.set()
+        self._begin()
         try:
             return Readiness("ready", self._future(project, role, model).result(wait_s))
         except NotYetError:
@@ -174,20 +177,43 @@ class ReadyDetectors:
             at_once: begin now, since an operator is about to draw; a later call ends the wait of an earlier one.
         """
         if at_once:
-            self._asked.set()
+            self._begin()
         with self._lock:
             if project.path in self._warmed:
                 return
             self._warmed.add(project.path)
-        self._loader.submit(self._asked.wait, WARM_AFTER_S)
+        self._loader.submit(self._wait)
         for role in DetectorKind:
             if (model := used_model(project, role)) is not None:
                 self._future(project, role, model)
 
     def close(self) -> None:
         """Stops loading."""
-        self._asked.set()
+        self._begin()
         self._loader.shutdown(wait=False, cancel_futures=True)
+
+    @contextmanager
+    def holding_off(self) -> Iterator[None]:
+        """No detector is loaded ahead meanwhile; one that is asked for is."""
+        with self._calm:
+            self._holds += 1
+        try:
+            yield
+        finally:
+            with self._calm:
+                self._holds -= 1
+                self._calm.notify_all()
+
+    def _begin(self) -> None:
+        with self._calm:
+            self._is_asked = True
+            self._calm.notify_all()
+
+    def _wait(self) -> None:
+        """Waits for a while, or until a detector is asked for."""
+        with self._calm:
+            self._calm.wait_for(lambda: self._is_asked, WARM_AFTER_S)
+            self._calm.wait_for(lambda: self._is_asked or not self._holds)
 
     def _future(self, project: Project, role: DetectorKind, model: UsedModel) -> Future[ReadyDetector]:
         key = (project.path, role)

@@ -59,7 +59,23 @@ def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> list[Ortho
     Args:
         size_px: side length of each (square) view, pixels.
     """
-    cloud, is_inside = _near(opened, box)
+    return views_of_points(opened.frame.cloud, opened.index.inside(shown_volume(box)), box, size_px)
+
+
+def shown_volume(box: OrientedBox) -> OrientedBox:
+    """Returns the box that encloses all points that the three views of a box may show."""
+    return replace(box, size_m=_shown(box, 2 * MARGIN * float(box.size_m.max())))
+
+
+def views_of_points(
+    points: PointCloud, near: Int64[np.ndarray, "k"], box: OrientedBox, size_px: int
+) -> list[OrthoView]:
+    """As `ortho_views`.
+
+    Args:
+        near: indices of the points in `shown_volume`.
+    """
+    cloud, is_inside = _near(points, near, box)
     colors = point_colors(cloud)
     if colors is not None:
         colors = _dimmed(colors, is_inside)
@@ -67,13 +83,13 @@ def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> list[Ortho
     return [OrthoView(axis.name, _view(axis, box, cloud, local, colors, size_px)) for axis in AXES]
 
 
-def _near(opened: OpenFrame, box: OrientedBox) -> tuple[PointCloud, Bool[np.ndarray, "n"]]:
+def _near(
+    points: PointCloud, near: Int64[np.ndarray, "k"], box: OrientedBox
+) -> tuple[PointCloud, Bool[np.ndarray, "n"]]:
     """Returns the points that the views may show, thinned out, and the mask of those in the box."""
-    margin = MARGIN * float(box.size_m.max())
-    near = opened.index.inside(replace(box, size_m=_shown(box, 2 * margin)))
-    is_inside = contains(box, opened.frame.cloud.xyz_m[near])
+    is_inside = contains(box, points.xyz_m[near])
     inside, around = _thinned(near[is_inside], MAX_INSIDE), _thinned(near[~is_inside], MAX_AROUND)
-    cloud = replace(opened.frame.cloud, normals=None).select(np.concatenate([inside, around]))
+    cloud = replace(points, normals=None).select(np.concatenate([inside, around]))
     return cloud, np.arange(len(cloud)) < len(inside)
 
 

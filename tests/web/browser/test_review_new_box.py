@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from browser_page import drag_box, refuse
+from browser_page import drag, drag_box, refuse
 from drawing import Scene
-from review_desk import FRAMES, Desk
+from review_desk import FRAMES, Desk, middle
 
 from annotator.project import WriteContext
+from annotator.project.classes.changing import change_classes
+from annotator.project.classes.edit import add_class
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
@@ -71,11 +73,51 @@ ACCEPTED_TWICE = """async () => {
 
 
 def draw_on_image(desk: Desk, box: dict[str, Any]) -> None:
-    """Presses B, for which the page has the detectors loaded, and drags a box on the image."""
+    """Drags a box on the image; the page has the detectors loaded when the drag begins."""
+    with desk.page.expect_request("**/models/load"):
+        drag_box(desk.page, "review-image", box, 320, 240)
+
+
+def test_b_asks_for_a_box_until_escape(desk: Desk) -> None:
+    asked, note = desk.page.get_by_test_id("act-draw"), desk.page.get_by_test_id("image-note")
     with desk.page.expect_request("**/models/load"):
         desk.press("b")
-    expect(desk.page.get_by_test_id("act-draw")).to_have_attribute("aria-pressed", "true")
-    drag_box(desk.page, "review-image", box, 320, 240)
+    expect(asked).to_have_attribute("aria-pressed", "true")
+    expect(note).to_have_text("Drag a box around a person. Press Esc to cancel.")
+    desk.press("Escape")
+    expect(asked).to_have_attribute("aria-pressed", "false")
+    expect(note).to_have_text("")
+
+
+def test_a_digit_during_the_drag_chooses_the_class_and_a_short_drag_draws_nothing(desk: Desk) -> None:
+    change_classes(desk.project, lambda config: add_class(config, "chair"), "Ada")
+    page = desk.page
+    page.reload()
+    desk.settled()
+    x, y = middle(page.get_by_test_id("review-image").locator("img.picture"))
+    fits: list[dict[str, Any]] = []
+
+    def keep(route: Any) -> None:
+        fits.append(route.request.post_data_json["image_box"])
+        route.abort()
+
+    page.route("**/fit", keep)
+    boxes = page.get_by_test_id("review-image").get_by_test_id("editor-box")
+    drag(page, (x, y), (x + 5, y + 5))
+    expect(boxes).to_have_count(0)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 20, y + 30)
+    expect(boxes.locator("text")).to_have_text("person")
+    desk.press("2")
+    page.mouse.move(x + 30, y + 40)
+    expect(boxes.locator("text")).to_have_text("chair")
+    with page.expect_event("requestfailed"):
+        page.mouse.up()
+    expect(boxes).to_have_count(0)
+    assert [fit["label"] for fit in fits] == ["chair"]
+    assert desk.label.label == "person"  # the digit was not for the selected box
+    page.unroute("**/fit")
 
 
 def test_a_new_box_is_drawn_on_the_image(

@@ -215,3 +215,27 @@ def test_later_boxes_are_corrected_alike_with_one_key(desk: Desk, wait_for) -> N
     np.testing.assert_allclose([label.box.size_m[0] for label in later], np.add(before[1:], 0.5), atol=1e-4)
     assert all(label.state is ReviewState.PROPOSED for label in later)
     desk.settled()
+
+
+# What is loaded ahead while this is held, and afterwards: the ends of the requested paths.
+HELD = """async () => {
+  const { createPreload } = await import("/assets/js/review/preload.js");
+  const asked = [];
+  const get = async (path) => {
+    asked.push(path);
+    return { frame: { id: 2 }, labels: [], image: { url: "" } };
+  };
+  const app = { state: { frame: { frame: { id: 1 } } }, path: (...parts) => parts.join("/"), api: { get } };
+  const queue = { after: () => ({ frame: 2, uid: "next" }) };
+  const preload = createPreload(app, { uid: "now", stored: () => null }, queue);
+  const release = preload.hold();
+  await preload.start();
+  const held = [...asked];
+  release();
+  await new Promise((resolve) => setTimeout(resolve));
+  return [held, asked];
+}"""
+
+
+def test_nothing_is_loaded_ahead_while_a_sheet_is_open(desk: Desk) -> None:
+    assert desk.page.evaluate(HELD) == [[], ["frames/2"]]

@@ -96,6 +96,25 @@ def test_a_detector_is_loaded_ahead_after_a_while_or_when_it_is_asked_for(
     ready.close()
 
 
+def test_no_detector_is_loaded_ahead_while_this_is_held_off(
+    people: Project, loads: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register(people, DetectorKind.VIEW, "a")
+    monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 0.01)
+    for is_asked in (False, True):
+        ready, before = ReadyDetectors(), len(loads)
+        with ready.holding_off():
+            ready.warm(people)
+            with pytest.raises(TimeoutError):
+                ready._loader.submit(int).result(0.5)
+            assert len(loads) == before
+            if is_asked:
+                assert ready.get(people, DetectorKind.VIEW) is not None
+        ready._loader.submit(int).result(60)
+        assert len(loads) == before + 1
+        ready.close()
+
+
 def test_a_server_that_ends_does_not_wait_to_load_a_detector(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detectors_ready, "WARM_AFTER_S", 3600.0)
     ready = ReadyDetectors()

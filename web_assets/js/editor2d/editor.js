@@ -247,7 +247,7 @@ export function createEditor(host, options = {}) {
   }
 
   function newBoxInTheMiddle() {
-    if (!inner.canDraw()) return false;
+    if (!inner.canDraw() || options.isAsked?.() === false) return false;
     flush();
     const [x, y] = view.toPicture([size.width / 2, size.height / 2]);
     const [dx, dy] = [size.width / view.scale / 8, size.height / view.scale / 8];

@@ -188,7 +188,9 @@ function beginDraw(editor, _hit, start) {
       editor.replace([...others, box], index);
     },
     finish() {
-      if (box === null || widthOf(box) < 1 || heightOf(box) < 1) editor.restore({ boxes: others, selected: -1 });
+      const least = Math.max(1, (editor.options.leastDraw ?? 0) / editor.view.scale);
+      if (box === null || widthOf(box) < least || heightOf(box) < least)
+        editor.restore({ boxes: others, selected: -1 });
       else editor.commit("draw", index);
     },
   };

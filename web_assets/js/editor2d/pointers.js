@@ -118,7 +118,8 @@ export function listenToPointers(editor) {
     const px = view.toPicture(point);
     const hit = hitTest(editor, px, event.pointerType, event.shiftKey);
     root.style.cursor = isSpaceDown ? "grab" : cursorOf(hit);
-    editor.setCross(hit.kind === "nothing" || isOnButton(event) ? null : point, px);
+    const isBare = hit.kind === "nothing" || isOnButton(event) || editor.options.isAsked?.() === false;
+    editor.setCross(isBare ? null : point, px);
   }
 
   /** @param {PointerEvent} event */

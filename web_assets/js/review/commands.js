@@ -192,8 +192,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   /** @param {string} key */
   function setClass(key) {
     const name = app.state.project.classes[Number(key) - 1];
-    if (name && image.drawing !== null) image.draw(name);
-    else if (name && desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
+    if (!name || image.setClass(name)) return;
+    if (desk.shown && desk.shown.label !== name) void desk.edit({ label: name });
   }
 
   /** Cancels a drag, or else an edit that is not saved, or else deselects. */
@@ -204,8 +204,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   }
 
   /** Draws a new box on the image, or stops that. */
-  const draw = () =>
-    image.draw(image.drawing === null && canDraw() ? (desk.shown?.label ?? app.state.project.classes[0]) : null);
+  const draw = () => (image.isDrawing || !canDraw() ? image.draw(null) : image.drawUsual());
 
   const flip = () => desk.shown && desk.edit({ box: headingTurned(desk.shown.box) });
 
@@ -214,6 +213,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     acceptAll,
     refit,
     flip,
+    canDraw,
     draw,
     fitDrawn,
     copy,

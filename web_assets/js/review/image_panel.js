@@ -7,15 +7,19 @@ import { createEditor } from "../editor2d/editor.js";
 import { imageOverlays } from "./drawing.js";
 import { otherOverlays } from "../rig.js";
 
+/** A shorter drag draws no box, CSS pixels. */
+const LEAST_DRAG = 8;
+
 /**
  * `onDrawn(box)` is called with a box drawn for a new object; it resolves after the fit, whether it succeeded or not.
+ * `canDraw()` says whether the frame can get a new box.
  *
  * @param {HTMLElement} host
  * @param {ModeApp} app
  * @param {Desk} desk
- * @param {{ onDrawn: (box: Box2D) => Promise<void>, onMode: () => void }} options
+ * @param {{ onDrawn: (box: Box2D) => Promise<void>, onMode: () => void, canDraw: () => boolean }} options
  */
-export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
+export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) {
   const title = h("h2", { class: "ellipsis" }, "Image");
   const note = h("span", { class: "muted ellipsis", role: "status", "data-testid": "image-note" });
   const withRejected = h("input", { type: "checkbox", onchange: show, "data-testid": "show-rejected" });
@@ -35,19 +39,29 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
     body,
   );
   /**
-   * The class of the box that is to be drawn; null: none.
+   * The class of the box that was asked for; null: none.
    *
    * @type {string | null}
    */
   let wanted = null;
+  /**
+   * The class that was chosen during the drag.
+   *
+   * @type {string | null}
+   */
+  let chosen = null;
+  let isDragging = false;
   let isFitting = false;
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
     color: ({ label }) => classColor(app.state.project, label),
-    canDraw: () => wanted !== null && !isFitting,
+    canDraw: () => canDraw() && !isFitting,
+    leastDraw: LEAST_DRAG,
+    isAsked: () => wanted !== null,
     canMove: false,
     canDelete: false,
-    newLabel: () => wanted,
+    newLabel: () => chosen ?? wanted ?? usualClass(),
+    onDrag: ({ length }) => onDrag(length > 0),
     onOverlay: (uid) => desk.select(uid),
     onChange: (boxes, why, index) => why === "draw" && void fit(boxes[index]),
   });
@@ -112,13 +126,25 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
   function noteOf({ frame }) {
     if (isFitting) return "Fitting a 3D box …";
     if (wanted !== null) return `Drag a box around a ${wanted}. Press Esc to cancel.`;
-    return frame.finalised ? "finalised" : "";
+    if (frame.finalised) return "finalised";
+    return desk.labels().length === 0 ? "Drag a box around an object to add it." : "";
+  }
+
+  const usualClass = () => desk.shown?.label ?? app.state.project.classes[0];
+  const loadDetectors = () => void app.api.post(app.path("models", "load")).catch(app.toast);
+
+  /** @param {boolean} isNow */
+  function onDrag(isNow) {
+    if (isNow && !isDragging && wanted === null) loadDetectors();
+    isDragging = isNow;
+    if (!isNow) chosen = null;
   }
 
   /** @param {Box2D} box */
   async function fit(box) {
     const { label, x_min, y_min, x_max, y_max } = box;
     isFitting = true;
+    onDrag(false);
     show();
     try {
       await onDrawn({ label, x_min, y_min, x_max, y_max });
@@ -130,7 +156,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
 
   /** @param {string | null} label */
   function draw(label) {
-    if (label !== null) app.api.post(app.path("models", "load")).catch(app.toast);
+    if (label !== null) loadDetectors();
     wanted = label;
     editor.setBoxes([]);
     show();
@@ -141,9 +167,22 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode }) {
     show,
     /** The next drag draws a box of this class; null: none. */
     draw,
-    /** The class of the box that is to be drawn, or null. */
-    get drawing() {
-      return wanted;
+    /** Whether a box was asked for. */
+    get isDrawing() {
+      return wanted !== null;
+    },
+    /** Asks for a box of the usual class. */
+    drawUsual: () => draw(usualClass()),
+    /**
+     * Changes the class of the box that is being drawn or was asked for; false if there is none.
+     *
+     * @param {string} name
+     */
+    setClass(name) {
+      if (isDragging) chosen = name;
+      else if (wanted !== null) draw(name);
+      else return false;
+      return true;
     },
     /** Ends drawing; false if nothing was to be drawn. */
     cancel() {

@@ -26,9 +26,11 @@ export function createPreload(app, desk, queue) {
    * @type {Set<string>}
    */
   const drawn = new Set();
+  let isHeld = false;
 
   async function start() {
     request?.abort();
+    if (isHeld) return;
     request = new AbortController();
     await loadNext(request.signal);
     await drawSheet(request);
@@ -86,6 +88,16 @@ export function createPreload(app, desk, queue) {
   return {
     start,
     stop: () => request?.abort(),
+
+    /** Loads nothing ahead until the returned function is called: the server has something to draw that is awaited. */
+    hold() {
+      isHeld = true;
+      request?.abort();
+      return () => {
+        isHeld = false;
+        void start();
+      };
+    },
 
     /**
      * The pictures of a box, if they are loaded.

@@ -60,7 +60,8 @@ export function mount(root, app) {
   const { go } = opening;
   const queueList = createQueueList(parts.queue, app, queue, { open: go });
   const boxList = createBoxList(parts.boxes, app, desk);
-  const sheet = createSheet(app, { desk, queue, open: go, isFollowed: (track) => follow.isFollowed(track) });
+  const preload = createPreload(app, desk, queue);
+  const sheet = createSheet(app, { desk, queue, preload, open: go, isFollowed: (track) => follow.isFollowed(track) });
   const tracks = createTracks(parts.boxes, app, desk, {
     open: go,
     sheet: () => commands.whenCalm(sheet.show),
@@ -83,9 +84,9 @@ export function mount(root, app) {
   const image = createImagePanel(parts.image, app, desk, {
     onDrawn: (box) => commands.fitDrawn(box),
     onMode: () => showActions(),
+    canDraw: () => commands.canDraw(),
   });
   const scene = createScene(parts.scene, app, desk);
-  const preload = createPreload(app, desk, queue);
   const ortho = createOrthoViews(parts.ortho, app, desk, preload);
   const problem = createFrameProblem(image.body, {
     onRetry: () => opening.broken !== null && void opening.open(opening.broken, null),
@@ -130,7 +131,7 @@ export function mount(root, app) {
       frame: app.state.frame,
       gizmoMode: scene.gizmo,
       busy: opening.loading,
-      isDrawing: image.drawing !== null,
+      isDrawing: image.isDrawing,
     });
   }
 

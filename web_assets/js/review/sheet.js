@@ -23,10 +23,10 @@ const HEIGHT = 96;
  * `open` shows a box in its frame; `isFollowed` returns whether more boxes of a track are being found.
  *
  * @param {ModeApp} app
- * @param {{ desk: Desk, queue: Queue, open: (target: Target) => unknown,
- *     isFollowed: (track: number) => boolean }} parts
+ * @param {{ desk: Desk, queue: Queue, preload: ReturnType<typeof import("./preload.js").createPreload>,
+ *     open: (target: Target) => unknown, isFollowed: (track: number) => boolean }} parts
  */
-export function createSheet(app, { desk, queue, open, isFollowed }) {
+export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
   /**
    * Tracks whose sheet was left to correct a box, as "recording/track".
    *
@@ -47,8 +47,9 @@ export function createSheet(app, { desk, queue, open, isFollowed }) {
     if (!label) return;
     if (label.track_id === null || label.track_id === undefined)
       return app.toast("This box has no track. Enter a track id, or run `annotator track`.", "warn");
-    await desk.flush();
+    const release = preload.hold();
     try {
+      await desk.flush();
       const { recording } = currentFrame(app).frame;
       const shown = await read(recording, label.track_id);
       if (!shown.some(isOpen)) return app.toast("All boxes of this track are reviewed.");
@@ -56,6 +57,8 @@ export function createSheet(app, { desk, queue, open, isFollowed }) {
       await ask(recording, label.track_id, shown, !isOwn);
     } catch (error) {
       app.toast(error);
+    } finally {
+      release();
     }
   }
 
