@@ -16,7 +16,7 @@ import pytest
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, batch, columns, forecast, listing, loop, memory, pseudo_view, slow_loris
+from benchmarks import axes, batch, columns, forecast, listing, loop, memory, pseudo_view, slow_loris, up
 from benchmarks.memory import growth
 from benchmarks.repeating import FOLDERS, lengthen
 from benchmarks.report import guarded
@@ -113,6 +113,18 @@ def test_axes_with_jitter_depends_on_the_seed(
     assert [row["axes"] for row in first] == ["camera"]
     assert first[0]["mean_iou"] == again[0]["mean_iou"] != other[0]["mean_iou"]
     assert 0.1 < first[0]["mean_iou"] < 0.99
+
+
+@pytest.mark.shared
+def test_boxes_drawn_around_a_turning_person_tell_which_way_is_up(
+    shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = shared / "data" / "human_turn"
+    result = in_process(up, monkeypatch, capsys, path, "--rooms", "1", "--snapshots", "2", "--drawn", "0")
+    assert result["recordings"][0]["up"] is None
+    (drawn,) = result["drawn"]
+    assert drawn["boxes"] == 10 and drawn["proposed"]
+    assert drawn["error_deg"] < 8 < drawn["spread_deg"] + 5 < 20
 
 
 @pytest.mark.shared

@@ -52,6 +52,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
   let chosen = null;
   let isDragging = false;
   let isFitting = false;
+  let hasLoaded = false;
   const editor = createEditor(body, {
     label: "Camera image with the frame's boxes",
     color: ({ label }) => classColor(app.state.project, label),
@@ -91,6 +92,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
 
   function show() {
     const frame = app.state.frame;
+    if (frame && !hasLoaded && !frame.frame.finalised && desk.labels().length === 0) loadDetectors();
     if (!frame) {
       void editor.setPicture(null);
       editor.setOverlays([]);
@@ -131,11 +133,16 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
   }
 
   const usualClass = () => desk.shown?.label ?? app.state.project.classes[0];
-  const loadDetectors = () => void app.api.post(app.path("models", "load")).catch(app.toast);
+
+  /** For the next drag. A frame without boxes is there to be drawn on. */
+  function loadDetectors() {
+    hasLoaded = true;
+    app.api.post(app.path("models", "load")).catch(app.toast);
+  }
 
   /** @param {boolean} isNow */
   function onDrag(isNow) {
-    if (isNow && !isDragging && wanted === null) loadDetectors();
+    if (isNow && !hasLoaded) loadDetectors();
     isDragging = isNow;
     if (!isNow) chosen = null;
   }
@@ -156,7 +163,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
 
   /** @param {string | null} label */
   function draw(label) {
-    if (label !== null) loadDetectors();
+    if (label !== null && !hasLoaded) loadDetectors();
     wanted = label;
     editor.setBoxes([]);
     show();
