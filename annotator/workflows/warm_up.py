@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from annotator.detection.perfect import PerfectDetector
+from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose, propose_from_boxes
@@ -64,8 +65,11 @@ def warm_frame() -> Frame:
     """A small synthetic frame, whose points are those of `BOX`."""
     rng = np.random.default_rng(0)
     xyz = rng.uniform(-0.5, 0.5, (POINTS, 3)) * BOX.size_m + BOX.center_m
-    cloud = PointCloud(xyz.astype(np.float32), rng.integers(0, 255, (POINTS, 3)).astype(np.uint8))
-    return Frame("0", 0, CAMERA, np.zeros((CAMERA.height_px, CAMERA.width_px, 3), np.uint8), cloud)
+    # as the readers of depth images do
+    noise = rng.integers(0, 255, (CAMERA.height_px, CAMERA.width_px, 3)).astype(np.uint8)
+    _, pixel = unproject_depth(CAMERA, np.ones(noise.shape[:2], np.float32))
+    cloud = PointCloud(xyz.astype(np.float32), pixel_colors(noise, pixel[:POINTS]))
+    return Frame("0", 0, CAMERA, np.zeros_like(noise), cloud)
 
 
 if __name__ == "__main__":
