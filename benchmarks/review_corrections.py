@@ -43,7 +43,7 @@ class Corrections:
         """Corrects a box until it is good enough; returns it, and whether it was drawn anew.
 
         Args:
-            margin: how much better than right it is to be, 3D IoU.
+            margin: how much better than right it is to be, share of the way to a perfect one.
         """
         quality = self._desk.quality + margin * (1 - self._desk.quality)
         tried = set() if can_redraw else {"redraw"}

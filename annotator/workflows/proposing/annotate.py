@@ -92,8 +92,8 @@ def annotate_with(
     pickle_exactly()  # for the seeds in tasks
     rotation = rotation or project.config.settings.rotation
     try:
-        learned = learn_up(project, rotation, recordings)
         identity = engine.start()
+        learned = learn_up(project, rotation, recordings)  # not if there are no detectors: nothing would say so
         config = config.for_detector(identity.box_kind, identity.class_agnostic, identity.image_kind)
         run = project.jobs.start(**_description(identity, config, rotation, from_reviewed))
         present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)

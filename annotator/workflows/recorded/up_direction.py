@@ -32,9 +32,11 @@ AGREE_RAD = np.radians(3.0)
 LEAST_AGREEING = 0.8
 # Frames with reviewed boxes from which the boxes tell, and the number of the latest boxes that count.
 LEAST_BOX_FRAMES, MOST_BOXES = 8, 60
-# Of boxes drawn with free rotation around standing objects, nine of ten are within 7 to 14 degrees of an axis, which is
-# within 7 degrees of the vertical; of eight random boxes, within 18 to 40 degrees of their best axis (benchmarks.up).
+# Of boxes drawn with free rotation around standing objects, nine of ten are within 8 to 11 degrees of an axis, which is
+# within 4 degrees of the vertical; of eight random boxes, none better than within 18 degrees (docs/benchmarks.md).
 MOST_SPREAD_RAD = np.radians(15.0)
+# Nine of ten randomly rotated boxes have an axis within this angle of any direction, so such a spread tells nothing.
+WORTHLESS_SPREAD_RAD = np.radians(45.0)
 # Boxes of an object that did not turn share all their axes.
 MOST_ALIKE = 0.8
 # Most cameras are held nearly level, so an axis that is further from the top of the image is another one.
@@ -118,7 +120,8 @@ def up_of_boxes(boxes: Sequence[ReviewedBox]) -> RecordingUp | None:
         return None
     x, y, z = up.tolist()
     reason = f"{amount(len(boxes), 'reviewed box')} stand along it and are turned about it"
-    return RecordingUp((x, y, z), 1 - shared.spread_rad / (np.pi / 4), shared.spread_rad, frames, frames, reason)
+    certainty = 1 - shared.spread_rad / WORTHLESS_SPREAD_RAD
+    return RecordingUp((x, y, z), certainty, shared.spread_rad, frames, frames, reason)
 
 
 def _reviewed(project: Project, recording_id: int) -> tuple[ReviewedBox, ...]:

@@ -145,12 +145,12 @@ def train(
         TrainingStoppedError: `stop` returned true.
     """
     rcv_config(project)  # invalid settings are reported before the samples are made
-    learned = learn_up(project)
     material = gather(project, roles)
     for role in roles:
         remove_leftovers(project, role)
     for role in roles:  # checked before the samples are made, which takes long
         _check_start(project, role, plan.image if role is DetectorKind.IMAGE else plan.view)
+    learned = learn_up(project)  # not if the training is refused: nothing would say so
     results = []
     for role in roles:
         report = None if progress is None else partial(progress, role)

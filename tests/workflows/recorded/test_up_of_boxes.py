@@ -14,11 +14,13 @@ from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, W
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState
+from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.up_direction import LEAST_BOX_FRAMES, estimate_recording_up, learn_up
+from annotator.workflows.training.train import TrainPlan, image_defaults, train
 
 FRAMES = LEAST_BOX_FRAMES + 2
 UP = np.array([0.1, -0.95, -0.3]) / np.linalg.norm([0.1, -0.95, -0.3])
@@ -163,6 +165,15 @@ def test_the_batch_says_it_and_proposes_upright_boxes(
     assert len(done.learned) == 1
     assert up_of(project) is not None
     assert annotate(project, knowing("people"), RcvConfig(max_steps=1), limit=1).learned == ()
+
+
+def test_a_training_learns_it_unless_it_is_refused(project: Project) -> None:
+    review(project, TURNING)
+    with pytest.raises(ConfigError, match="nowhere"):
+        train(project, TrainPlan(image=image_defaults().model_copy(update={"pretrained": Path("nowhere.pt")})))
+    assert up_of(project) is None
+    train(project, TrainPlan(), roles=())
+    assert up_of(project) is not None
 
 
 def test_an_estimate_uses_the_boxes_if_the_frames_do_not_tell(project: Project) -> None:
