@@ -223,6 +223,13 @@ class Recordings:
             query = _query().where(recordings.c.removed_ns.is_not(None)).order_by(recordings.c.id)
             return tuple(map(_stored, connection.execute(query)))
 
+    def removed_by(self) -> dict[int, str | None]:
+        """All recordings by id: who has removed it from the project; None = nobody."""
+        with self.store.read() as connection:
+            return {
+                row.id: row.removed_by for row in connection.execute(select(recordings.c.id, recordings.c.removed_by))
+            }
+
     def label_counts(self) -> dict[int, int]:
         """Numbers of labels by recording id, also of removed recordings."""
         stored = select(frames.c.recording_id, func.count()).join(labels, labels.c.frame_id == frames.c.id)

@@ -48,7 +48,7 @@ class Hub:
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
         self._announced: dict[tuple[str, int], int] = {}
         self._adjusted: dict[tuple[str, int], int] = {}
-        self._recordings: dict[str, frozenset[int]] = {}
+        self._recordings: dict[str, dict[int, str | None]] = {}
 
     # --- pages connect and disconnect (event loop) -----------------------------------------------------------------
 
@@ -127,18 +127,22 @@ class Hub:
         event = {"type": "adjusted", "project": project, "recording": recording, "adjusted": adjusted}
         self.send({**event, "operator": operator})
 
-    def recordings_are(self, project: str, recordings: Iterable[int], operator: str = "") -> None:
-        """Takes the ids of a project's recordings; sends an event for each one that was added, removed or restored.
+    def recordings_are(self, project: str, recordings: Mapping[int, str | None], operator: str = "") -> None:
+        """Takes a project's recordings; sends an event for each one that was added, removed or restored.
 
         Args:
-            operator: who has done it; "" if that is not known.
+            recordings: by id, who has removed it; None if it is in the project. So an event names who has removed a
+                recording, whichever thread sees it first.
+            operator: who has added or restored one; "" if that is not known.
         """
-        now = frozenset(recordings)
+        now = dict(recordings)
         with self._lock:
-            changed = sorted(now ^ self._recordings.get(project, now))
+            before = self._recordings.get(project, now)
             self._recordings[project] = now
-        for recording in changed:
-            self.send({"type": "recordings", "project": project, "recording": recording, "operator": operator})
+        for recording, removed_by in sorted(now.items()):
+            if (removed_by is None) != (before.get(recording, "") is None):
+                event = {"type": "recordings", "project": project, "recording": recording}
+                self.send({**event, "operator": removed_by or operator})
 
     def classes_changed(self, project: str, renamed: Mapping[str, str], operator: str) -> None:
         """Sends the event for changed classes or attributes; `renamed`: old class name -> new one."""

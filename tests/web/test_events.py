@@ -71,9 +71,10 @@ def test_recordings_removed_and_restored_by_another_process_are_announced(live: 
         frame = project.frames.of()[2]
         project.frames.finalise(frame.id, WriteContext(frame.revision, "Bob", Source.MANUAL))
         next_of(socket, "frame")
-        live.context.hub.recordings_are("room", [recording])
+        live.context.hub.recordings_are("room", {recording: None})
         project.recordings.remove(recording, "Bob")
-        assert next_of(socket, "recordings")["recording"] == recording
+        event = next_of(socket, "recordings")
+        assert (event["recording"], event["operator"]) == (recording, "Bob")
         bring_back(project, recording)
         assert next_of(socket, "recordings")["recording"] == recording
 

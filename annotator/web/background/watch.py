@@ -52,7 +52,7 @@ class Watch(Periodic):
             self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
         for recording, event, author in adjusted:
             self._context.hub.recording_adjusted(name, recording, event, author)
-        self._context.hub.recordings_are(name, (each.id for each in project.recordings.all()))
+        self._context.hub.recordings_are(name, project.recordings.removed_by())
         for author, change in classes:
             self._context.hub.classes_changed(name, change.classes, author)
         self._learner.look(name, project)

@@ -196,7 +196,7 @@ def restore(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> Lis
 @contextmanager
 def _told(opened: Project, project: str, ctx: Ctx, operator: str) -> Iterator[None]:
     """Tells the pages which recordings were removed or have come back within the `with` block."""
-    ctx.hub.recordings_are(project, (each.id for each in opened.recordings.all()))
+    ctx.hub.recordings_are(project, opened.recordings.removed_by())
     yield
     ctx.caches.frames.forget(opened)
-    ctx.hub.recordings_are(project, (each.id for each in opened.recordings.all()), operator)
+    ctx.hub.recordings_are(project, opened.recordings.removed_by(), operator)
