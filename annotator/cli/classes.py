@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,6 +30,7 @@ AUTHOR = "annotator classes"
 ClassName = Annotated[str, arg(help="name of the class.")]
 Colour = Annotated[str | None, arg(metavar="RRGGBB", help="colour on the page, six hexadecimal digits.")]
 Unsettable = Literal["minimum", "maximum", "classes", "default", "key"]
+UnsettableStyle = Literal["colour", "key"]
 _UNSET = {"classes": ()}
 Key = Annotated[str | None, arg(help="key on the page, one of 0 to 9 and a to z.")]
 
@@ -55,12 +56,25 @@ def add(
 
 
 def style(
-    project: ProjectName, name: ClassName, /, *, colour: Colour = None, key: Key = None, projects: Projects = None
+    project: ProjectName,
+    name: ClassName,
+    /,
+    *,
+    colour: Colour = None,
+    key: Key = None,
+    unset: tuple[UnsettableStyle, ...] = (),
+    projects: Projects = None,
 ) -> None:
-    """Set the colour and the key of a class on the page."""
+    """Set the colour and the key of a class on the page.
+
+    Args:
+        unset: settings to remove from the class.
+    """
+    _require_one_of_both({"colour": colour, "key": key}, unset)
 
     def styled(config: ProjectConfig) -> ClassEdit:
-        return edit.style_class(config, name, _style(config.class_styles.get(name, ClassStyle()), colour, key))
+        before = config.class_styles.get(name, ClassStyle()).model_copy(update=dict.fromkeys(unset))
+        return edit.style_class(config, name, _style(before, colour, key))
 
     _change(project, projects, styled)
 
@@ -136,7 +150,7 @@ def remove(
 
     Args:
         into: class that gets the boxes.
-        with_boxes: remove all boxes of the class, too; only a backup, made before, has them then.
+        with_boxes: also remove all boxes of the class; they remain only in a backup that is made just before.
     """
     if into is not None:
         if with_boxes:
@@ -170,7 +184,7 @@ def attribute(
     drop: bool = False,
     projects: Projects = None,
 ) -> None:
-    """Add an attribute, or change what is given of one. Boxes without a value get the default value.
+    """Add an attribute, or change the given settings of an existing one. Boxes without a value get the default value.
 
     Args:
         name: name of the attribute.
@@ -183,16 +197,15 @@ def attribute(
         required: let checks report boxes without a value.
         optional: let checks accept boxes without a value.
         default: value of new boxes.
-        unset: settings that the attribute no longer has.
+        unset: settings to remove from the attribute.
         drop: remove stored values that do not fit.
     """
 
-    set_here = {"minimum": minimum, "maximum": maximum, "classes": classes or None, "default": default, "key": key}
+    given_here = {"minimum": minimum, "maximum": maximum, "classes": classes or None, "default": default, "key": key}
+
+    _require_one_of_both(given_here, unset)
 
     def put(config: ProjectConfig) -> ClassEdit:
-        both = sorted(set(unset) & {field for field, each in set_here.items() if each is not None})
-        if both:
-            raise ConfigError(f"--{both[0]} sets what --unset removes; give one of both")
         known = {each.name: each for each in config.attributes}
         if name not in known and kind is None:
             raise ConfigError(f"a new attribute needs --kind, one of {', '.join(AttributeKind)}")
@@ -291,6 +304,12 @@ def _followed(before: dict[str, ClassCounts], names: tuple[str, ...], verb: str)
         count = before.get(name, ClassCounts())
         said = f", and {amount(count.said, 'further 3D box')} of sources" if count.said else ""
         yield f"{verb}: {amount(count.labels, 'label')} and {amount(count.boxes_2d, '2D box')} of {name}{said}"
+
+
+def _require_one_of_both(given: Mapping[str, object], unset: Collection[str]) -> None:
+    both = sorted(set(unset) & {field for field, each in given.items() if each is not None})
+    if both:
+        raise ConfigError(f"--{both[0]} sets what --unset removes; give one of both")
 
 
 def _style(before: ClassStyle, colour: str | None, key: str | None) -> ClassStyle:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from urllib.parse import unquote
@@ -40,9 +42,19 @@ def dotted(values: Values) -> tuple[str, ...]:
 
 
 def from_dotted(names: Iterable[str]) -> dict[str, AttributeValue]:
-    """The values of such names, as texts; a name without a dot is the value true."""
+    """The values of such names; a name without a dot is the value true."""
     parts = (name.partition(".") for name in names)
-    return {name.strip(): value if dot else True for name, dot, value in parts}
+    return {name.strip(): typed_value(value) if dot else True for name, dot, value in parts}
+
+
+def typed_value(text: str) -> AttributeValue:
+    """The number or boolean that `dotted` writes as this text, else the text: "0012" and "nan" stay texts."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return text
+    is_number = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
+    return value if is_number and json.dumps(value) == text else text
 
 
 def joined(values: Values) -> str:

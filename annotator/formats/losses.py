@@ -108,8 +108,8 @@ _WORDS = {
     Lost.LEVEL: ("frame has", "frames have", "no known gravity direction; the image's downward direction was used"),
     Lost.ROUNDED: ("box was", "boxes were", "rounded"),
     Lost.CUT: ("frame has", "frames have", "a scan with points outside the camera's view, which were left out"),
-    Lost.ATTRIBUTE: ("value of attributes has", "values of attributes have", "no place in the format"),
-    Lost.SAID: ("box was", "boxes were", "proposed by other software; which one said what has no place in the format"),
+    Lost.ATTRIBUTE: ("attribute value", "attribute values", "cannot be stored in this format"),
+    Lost.SAID: ("box was", "boxes were", "proposed by other software; this format cannot store which one"),
     Lost.UNREADABLE: ("frame cannot be read and was", "frames cannot be read and were", "left out"),
 }
 

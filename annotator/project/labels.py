@@ -309,8 +309,8 @@ class Labels:
         Returns:
             The changed frames with their receipts, that of the label first.
         """
-        of_track = {each.name for each in read_config(self.writer.folder).attributes if each.of is AttributeOf.TRACK}
-        along = {name: value for name, value in changed.items() if name in of_track}
+        attributes = read_config(self.writer.folder).attributes
+        along = [each for each in attributes if each.of is AttributeOf.TRACK and each.name in changed]
         # tells the label from those of its track that follow
         context = replace(context, effort_target=context.effort_target or uid)
         with self.writer.store.write() as connection:
@@ -319,9 +319,11 @@ class Labels:
             track = connection.execute(select(labels.c.track_id).where(labels.c.uid == uid)).scalar()
             if along and track is not None:
                 for row in connection.execute(labels_of_tracks(frame_id, [track])):
-                    if row.uid != uid:
+                    # a track whose classes differ is a mistake, but no obstacle
+                    same_values = {each.name: changed[each.name] for each in along if each.is_of(row.label)}
+                    if row.uid != uid and same_values:
                         revisions.setdefault(row.frame_id, row.revision)
-                        same = LabelAttributesSet(uid=row.uid, attributes=along)
+                        same = LabelAttributesSet(uid=row.uid, attributes=same_values)
                         payloads.setdefault(row.frame_id, []).append(same)
             parts = []
             for id, of_frame in payloads.items():

@@ -16,10 +16,10 @@ from annotator.workflows.add_recordings import register_recording
 
 BOX = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
 VALUES: list[dict[str, Any]] = [
-    {"pose": "sitting", "helmet": "true", "age": 7, "mass": 20, "remark": "first", "a b": 1},
-    {"pose": "standing", "helmet": False, "age": "8", "mass": 80.5, "remark": "second"},
+    {"pose": "sitting", "helmet": "true", "age": 7, "mass": 20, "remark": "first", "a b": 1, "plate": "0012"},
+    {"pose": "standing", "helmet": False, "age": "8", "mass": 80.5, "remark": "second", "plate": "13"},
     {"pose": "sitting", "helmet": True, "age": 9.0, "mass": 70, "remark": "third", "mixed": True},
-    {"pose": "standing", "mixed": 3},
+    {"pose": "standing", "mixed": 3, "plate": "1_4"},
 ]
 
 
@@ -52,10 +52,11 @@ def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
         labels = [entry.label for entry in project.labels.select()]
         kinds = {each.name: each.kind.value for each in project.config.attributes}
     assert kinds == {
-        "age": "number", "helmet": "boolean", "mass": "number", "mixed": "text", "pose": "choice", "remark": "text"
+        "age": "number", "helmet": "boolean", "mass": "number", "mixed": "text", "plate": "text", "pose": "choice",
+        "remark": "text",
     }  # fmt: skip
     assert dict(labels[1].attributes) == {
-        "pose": "standing", "helmet": False, "age": 8.0, "mass": 80.5, "remark": "second"
+        "pose": "standing", "helmet": False, "age": 8.0, "mass": 80.5, "remark": "second", "plate": "13"
     }  # fmt: skip
     assert labels[2].attributes["mixed"] == "true"
 
@@ -90,7 +91,7 @@ def test_attributes_of_images_and_their_boxes_are_added_too(folder: Path, capsys
     assert main(["import", "rooms", str(folder / "out"), "--add-attributes", *words]) == 0
     out = capsys.readouterr().out
     assert "added: attribute night of a frame: true or false" in out
-    assert "attributes: 19 values for the 3D labels and frames that these images show" in out
+    assert "attributes: 22 values for the 3D labels and frames that these images show" in out
     with open_project(folder / "rooms") as project:
         assert project.frames.attributes() == {frames[0].id: {"night": True}}
 

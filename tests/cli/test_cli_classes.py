@@ -44,6 +44,8 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
         "rename-attribute cars pose=parked still",
         "merge cars van --into auto",
         "style cars auto --key a",
+        "style cars auto --colour ff0000",
+        "style cars auto --unset colour",
         "order cars bus,auto",
     ):
         assert main(["classes", *words.split()]) == 0, words
@@ -99,6 +101,7 @@ def test_classes_and_attributes_are_changed_and_listed(cars: Path, capsys: pytes
         ("attribute cars pose", "a new attribute needs --kind"),
         ("attribute cars pose --kind integer --default red", "--default: pose must be a whole number"),
         ("attribute cars pose --default driving --unset default", "--default sets what --unset removes"),
+        ("style cars car --key c --unset key", "--key sets what --unset removes"),
         ("attribute cars pose --kind text --classes bus", "has no class 'bus'"),
         ("rename-attribute cars pose posture", "has no attribute 'pose'; it has: none"),
     ],

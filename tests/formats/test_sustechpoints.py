@@ -87,3 +87,12 @@ def test_written_clouds_have_the_points_with_their_colours(tmp_path: Path) -> No
     assert item.frame.cloud.rgb is not None
     np.testing.assert_array_equal(raw.rgb, item.frame.cloud.rgb)
     assert [each.track_id for each in frame.objects] == [3] and frame.is_export
+
+
+def test_texts_that_only_look_like_numbers_stay_texts(tmp_path: Path) -> None:
+    written = "plate.0012,part.1_4,score.NaN,age.7,mass.1e-05,helmet.true,door open"
+    (tmp_path / "1.json").write_text(json.dumps([{"psr": PSR, "obj_type": "Car", "obj_attr": written}]))
+    (read,) = read_sustechpoints(tmp_path)["1"].objects
+    assert read.attributes == {
+        "plate": "0012", "part": "1_4", "score": "NaN", "age": 7, "mass": 1e-5, "helmet": True, "door open": True
+    }  # fmt: skip

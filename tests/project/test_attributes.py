@@ -12,7 +12,7 @@ from store_samples import box_at, by_hand, by_machine, give_attributes, proposal
 from annotator.project import NewLabel, Origin, Project, StoredRecording, open_project
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import Attribute, AttributeKind, ClassStyle
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.event_types import LabelEdited, LabelProposed, LabelTracked
 from annotator.project.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
@@ -166,6 +166,20 @@ def test_values_of_a_track_are_set_in_all_its_labels_as_one_action(
     assert (of(project, uids[2])["side"], of(project, other)["side"]) == ("left", "left")
     with pytest.raises(StaleRevisionError):
         project.labels.set_attributes(ids[1], uids[1], {"side": None}, by_hand(1))
+
+
+def test_values_of_a_track_reach_those_of_its_labels_whose_class_has_them(
+    project: Project, recording: StoredRecording
+) -> None:
+    first, second = [frame.id for frame in project.frames.of([recording.id])[:2]]
+    helmet = Attribute(name="helmet", kind=AttributeKind.BOOLEAN, of=AttributeOf.TRACK, classes=("person",))
+    project.change_classes(lambda config: edit.put_attribute(config, helmet), "ann")
+    person, hand = create(project, first, "person", track_id=7), create(project, second, track_id=7)
+    project.labels.set_attributes(first, person, {"helmet": True, "side": "left"}, revised(project, first))
+    assert (of(project, person)["helmet"], of(project, person)["side"]) == (True, "left")
+    assert (of(project, hand).get("helmet"), of(project, hand)["side"]) == (None, "left")
+    with pytest.raises(ProjectError, match="helmet"):
+        project.labels.set_attributes(second, hand, {"helmet": True}, revised(project, second))
 
 
 def test_a_class_change_takes_away_what_the_new_class_lacks_and_undo_brings_it_back(

@@ -53,7 +53,7 @@ export const KEYS = [
     id: "attribute",
     keys: alt("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"),
     shown: ["Alt", "its key"],
-    label: "Next value of an attribute, or a class (their keys are set with the classes)",
+    label: "Next value of the attribute with this key, or the class with it (set the keys in the class editor)",
     modes: EDITING,
     group: "Frames and boxes",
   },

@@ -51,6 +51,7 @@ export function createViewport(app) {
    */
   let last = null;
   let busy = false;
+  let isHeld = false;
   /** @type {ViewportState} */
   let state = "opening";
   let retry = 0;
@@ -98,8 +99,8 @@ export function createViewport(app) {
   /** Puts the iframe over its place. Hides it while the place is not on the page, or there is no picture. */
   function follow() {
     const rect = element.isConnected ? element.getBoundingClientRect() : null;
-    const seen = rect !== null && rect.width > 1 && rect.height > 1 && frame !== null;
     const ready = state === "ready";
+    const seen = rect !== null && rect.width > 1 && rect.height > 1 && frame !== null && !isHeld;
     const text = seen ? `${rect.left},${rect.top},${rect.width},${rect.height},${ready}` : "";
     if (text === place.text) return;
     place.text = text;
@@ -130,7 +131,7 @@ export function createViewport(app) {
     busy = true;
     clearTimeout(retry);
     try {
-      while (wanted !== null) await step(wanted);
+      while (wanted !== null && !isHeld) await step(wanted);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       if (error.status === 404 && bench !== null) {
@@ -155,7 +156,10 @@ export function createViewport(app) {
       /** @type {Api.OpenedViewport} */
       const opened = await app.api.post("/api/workbench", { project });
       bench = { project, ...opened };
-      start(opened.url);
+      return;
+    }
+    if (frame === null) {
+      start(bench.url);
       return;
     }
     const detail = graphics === "software" ? { most_points: SOFTWARE_POINTS } : {};
@@ -273,6 +277,16 @@ export function createViewport(app) {
       return state;
     },
     graphics,
+    /** A view that is not shown yet waits until the returned function is called. */
+    hold() {
+      isHeld = state !== "ready";
+      follow();
+      return () => {
+        isHeld = false;
+        follow();
+        void work();
+      };
+    },
     /** Takes the view out of the page. It stays connected, so it can be shown again at once. */
     detach() {
       if (element.contains(document.activeElement) || document.activeElement === frame) window.focus();

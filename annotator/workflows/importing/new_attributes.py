@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from annotator.formats.attributes import typed_value
 from annotator.project import Project
 from annotator.project.classes import edit
-from annotator.project.classes.attributes import NO, YES, Attribute, AttributeKind, AttributeOf
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.types.label import AttributeValue
 from annotator.workflows.importing.boxes_3d import AUTHOR
 from annotator.workflows.importing.label_set import HasBoxValues, HasFrameValues, LabelSet
@@ -89,14 +90,15 @@ def _attributes(values: _Values, known: Iterable[str], of: AttributeOf) -> Itera
 
 
 def _kind(values: Sequence[AttributeValue]) -> AttributeKind:
-    """The narrowest kind that all values have; in some formats all of them are texts, such as nuScenes'."""
-    texts = {str(each).strip().lower() for each in values}
-    if any(isinstance(each, bool) for each in values) or texts <= {YES[0], NO[0]}:
-        return AttributeKind.BOOLEAN if texts <= {YES[0], NO[0]} else AttributeKind.TEXT
-    if all(_reads(int, each) for each in texts):
-        return AttributeKind.INTEGER
-    if all(_reads(float, each) for each in texts):
-        return AttributeKind.NUMBER
+    """The narrowest kind that all values have. Where all of them are texts, none is a number, whatever it looks like:
+    it may be a number plate."""
+    kinds = {type(each) for each in values}
+    if kinds != {str}:
+        kinds = {type(typed_value(each) if isinstance(each, str) else each) for each in values}
+    if bool in kinds:
+        return AttributeKind.BOOLEAN if kinds == {bool} else AttributeKind.TEXT
+    if kinds <= {int, float}:
+        return AttributeKind.INTEGER if kinds == {int} else AttributeKind.NUMBER
     different = {str(each) for each in values}
     repeats = 2 * len(different) <= len(values) and len(different) <= MOST_CHOICES
     return AttributeKind.CHOICE if repeats and all(map(_is_choice, different)) else AttributeKind.TEXT
@@ -104,11 +106,3 @@ def _kind(values: Sequence[AttributeValue]) -> AttributeKind:
 
 def _is_choice(text: str) -> bool:
     return 0 < len(text) <= LONGEST_CHOICE
-
-
-def _reads(number: Callable[[str], float], text: str) -> bool:
-    try:
-        number(text)
-    except ValueError:
-        return False
-    return True

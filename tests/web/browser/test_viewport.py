@@ -218,6 +218,21 @@ def test_the_view_survives_moving_and_a_server_restart_and_closes_with_the_page(
     until(view, lambda: len(benches._open) == 0)
 
 
+def test_a_held_view_starts_when_it_is_let_go(shared_page_3d: Page, live: Live, room: Project) -> None:
+    page, frames = shared_page_3d, shared_page_3d.get_by_test_id("viewport-frame")
+    begin(page, live, room)
+    page.evaluate("() => { view.show({ frame: 1, reset_view: true }); window.release = view.hold(); }")
+    until(page, "view.id !== null", STARTS_S)
+    assert frames.count() == 0
+    page.evaluate("release()")
+    until(page, "view.state === 'ready'", STARTS_S)
+    until(page, lambda: drawn(page) > 0.1)
+    # one that is shown stays
+    page.evaluate("() => { window.release = view.hold(); }")
+    assert frames.is_visible()
+    page.evaluate("release()")
+
+
 def test_without_webgl_the_page_shows_a_note(shared_page: Page, live: Live, room: Project) -> None:
     known = list(live.server.app.state.viewports._open)
     begin(shared_page, live, room)

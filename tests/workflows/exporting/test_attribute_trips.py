@@ -114,8 +114,7 @@ def test_attributes_are_equal_after_ten_trips_or_reported(
 
 def message(lost: Counter[str]) -> str:
     by_name = ", ".join(f"{number} {name}" for name, number in sorted(lost.items()))
-    values = amount(lost.total(), "value of attributes has", "values of attributes have")
-    return f"{values} no place in the format ({by_name})"
+    return f"{amount(lost.total(), 'attribute value')} cannot be stored in this format ({by_name})"
 
 
 def test_values_that_the_project_cannot_hold_are_reported(make: Callable[[], Project], tmp_path: Path) -> None:

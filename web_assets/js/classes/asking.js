@@ -151,7 +151,9 @@ export function askRemove(row, change) {
  * @param {ChangeClasses} change
  */
 export function askRemoveAttribute({ name }, values, change) {
-  const text = values ? `${count(values, "value")} of it go, too.` : "No box and no frame has a value of it.";
+  const text = values
+    ? `${count(values, "value")} of it will be removed, too.`
+    : "No box and no frame has a value of it.";
   return ask(
     {
       title: `Remove ${name}`,

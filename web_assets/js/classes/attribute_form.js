@@ -148,7 +148,7 @@ export function attributeForm({ attribute, classes, attributes, change }) {
       ofClasses,
       h("div", { class: "row" }, field("Default", usual), field("Key, with Alt", key)),
       h("label", { class: "row" }, required, "Required: Checks list what has no value"),
-      h("p", { class: "help" }, "Boxes without a value get the default, those that are there already as well."),
+      h("p", { class: "help" }, "New boxes get the default, and so do existing boxes and frames without a value."),
       dropping,
     ],
     actions: [

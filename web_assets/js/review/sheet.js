@@ -47,7 +47,8 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
     if (!label) return;
     if (label.track_id === null || label.track_id === undefined)
       return app.toast("This box has no track. Enter a track id, or run `annotator track`.", "warn");
-    const release = preload.hold();
+    // on a new server these share the processor with the pictures, which are awaited
+    const held = [preload.hold(), app.viewport.hold()];
     try {
       await desk.flush();
       const { recording } = currentFrame(app).frame;
@@ -58,7 +59,7 @@ export function createSheet(app, { desk, queue, preload, open, isFollowed }) {
     } catch (error) {
       app.toast(error);
     } finally {
-      release();
+      for (const release of held) release();
     }
   }
 
