@@ -49,7 +49,8 @@ def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
     if counts.labels.by_kind[BoxKind.SILHOUETTE]:
         yield "  around what is seen only", counts.labels.by_kind[BoxKind.SILHOUETTE]
     for name, values in counts.attributes.items():
-        yield f"  {name}", ", ".join(f"{value} in {number}" for value, number in values.items())
+        without = counts.without_value.get(name, 0)
+        yield f"  {name}", _listed(values) + (f"; {without} without a value" if without else "")
     yield "2D boxes on camera images", f"{counts.image_boxes.boxes} on {amount(counts.image_boxes.pictures, 'image')}"
     yield "2D boxes on pseudo-views", f"{counts.view_boxes.boxes} on {amount(counts.view_boxes.pictures, 'view')}"
     yield "boxes with measured effort", counts.effort.boxes

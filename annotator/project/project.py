@@ -183,7 +183,7 @@ class Project:
             return tuple((made.author, made.change) for made in made_changes(connection, event_id))
 
     def value_counts(self) -> dict[str, dict[str, int]]:
-        """How often each value of an attribute occurs, by attribute."""
+        """How often each stored value of an attribute occurs, by attribute."""
         with self.store.read() as connection:
             return value_counts(connection)
 
@@ -199,7 +199,7 @@ class Project:
 
     def statistics(self) -> Statistics:
         """Counts of frames, labels and boxes, and the results of the review."""
-        return read_statistics(self.store, self._review)
+        return read_statistics(self.store, self._review, self.config.attributes)
 
     def problems(self) -> list[str]:
         """Problems that a full check of the database finds; empty for a sound one."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
-from annotator.project.classes.counting import value_counts
+from annotator.project.classes.attributes import Attribute
+from annotator.project.classes.counting import counts_with_defaults
 from annotator.project.efforts import EffortStatistics
 from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
@@ -73,7 +75,9 @@ class Statistics(BaseModel):
         frames_with_proposals: with at least one unreviewed proposal.
         frames_failed: with a failed latest automatic pass.
         suggested: by the name of the detector.
-        attributes: by name, then by value: labels that are not rejected, and frames, with that value.
+        attributes: by name, then by value: labels that are not rejected, and frames, with that value. Frames without
+            a value of their own have the default.
+        without_value: by name of an attribute: the labels or frames that could have a value, but have none.
         effort, accepted_untouched, iou_proposal_to_final, progress: as in `Review`.
     """
 
@@ -93,17 +97,19 @@ class Statistics(BaseModel):
     runs: int
     models: int
     attributes: dict[str, dict[str, int]] = {}
+    without_value: dict[str, int] = {}
     effort: EffortStatistics
     accepted_untouched: float | None
     iou_proposal_to_final: float | None
     progress: Progress
 
 
-def read_statistics(store: Store, reader: ReviewReader) -> Statistics:
+def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Attribute]) -> Statistics:
     """Counts everything, within one transaction.
 
     Args:
         reader: of the project; it keeps what takes long to compute.
+        attributes: of the project.
 
     Raises:
         ProjectError: the database cannot be read.
@@ -114,6 +120,7 @@ def read_statistics(store: Store, reader: ReviewReader) -> Statistics:
     failed &= frame_results.c.frame_id.in_(select(frames.c.id).where(KEPT))
     with store.read() as connection:
         review = reader.read(connection)
+        values = counts_with_defaults(connection, attributes)
         return Statistics(
             recordings=_number(connection, select(func.count()).where(recordings.c.removed_ns.is_(None))),
             frames=_number(connection, present),
@@ -128,7 +135,8 @@ def read_statistics(store: Store, reader: ReviewReader) -> Statistics:
             events=_rows(connection, events),
             runs=_rows(connection, runs),
             models=_rows(connection, models),
-            attributes=value_counts(connection),
+            attributes=values.values,
+            without_value=values.without,
             effort=review.effort,
             accepted_untouched=review.accepted_untouched,
             iou_proposal_to_final=review.iou_proposal_to_final,

@@ -87,6 +87,26 @@ def test_stats_name_people_and_no_commands_and_short_times_in_minutes(
     assert "simulated operator" not in printed
 
 
+def test_stats_list_values_of_attributes_like_other_counts(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new", "hands", "--classes", "hand"]) == 0
+    assert main(["add", "hands", str(write_recording(tmp_path / "take"))]) == 0
+    assert main(["classes", "attribute", "hands", "pose", "--kind", "choice", "--choices", "open", "closed"]) == 0
+    assert main(["classes", "attribute", "hands", "blurred", "--kind", "boolean", "--of", "frame"]) == 0
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.full(3, 0.2))
+    with open_project(root / "hands") as project:
+        frame = project.frames.of()[0]
+        poses = ("open", "closed", "closed", None)
+        made = [NewLabel("hand", box, attributes={} if pose is None else {"pose": pose}) for pose in poses]
+        project.labels.create(frame.id, made, WriteContext(frame.revision, "ann"))
+    capsys.readouterr()
+    assert main(["stats", "hands"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "pose 2 closed, 1 open; 1 without a value" in printed
+    assert "blurred none; 3 without a value" in printed
+
+
 def test_move_accepts_only_the_same_recording(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = write_recording(tmp_path / "take")
     assert main(["new", "hands", "--classes", "hand"]) == 0

@@ -8,6 +8,8 @@ import numpy as np
 from store_samples import box_at, by_hand, by_machine, proposal_at
 
 from annotator.project import NewLabel, Project, RunShare, StoredRecording, WriteContext
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.efforts import ORIGINS
 from annotator.types import Box2D, BoxKind, Source
 
@@ -70,6 +72,7 @@ def test_labels_boxes_and_events_are_counted(project: Project, recording: Stored
         },
         "suggested": {},
         "attributes": {},
+        "without_value": {},
         "image_boxes": {"pictures": 2, "boxes": 2, "boxes_by_source": {"manual": 2, "auto": 0, "imported": 0}},
         "view_boxes": {"pictures": 1, "boxes": 3, "boxes_by_source": {"manual": 0, "auto": 0, "imported": 3}},
         "events": 7,
@@ -79,3 +82,28 @@ def test_labels_boxes_and_events_are_counted(project: Project, recording: Stored
         "accepted_untouched": 1.0,
         "iou_proposal_to_final": 1.0,
     }
+
+
+def test_values_are_counted_with_the_defaults_of_frames(project: Project, recording: StoredRecording) -> None:
+    pose = Attribute(name="pose", kind=AttributeKind.CHOICE, choices=("sitting", "standing"), classes=("person",))
+    rain = Attribute(name="rain", kind=AttributeKind.BOOLEAN, of=AttributeOf.FRAME, default=False)
+    place = Attribute(name="place", kind=AttributeKind.TEXT, of=AttributeOf.FRAME)
+    for attribute in (pose, rain, place):
+        project.change_classes(lambda config, each=attribute: edit.put_attribute(config, each), "ann")
+    empty = project.statistics()
+    assert empty.attributes == {"pose": {}, "rain": {"false": 5}, "place": {}}
+    assert empty.without_value == {"pose": 0, "rain": 0, "place": 5}
+    first, second, third = [frame.id for frame in project.frames.of()][:3]
+    people = [NewLabel("person", box_at(x)) for x in (0.0, 5.0, 10.0)]
+    uids = project.labels.create(first, [*people, NewLabel("hand", box_at(20.0))], by_hand()).uids
+    project.labels.set_attributes(first, uids[0], {"pose": "sitting"}, by_hand(4))
+    project.labels.reject(first, uids[1], by_hand(5))
+    project.frames.set_attributes(second, {"rain": True, "place": "yard"}, by_hand())
+    project.frames.set_attributes(third, {"rain": False}, by_hand())
+    counts = project.statistics()
+    assert counts.attributes == {"pose": {"sitting": 1}, "rain": {"false": 4, "true": 1}, "place": {"yard": 1}}
+    assert counts.without_value == {"pose": 1, "rain": 0, "place": 4}
+    # a frame that its recording no longer has keeps its value, and has no default
+    project.recordings.rescan(recording.id, [frame.key for frame in project.frames.of()][2:])
+    assert project.statistics().attributes["rain"] == {"false": 3, "true": 1}
+    assert project.value_counts()["rain"] == {"false": 1, "true": 1}, "only stored values are removed with an attribute"

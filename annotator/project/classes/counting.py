@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, func, select, true
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
-from annotator.project.schema import frame_attributes, labels
+from annotator.project.schema import frame_attributes, frames, labels
 from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
@@ -20,6 +20,9 @@ _SAID = """
     SELECT json_extract(said.value, '$.label') AS name, count(*) FROM labels, json_each(labels.said) AS said
     WHERE json_extract(said.value, '$.uid') != labels.uid OR name != labels.label GROUP BY name
 """
+
+_Stored = tuple[str | None, Mapping[str, AttributeValue], int]
+"""Class (None: of frames), values and how often they occur together."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +55,46 @@ def class_counts(connection: Connection) -> dict[str, ClassCounts]:
     return {name: ClassCounts(in_3d.get(name, 0), in_2d[name], said.get(name, 0)) for name in names}
 
 
+@dataclass(frozen=True)
+class ValueCounts:
+    """How often values of attributes occur, by attribute.
+
+    Attributes:
+        values: by value.
+        without: labels and frames that have no value, but could have one.
+    """
+
+    values: dict[str, dict[str, int]]
+    without: dict[str, int]
+
+
 def value_counts(connection: Connection) -> dict[str, dict[str, int]]:
-    """How often each value occurs, by attribute: of labels that are not rejected, and of frames."""
-    counts: dict[str, Counter[str]] = defaultdict(Counter)
-    for _, values, number in _stored(connection):
-        for name, value in values.items():
-            counts[name][value_text(value)] += number
-    return {name: dict(counts[name].most_common()) for name in sorted(counts)}
+    """How often each stored value occurs, by attribute: of labels that are not rejected, and of frames."""
+    return _by_name(_counted(_stored(connection)))
+
+
+def counts_with_defaults(connection: Connection, attributes: Sequence[Attribute]) -> ValueCounts:
+    """As `value_counts`, with the default of a frames' attribute for all frames that have no value.
+
+    These are all frames that the latest scans found, labelled or not, since labels are counted before their review,
+    too. Exports write the default for those of them that they contain.
+
+    Args:
+        attributes: of the project; those without any value have an entry, too.
+    """
+    stored = list(_stored(connection))
+    counts, without = _counted(stored), dict[str, int]()
+    boxes, frames_found = _boxes_without(connection, stored, attributes), _frames_found(connection)
+    for each in attributes:
+        missing = boxes[each.name]
+        if each.of is AttributeOf.FRAME:
+            missing = frames_found - _frames_with(connection, each.name)
+        if each.of is AttributeOf.FRAME and each.default is not None and missing:
+            counts[each.name][value_text(each.default)] += missing
+            missing = 0
+        counts.setdefault(each.name, Counter())
+        without[each.name] = missing
+    return ValueCounts(_by_name(counts), without)
 
 
 def require_fitting(connection: Connection, before: Sequence[Attribute], after: Sequence[Attribute]) -> None:
@@ -79,6 +115,42 @@ def require_fitting(connection: Connection, before: Sequence[Attribute], after: 
             )
 
 
+def _counted(stored: Iterable[_Stored]) -> dict[str, Counter[str]]:
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for _, values, number in stored:
+        for name, value in values.items():
+            counts[name][value_text(value)] += number
+    return counts
+
+
+def _by_name(counts: Mapping[str, Counter[str]]) -> dict[str, dict[str, int]]:
+    return {name: dict(counts[name].most_common()) for name in sorted(counts)}
+
+
+def _boxes_without(connection: Connection, stored: Iterable[_Stored], attributes: Sequence[Attribute]) -> Counter[str]:
+    """Labels of an attribute's classes that have no value of it."""
+    of_classes = select(labels.c.label, func.count()).where(labels.c.state != "rejected").group_by(labels.c.label)
+    without: Counter[str] = Counter()
+    for label, number in connection.execute(of_classes):
+        without.update({each.name: number for each in attributes if each.is_of(label)})
+    for label, values, number in stored:
+        if label is not None:
+            without.subtract({each.name: number for each in attributes if each.is_of(label) and each.name in values})
+    return without
+
+
+def _frames_found(connection: Connection) -> int:
+    return int(connection.execute(select(func.count()).where(frames.c.position.is_not(None))).scalar_one())
+
+
+def _frames_with(connection: Connection, name: str) -> int:
+    """Frames that the latest scans found and that have a value of their own."""
+    values = func.json_each(frame_attributes.c.attributes).table_valued("key")
+    query = select(func.count()).select_from(frame_attributes).join(frames).join(values, true())
+    query = query.where(frames.c.position.is_not(None), values.c.key == name)
+    return int(connection.execute(query).scalar_one())
+
+
 def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int, str]]:
     for label, values, number in _stored(connection, rejected=True):
         if attribute.name not in values or (label is None) != (attribute.of is AttributeOf.FRAME):
@@ -90,10 +162,7 @@ def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int
             yield number, repr(value)
 
 
-def _stored(
-    connection: Connection, rejected: bool = False
-) -> Iterator[tuple[str | None, Mapping[str, AttributeValue], int]]:
-    """Class (None: of frames), values and how often they occur together."""
+def _stored(connection: Connection, rejected: bool = False) -> Iterator[_Stored]:
     columns = (labels.c.label, labels.c.attributes)
     query = select(*columns, func.count()).where(labels.c.attributes != "{}").group_by(*columns)
     if not rejected:
