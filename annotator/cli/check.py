@@ -37,8 +37,8 @@ def run(
 
     A dataset is checked by the rules of docs/checks.md: files, labels, boxes, calibration; the exit code is 1 if there
     are errors. A project is verified first (as by `annotator project verify --deep`; 1 if it is not sound). Its labels
-    are then checked for odd sizes, empty boxes, heading jumps, duplicates and unknown classes (1 if recordings or
-    frames cannot be read).
+    are then checked for odd sizes, empty boxes, heading jumps, duplicates, contradicting tracks, unknown classes, and
+    missing or wrong values of attributes (1 if recordings or frames cannot be read).
 
     Args:
         what: path of a dataset, path of a folder of datasets, or name of a project.
@@ -92,7 +92,7 @@ def _check_project(name: str, projects: Path | None, list_all: bool, as_json: bo
     if report.unreadable:
         unread = amount(len(report.unreadable), "recording or frame", "recordings or frames")
         unread = f"; {unread} could not be read"
-    print_line(f"{amount(len(report.warnings), 'warning')} about {amount(report.labels, 'label')}{unread}")
+    print_line(f"{amount(len(report.warnings), 'warning')}; {amount(report.labels, 'label')} checked{unread}")
     return FAULTY if report.unreadable else 0
 
 

@@ -51,7 +51,7 @@ def test_a_removed_recording_comes_back_with_its_labels(people: Path, capsys: Ca
     )
     assert run(capsys, "add room people").startswith("people is back in the project, with its labels: 5 frames\nnext:")
     assert labels(capsys) == LABELS
-    assert run(capsys, "check room").endswith("about 15 labels\n"), "which begins with a verification"
+    assert run(capsys, "check room").endswith("; 15 labels checked\n"), "which begins with a verification"
 
 
 def test_the_question_is_asked_at_a_terminal(people: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
@@ -170,7 +170,7 @@ def test_a_project_is_copied_with_or_without_its_labels(people: Path, capsys: Ca
         assert after.up == pytest.approx(before.up)
         assert (after.correction.shift_m[0], new.boxes.on_images()) == (pytest.approx(0.1), ())
         assert new.config.classes == ("person",)
-    assert run(capsys, "check empty") == "0 warnings about 0 labels\n"
+    assert run(capsys, "check empty") == "0 warnings; 0 labels checked\n"
     assert "has no project 'rom' (did you mean 'room'?)" in run(capsys, "project copy rom third", code=2)
     shutil.copytree("projects/room", "room")
     assert "room is both a folder and a project; write ./room or projects/room" in run(

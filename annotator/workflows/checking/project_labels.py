@@ -8,8 +8,9 @@
 - duplicate: two boxes of one class overlap by `OVERLAP_IOU` or more (exact 3D IoU);
 - track: a track has two boxes in one frame, or boxes of two classes;
 - class: the project does not have the label's class;
-- attribute: a required value of the box or its frame is missing, a value does not fit its attribute, or a track has
-  different values of one of its attributes.
+- attribute: a required value is missing, a value does not fit its attribute, the project does not have its attribute,
+  or a track has different values of one of its attributes. Values of a frame are checked, too; they must be complete
+  once it has labels or is finalised.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from annotator.project.classes.attributes import Attribute, AttributeOf, value_t
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.types.label import AttributeValue
 from annotator.types.names import alternatives
+from annotator.workflows.checking.attribute_rules import odd_frame_values, odd_values
 from annotator.workflows.checking.box_rules import (
     LEAST_POINTS,
     OVERLAP_IOU,
@@ -67,19 +69,19 @@ class LabelWarning:
         kind: kind of the warning.
         frame: the label's frame.
         recording: name of the frame's recording.
-        uid: the label.
+        uid: the label; None: the warning is about the frame as a whole.
         message: text to display.
     """
 
     kind: Kind
     frame: StoredFrame
     recording: str
-    uid: str
+    uid: str | None
     message: str
 
 
 class WarningRow(BaseModel):
-    """One warning as JSON: `frame` is an id, `recording` a name."""
+    """One warning as JSON: `frame` is an id, `recording` a name; without `uid`, it is about the frame as a whole."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -87,7 +89,7 @@ class WarningRow(BaseModel):
     frame: int
     key: str
     recording: str
-    uid: str
+    uid: str | None
     message: str
 
 
@@ -136,7 +138,7 @@ def check_project(project: Project, frame_id: int | None = None, budget_s: float
 
 
 def check(project: Project, count_points: CountPoints, frame_id: int | None = None) -> list[LabelWarning]:
-    """Returns all warnings about labels that are not rejected, frame by frame.
+    """Returns all warnings about frames, and about labels that are not rejected, frame by frame.
 
     Args:
         frame_id: warnings of this frame only (compared with the whole project); None = of all.
@@ -159,27 +161,29 @@ def check(project: Project, count_points: CountPoints, frame_id: int | None = No
     before = _previous_frames(frames.values(), {r.id for r in recordings.values() if r.is_sequence})
     warnings: list[LabelWarning] = []
     for frame in frames.values():
-        labels = by_frame.get(frame.id, [])
-        if not labels or (frame_id is not None and frame.id != frame_id):
+        labels, values = by_frame.get(frame.id, []), of_frames.get(frame.id, {})
+        # nobody can complete a frame that its recording no longer has
+        is_complete = bool(labels) or (frame.finalised and frame.index is not None)
+        if not (is_complete or values) or (frame_id is not None and frame.id != frame_id):
             continue
         earlier = by_frame.get(before.get(frame.id, -1), [])
         lines = [
             *_class(labels, classes),
-            *_attributes(labels, attributes),
-            *_of_frame(labels[0], attributes, of_frames.get(frame.id, {})),
+            *_lines(Kind.ATTRIBUTE, labels, odd_values(labels, attributes)),
+            *((Kind.ATTRIBUTE, None, message) for message in odd_frame_values(values, attributes, is_complete)),
             *tracks.contradicting(labels, frame, attributes),
             *_sizes(labels, usual, tracks, frame),
             *_lines(Kind.HEADING, labels, heading_jumps(labels, earlier)),
             *_lines(Kind.DUPLICATE, labels, _duplicates(labels)),
             *tracks.odd(labels, frame),
-            *_empty(labels, count_points(frame, [label.box for label in labels])),
+            *_empty(labels, count_points(frame, [label.box for label in labels]) if labels else None),
         ]
         name = recordings[frame.recording_id].name
         warnings += [LabelWarning(kind, frame, name, uid, message) for kind, uid, message in lines]
     return warnings
 
 
-Line = tuple[Kind, str, str]
+Line = tuple[Kind, str | None, str]
 
 
 def _lines(kind: Kind, labels: Sequence[Label], places: Iterable[tuple[int, str]]) -> Iterator[Line]:
@@ -232,26 +236,6 @@ class _Tracks:
             most = self._classes[self.key(label, frame)].most_common(1)[0][0]
             if most != label.label:
                 yield Kind.TRACK, label.uid, f"track {label.track_id} is mostly {most}, but {label.label} here"
-
-
-def _attributes(labels: Sequence[Label], attributes: Sequence[Attribute]) -> Iterator[Line]:
-    known = {each.name: each for each in attributes}
-    for label in labels:
-        for each in attributes:
-            if each.required and each.is_of(label.label) and each.name not in label.attributes:
-                yield Kind.ATTRIBUTE, label.uid, f"this {label.label} has no value of {each.name}, which is required"
-        for name, value in label.attributes.items():
-            if name not in known or not known[name].is_of(label.label):
-                yield Kind.ATTRIBUTE, label.uid, f"this {label.label} has {name} = {value}, but no such attribute"
-            elif not known[name].fits(value):
-                yield Kind.ATTRIBUTE, label.uid, f"{name} is {value}; it must be {known[name].values_text()}"
-
-
-def _of_frame(first: Label, attributes: Sequence[Attribute], values: Mapping[str, AttributeValue]) -> Iterator[Line]:
-    """Yields what a frame lacks, as a finding about its first label."""
-    for each in attributes:
-        if each.of is AttributeOf.FRAME and each.required and each.default is None and each.name not in values:
-            yield Kind.ATTRIBUTE, first.uid, f"this frame has no value of {each.name}, which is required"
 
 
 def _sizes(

@@ -443,7 +443,7 @@ def test_the_check_command_prints_findings_and_sets_the_exit_code(
     assert main(["check", "./data"]) == 1
     capsys.readouterr()
     assert main(["check", "--project", "data"]) == 0
-    assert capsys.readouterr().out == "0 warnings about 0 labels\n"
+    assert capsys.readouterr().out == "0 warnings; 0 labels checked\n"
 
 
 def test_the_docs_list_every_rule() -> None:

@@ -274,4 +274,4 @@ def test_the_check_command_prints_warnings(people: Project, capsys: pytest.Captu
     assert main(["check", people.path.name, "--projects", root]) == 0
     out = capsys.readouterr().out
     assert f"{frame.key}: duplicate: two boxes of person overlap by" in out
-    assert "1 warning about 2 labels" in out
+    assert "1 warning; 2 labels checked" in out

@@ -1,4 +1,4 @@
-/** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review. */
+/** Checks: boxes that look wrong, by kind of problem. A click opens the box in Review, or the frame in Label. */
 
 import { count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
@@ -7,7 +7,7 @@ import { makeHash } from "../router.js";
 /** @type {string[][]} */
 const KINDS = [
   ["class", "Unknown class", "the project has no such class"],
-  ["attribute", "Attribute", "a value is missing, does not fit, or differs along its track"],
+  ["attribute", "Attribute", "a value is missing, does not fit, has no attribute, or differs along its track"],
   ["empty", "Hardly any points inside", "the box may be in the wrong place"],
   ["size", "Unusual size", "far from the median of the class"],
   ["heading", "Heading jumps", "very different from the neighbouring frame"],
@@ -118,7 +118,8 @@ export function mount(root, app) {
 
   /** @param {Api.WarningRow} options */
   function row({ frame, key, recording, uid, message }) {
-    const href = makeHash(app.state.route.project, "review", frame, { uid });
+    const mode = uid === null ? "label" : "review";
+    const href = makeHash(app.state.route.project, mode, frame, { uid });
     return h(
       "li",
       {},
