@@ -50,7 +50,7 @@ def _rows(counts: ReportedStatistics) -> Iterator[tuple[str, object]]:
         yield "  around what is seen only", counts.labels.by_kind[BoxKind.SILHOUETTE]
     for name, values in counts.attributes.items():
         without = counts.without_value.get(name, 0)
-        yield f"  {name}", _listed(values) + (f"; {without} without a value" if without else "")
+        yield f"  {name}", _listed_values(values) + (f"; {without} without a value" if without else "")
     yield "2D boxes on camera images", f"{counts.image_boxes.boxes} on {amount(counts.image_boxes.pictures, 'image')}"
     yield "2D boxes on pseudo-views", f"{counts.view_boxes.boxes} on {amount(counts.view_boxes.pictures, 'view')}"
     yield "boxes with measured effort", counts.effort.boxes
@@ -85,6 +85,11 @@ def _progress(progress: Progress) -> Iterator[tuple[str, object]]:
             "  work left",
             f"{duration(left.expected)} (between {duration(left.low)} and {duration(left.high)} in 8 of 10 cases)",
         )
+
+
+def _listed_values(counts: Mapping[str, int]) -> str:
+    # "2 7" would be unclear
+    return _listed({f"with {value}" if value.lstrip("-")[:1].isdigit() else value: counts[value] for value in counts})
 
 
 def _listed(counts: Mapping[Any, int]) -> str:

@@ -94,16 +94,19 @@ def test_stats_list_values_of_attributes_like_other_counts(
     assert main(["add", "hands", str(write_recording(tmp_path / "take"))]) == 0
     assert main(["classes", "attribute", "hands", "pose", "--kind", "choice", "--choices", "open", "closed"]) == 0
     assert main(["classes", "attribute", "hands", "blurred", "--kind", "boolean", "--of", "frame"]) == 0
+    assert main(["classes", "attribute", "hands", "fingers", "--kind", "integer"]) == 0
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 1.0]), np.eye(3), np.full(3, 0.2))
     with open_project(root / "hands") as project:
         frame = project.frames.of()[0]
-        poses = ("open", "closed", "closed", None)
-        made = [NewLabel("hand", box, attributes={} if pose is None else {"pose": pose}) for pose in poses]
+        poses = ("open", "closed", "closed")
+        made = [NewLabel("hand", box, attributes={"pose": pose, "fingers": 5}) for pose in poses]
+        made.append(NewLabel("hand", box))
         project.labels.create(frame.id, made, WriteContext(frame.revision, "ann"))
     capsys.readouterr()
     assert main(["stats", "hands"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "pose 2 closed, 1 open; 1 without a value" in printed
+    assert "fingers 3 with 5; 1 without a value" in printed
     assert "blurred none; 3 without a value" in printed
 
 

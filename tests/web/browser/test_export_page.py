@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,8 @@ from browser_page import label_truth, sign_in
 
 from annotator.formats.rcv import read_rcv
 from annotator.project import Effort, NewLabel, Project, WriteContext
+from annotator.project.classes import edit
+from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.types import BoxKind, OrientedBox
 
 if TYPE_CHECKING:
@@ -111,6 +114,39 @@ def test_statistics_list_people_and_days_and_follow_the_work(signed_in: Page, sh
     expect(signed_in.get_by_test_id("stats-days").locator("td").first).to_contain_text("1 in under 1 min")
     room.labels.create(frame.id, [NewLabel("person", box)], WriteContext(frame.revision + 2, "<b>Bo</b>"))
     expect(cells.nth(1)).to_have_text("2")
+
+
+def test_statistics_list_the_values_of_attributes(signed_in: Page, shop: Shop, room: Project) -> None:
+    number = label_truth(room, shop.recording, 2)
+    floors = Attribute(name="floor", kind=AttributeKind.INTEGER)
+    rain = Attribute(name="rain", kind=AttributeKind.BOOLEAN, of=AttributeOf.FRAME, default=False)
+    unused = Attribute(name="helmet", kind=AttributeKind.BOOLEAN, of=AttributeOf.TRACK)
+    for attribute in (floors, rain, unused):
+        room.change_classes(lambda config, each=attribute: edit.put_attribute(config, each), "Ada")
+    frames = room.frames.of()
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.array([0.5, 0.5, 1.7]))
+    made = [NewLabel("person", box, attributes={"floor": value}) for value in (1, 7, 7, *range(100, 111))]
+    first = room.frames.get(frames[0].id)
+    room.labels.create(first.id, made, WriteContext(first.revision, "Ada"))
+    room.frames.set_attributes(frames[2].id, {"rain": True}, WriteContext(frames[2].revision, "Ada"))
+    signed_in.goto(f"/#/{room.path.name}/statistics")
+    rows = signed_in.get_by_test_id("stats-attributes").locator("tbody tr")
+    expect(rows.locator("th")).to_have_text(["floor", "helmet", "rain"])
+    most = ", ".join(["7: 2", "1: 1", *(f"{value}: 1" for value in range(100, 110))])
+    numbers = [f"{most}, 1 other value", f"{number}", "none", f"{number + len(made)}"]
+    expect(rows.locator("td")).to_have_text([*numbers, f"false: {len(frames) - 1}, true: 1", "0"])
+
+
+def test_a_warning_about_a_frame_opens_it_in_label(signed_in: Page, room: Project) -> None:
+    rain = Attribute(name="rain", kind=AttributeKind.BOOLEAN, of=AttributeOf.FRAME, required=True)
+    room.change_classes(lambda config: edit.put_attribute(config, rain), "Ada")
+    frame = room.frames.of()[1]
+    room.frames.finalise(frame.id, WriteContext(frame.revision, "Ada"))
+    signed_in.goto(f"/#/{room.path.name}/checks")
+    link = signed_in.get_by_test_id("checks-attribute").get_by_test_id("warning")
+    expect(link).to_contain_text("this frame has no value of rain, which is required")
+    link.click()
+    expect(signed_in).to_have_url(re.compile(rf"/label/{frame.id}$"))
 
 
 def test_a_warning_opens_its_box_in_review(shared_page: Page, shop: Shop, room: Project) -> None:

@@ -4,7 +4,7 @@
  */
 
 import { createChart } from "../charts.js";
-import { h } from "../dom.js";
+import { count, h } from "../dom.js";
 import { messageOf } from "../errors.js";
 import { makeHash } from "../router.js";
 import { createWork, dayTable, peopleTable, qualityTable, rangeTable } from "./work.js";
@@ -12,6 +12,10 @@ import { duration, number, percent, section, table } from "./tables.js";
 
 /** How long to rest between two readings, relative to the time that one takes. */
 const REST = 20;
+/** Values of an attribute that are listed. */
+const MOST_VALUES = 12;
+/** Characters of a value that are shown. */
+const MOST_CHARACTERS = 40;
 const STATES = ["proposed", "accepted", "edited", "rejected"];
 /** @type {Record<string, string>} */
 const ORIGINS = {
@@ -149,7 +153,7 @@ function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, pr
 /** @param {Api.ReportedStatistics} known */
 function tablesOf(known) {
   const { progress } = known;
-  const common = [effortTable(known), countTable(known), projectTable(known)];
+  const common = [effortTable(known), countTable(known), ...valueTable(known), projectTable(known)];
   if (progress.days.length === 0) return common;
   return [peopleTable(progress), qualityTable(progress), rangeTable(progress), ...common, dayTable(progress)];
 }
@@ -187,6 +191,33 @@ function countTable({ labels }) {
   ]);
   rows.push(["All", ...STATES.map((state) => number(labels.by_state[state] ?? 0, 0)), number(labels.total, 0)]);
   return section("Boxes by class and state", table(["Class", ...STATES, "All"], rows, "stats-states"));
+}
+
+/** @param {Api.ReportedStatistics} options */
+function valueTable({ attributes, without_value }) {
+  const rows = Object.entries(attributes).map(([name, values]) => [
+    name,
+    valueList(values),
+    number(without_value[name] ?? 0, 0),
+  ]);
+  const heads = ["Attribute", "Values", "Without a value"];
+  return rows.length ? [section("Values of attributes", table(heads, rows, "stats-attributes"))] : [];
+}
+
+/** @param {string} value */
+const shortened = (value) => (value.length > MOST_CHARACTERS ? `${value.slice(0, MOST_CHARACTERS - 1)}…` : value);
+
+/**
+ * The values with their numbers, the most frequent first.
+ *
+ * @param {Record<string, number>} values
+ */
+function valueList(values) {
+  // objects list keys like "3" in their own order
+  const entries = Object.entries(values).sort(([, a], [, b]) => b - a);
+  const texts = entries.slice(0, MOST_VALUES).map(([value, times]) => `${shortened(value)}: ${number(times, 0)}`);
+  if (entries.length > MOST_VALUES) texts.push(count(entries.length - MOST_VALUES, "other value"));
+  return texts.join(", ") || "none";
 }
 
 /** @param {Api.ReportedStatistics} known */
