@@ -60,8 +60,8 @@ As_ = Annotated[
     As,
     arg(
         name="as",
-        help="what 3D boxes become: labels, on frames without labels; proposals, to be reviewed, on all frames; or 2d: "
-        "2D training boxes on the camera image and on the pseudo-views of the first two steps, without 3D labels.",
+        help="what 3D boxes become: labels, on frames without labels and proposals; proposals, to be reviewed, on all "
+        "frames; or 2d: 2D training boxes on the camera image and on the pseudo-views of the first two steps, without 3D labels.",
     ),
 ]
 
@@ -255,8 +255,8 @@ def _boxes(
         done = import_labels(project, labels, recording, progress, names, fill=fill)
     print_line(f"{amount(done.frames, 'frame')}: {_by_class(done.labels)}")
     if done.already:
-        already = amount(done.already, "frame")
-        print_line(f"unchanged: {already} with labels already, or finalised; --as proposals adds boxes beside labels")
+        already = f"{amount(done.already, 'frame')} with labels or proposals already, or finalised"
+        print_line(f"unchanged: {already}; --as proposals adds boxes beside labels")
     if done.filled:
         print_line(f"attributes: {amount(done.filled, 'value')} for labels and frames that had none")
     if done.not_reviewed:

@@ -71,7 +71,7 @@ class BoxesRequest(_Request):
         recording: the recording of its images or frames; null: any.
         box_kind: what 2D boxes enclose.
         lift: then propose 3D boxes from 2D boxes.
-        become: what 3D boxes become: proposals, or labels on frames without labels.
+        become: what 3D boxes become: proposals, or labels on frames without labels and proposals.
         source: name of 3D boxes as a source of proposals; null: that of the file.
         min_score: proposals with lower scores, as in the file, are left out.
         add_attributes: give the project the attributes of the file that it lacks, and labels the values that they lack.

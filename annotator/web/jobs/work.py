@@ -263,7 +263,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         boxes = done.labels.total()
         parts = [
             f"{amount(boxes, 'label')} imported in {amount(done.frames, 'frame')}",
-            f"{amount(done.already, 'frame')} with labels left unchanged" if done.already else "",
+            f"{amount(done.already, 'frame')} with labels or proposals left unchanged" if done.already else "",
             f"{amount(done.filled, 'value')} of attributes for labels and frames that had none" if done.filled else "",
             f"{amount(done.not_reviewed, 'box')} left out as not accepted" if done.not_reviewed else "",
             f"{amount(done.scores, 'score')} outside 0..1 dropped" if done.scores else "",

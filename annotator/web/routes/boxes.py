@@ -31,7 +31,9 @@ class BoxesFile(BaseModel):
         ambiguous: number of those that fit frames of several recordings: one of these must be chosen.
         boxes: number of boxes on the others, by class name.
         replaced: number of images with boxes drawn in the project, which the import replaces.
-        labelled: of 3D boxes: number of frames with labels, or finalised; null for 2D boxes.
+        labelled: of 3D boxes: number of frames that an import as labels leaves unchanged: those with labels or proposals,
+            and finalised ones; null for 2D boxes.
+        finalised: of 3D boxes: number of finalised frames, which an import as proposals leaves unchanged, too.
         scores: of 3D boxes: the lowest and the highest score, if there are any.
         source: name that 3D boxes have as a source of proposals, unless another is given.
         renamed: the file's recording, if the project has none of this name; `taken_for` are those it was matched with.
@@ -47,6 +49,7 @@ class BoxesFile(BaseModel):
     boxes: dict[str, int]
     replaced: int
     labelled: int | None
+    finalised: int | None
     scores: tuple[float, float] | None
     source: str
     renamed: str | None
@@ -76,9 +79,10 @@ def _described(project: Project, upload: Upload, recording: int | None) -> Boxes
     name = None if recording is None else project.recordings.get(recording).name
     if isinstance(upload.format, FlatFormat):
         found, labelled, scores = preview(project, upload.path, upload.format, name), None, None
+        finalised = None
     else:
         found = preview_3d(project, upload.path, upload.format, name)
-        labelled = found.labelled
+        labelled, finalised = found.labelled, found.finalised
         scores = None if found.scores is None else (found.scores.low, found.scores.high)
     return BoxesFile(
         id=upload.id,
@@ -91,6 +95,7 @@ def _described(project: Project, upload: Upload, recording: int | None) -> Boxes
         boxes=found.boxes,
         replaced=found.replaced,
         labelled=labelled,
+        finalised=finalised,
         scores=scores,
         source=upload.path.stem,
         renamed=None if found.renamed is None else found.renamed.named,

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.project import REVIEWED, Project, StoredFrame
+from annotator.project import Project, StoredFrame
 from annotator.types import Source
 from annotator.workflows.importing.boxes_3d import found_frames, none_of
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
@@ -42,11 +42,14 @@ class Preview3D(Preview):
     """What a dataset of 3D boxes has; its images are frames, and `replaced` is 0.
 
     Attributes:
-        labelled: number of the frames that have labels, or are finalised.
+        labelled: number of the frames that an import as labels leaves unchanged: those with labels in any state, also
+            proposed or rejected ones, and finalised ones.
+        finalised: number of the frames that an import as proposals leaves unchanged.
         scores: the lowest and the highest score, if there are any.
     """
 
     labelled: int
+    finalised: int
     scores: ScoreRange | None
 
 
@@ -67,7 +70,7 @@ def preview_3d(project: Project, path: Path, format: BoxFormat, recording: str |
     if len(unmatched) == len(found):
         raise none_of(path, dataset.frames)
     boxes = Counter(label for name, frames in found.items() if frames for label in dataset.classes(name))
-    labelled = project.labels.frames(states=REVIEWED)
+    labelled = project.labels.frames()
     matched = [frames[0] for frames in found.values() if len(frames) == 1]
     return Preview3D(
         len(found),
@@ -77,6 +80,7 @@ def preview_3d(project: Project, path: Path, format: BoxFormat, recording: str |
         0,
         finder.renamed(frames[0] for name, frames in found.items() if frames and name != frames[0].key),
         sum(frame.finalised or frame.id in labelled for frame in matched),
+        sum(frame.finalised for frame in matched),
         dataset.scores,
     )
 

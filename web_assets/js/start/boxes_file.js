@@ -20,7 +20,7 @@ const KINDS = [
 /** What 3D boxes become. */
 const BECOME = [
   ["proposals", "proposals, to be reviewed"],
-  ["labels", "labels, on frames without labels"],
+  ["labels", "labels, on frames without labels and proposals"],
 ];
 
 /**
@@ -298,7 +298,8 @@ function number(value) {
  * @param {Api.BoxesFile} file
  */
 function described(file) {
-  const { name, images, unmatched, unmatched_names, ambiguous, boxes, replaced, labelled, renamed, taken_for } = file;
+  const { name, images, unmatched, unmatched_names, ambiguous, boxes, replaced, renamed, taken_for } = file;
+  const { labelled, finalised } = file;
   const thing = labelled === null ? "image" : "frame";
   const total = Object.values(boxes).reduce((sum, number) => sum + number, 0);
   const lines = [
@@ -310,9 +311,15 @@ function described(file) {
         : `${name}: ${count(total, "3D box", "3D boxes")} in ${count(images - unmatched, "frame")} of this project.`,
     ),
   ];
-  if (labelled) {
-    const frames = count(labelled, "of these frames has", "of these frames have");
-    lines.push(h("p", { "data-testid": "boxes-labelled" }, `${frames} labels, and can only take proposals.`));
+  const open = (labelled ?? 0) - (finalised ?? 0);
+  if (open) {
+    const frames = count(open, "of these frames has", "of these frames have");
+    const text = `${frames} labels or proposals, and can only take proposals.`;
+    lines.push(h("p", { "data-testid": "boxes-labelled" }, text));
+  }
+  if (finalised) {
+    const text = `${count(finalised, "of these frames is", "of these frames are")} finalised, and left unchanged.`;
+    lines.push(h("p", { "data-testid": "boxes-finalised" }, text));
   }
   if (replaced) {
     const text = `The import replaces the boxes drawn on ${count(replaced, "image")}.`;
