@@ -2,7 +2,8 @@
 
     [PART/]SCENE/lidar/ID.pcd                 clouds, z up, with colours and reflectances if known
     [PART/]SCENE/camera/front/ID.png          images (or .jpg), and calib/camera/front.json, one for the scene
-    [PART/]SCENE/label/ID.json                the boxes: a list of {"obj_id", "obj_type", "psr", "obj_attr"}
+    [PART/]SCENE/label/ID.json                the boxes: a list of {"obj_id", "obj_type", "psr", "obj_attr"}, or an
+                                              object with this list as `objs`
     frames.csv                                the origin of each frame
 
 In `psr`, `position` is the centre, `scale` the full length, width and height, and `rotation` the angles in radians with
@@ -26,7 +27,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field, RootModel
+from pydantic import BaseModel, ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import new_folder
@@ -83,6 +84,11 @@ class _Object(BaseModel):
 
 class _Labels(RootModel[tuple[_Object, ...]]):
     model_config = ConfigDict(frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _list(cls, content: object) -> object:
+        return content["objs"] if isinstance(content, dict) and "objs" in content else content
 
 
 class _Calibration(BaseModel):

@@ -16,6 +16,7 @@ from annotator.formats.losses import Losses
 from annotator.formats.sustechpoints import _angles, read_sustechpoints, write_sustechpoints
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.types.errors import FormatError
+from annotator.workflows.importing import BoxFormat, format_of
 
 PSR = {
     "position": {"x": 4.1, "y": -49.7, "z": 1.8},
@@ -44,6 +45,21 @@ def test_labels_of_its_own_page_are_read(tmp_path: Path) -> None:
         np.testing.assert_allclose(box.rotation, x @ y @ z, atol=1e-12)
         assert (box.center_m.tolist(), box.size_m.tolist()) == ([4.1, -49.7, 1.8], [4.5, 1.7, 1.6])
         assert (frame.cameras, frame.is_export) == ((), False)
+
+
+def test_a_label_file_may_be_an_object_with_the_list_as_objs(tmp_path: Path) -> None:
+    for folder in ("label", "list/label"):
+        (tmp_path / folder).mkdir(parents=True)
+    objects = [{"psr": PSR, "obj_type": "Car", "obj_id": "8"}]
+    (tmp_path / "label/1.json").write_text(json.dumps({"frame": "1", "objs": objects}))
+    (tmp_path / "list/label/1.json").write_text(json.dumps(objects))
+    (tmp_path / "label/2.json").write_text(json.dumps({"objs": []}))
+    assert format_of(tmp_path) is format_of(tmp_path / "label/1.json") is BoxFormat.SUSTECHPOINTS
+    (expected,) = read_sustechpoints(tmp_path / "list")["1"].objects
+    read = read_sustechpoints(tmp_path / "label")
+    assert [(each.label, each.track_id) for each in read["1"].objects] == [("Car", 8)]
+    np.testing.assert_array_equal(read["1"].objects[0].box.pose, expected.box.pose)
+    assert read["2"].objects == ()
 
 
 def test_ids_of_any_text_are_tracks_of_their_scene(tmp_path: Path) -> None:

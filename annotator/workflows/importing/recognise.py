@@ -159,7 +159,7 @@ def _of_json(content: object) -> list[Format]:
             return [BoxFormat.OPENLABEL]
         case {"images": [{"file_name": _}, *_]} | {"images": _, "annotations": _} | {"images": _, "categories": _}:
             return [FlatFormat.COCO]
-        case [{"psr": _}, *_]:
+        case [{"psr": _}, *_] | {"objs": [{"psr": _}, *_]}:
             return [BoxFormat.SUSTECHPOINTS]
         case {"objects": _, "filename": _}:
             return [BoxFormat.LABELCLOUD]
