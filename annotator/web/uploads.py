@@ -32,6 +32,8 @@ MOST_KEPT = 5
 # Limits of a packed dataset: files, and bytes of its text files, which are read into some ten times as much memory.
 MOST_FILES, MOST_BYTES = 200_000, UPLOAD_LIMIT
 TEXTS = (".json", ".txt", ".yaml", ".csv")
+# Their readers take the folder of all frames.
+OF_FRAMES = (BoxFormat.SUSTECHPOINTS, BoxFormat.LABELCLOUD)
 _NAME = re.compile(r"[^\w.-]+")
 
 
@@ -90,13 +92,18 @@ def find_upload(project: Project, upload_id: str) -> Upload:
 
     Raises:
         NotFoundError: no such upload, or it was removed.
-        FormatError: a packed dataset without boxes.
+        FormatError: a packed dataset without boxes, or the labels of one frame without their folder.
     """
     place = project.path / FOLDER / upload_id
     path = next(iter(place.iterdir()), None) if place.is_dir() else None
     if path is None:
         raise NotFoundError("this file was removed from the server; choose it again")
-    return Upload(upload_id, *((path, _format_of(path)) if path.is_file() else _dataset(path)))
+    if path.is_dir():
+        return Upload(upload_id, *_dataset(path))
+    format = _format_of(path)
+    if format in OF_FRAMES:
+        raise FormatError(path, "has the labels of one frame; pack the folder of all frames as .zip, and give that")
+    return Upload(upload_id, path, format)
 
 
 def _format_of(file: Path) -> FlatFormat | BoxFormat:
@@ -113,7 +120,8 @@ def as_sent(text: str, root: str) -> str:
         text: with paths that begin with the name of the projects folder.
         root: this name.
     """
-    return re.sub(rf"{re.escape(root)}/[^/\s]+/{re.escape(FOLDER)}/[0-9a-f]{{32}}/", "", text)
+    place = rf"{re.escape(root)}/[^/\s]+/{re.escape(FOLDER)}/[0-9a-f]{{32}}"
+    return re.sub(place, "the folder that was sent", re.sub(f"{place}/", "", text))
 
 
 def remove_upload(project: Project, upload_id: str) -> None:
@@ -152,8 +160,8 @@ def _dataset(folder: Path) -> tuple[Path, FlatFormat | BoxFormat]:
         if any((level / ANNOTATIONS).glob("instances_*.json")):
             return level, FlatFormat.COCO
     files = [path for path in folder.rglob("*.json") if path.is_file()]
-    if len(files) == 1:
-        return files[0], _format_of(files[0])
+    if len(files) == 1 and (format := _format_of(files[0])) not in OF_FRAMES:
+        return files[0], format
     for level in levels:
         with suppress(FormatError):
             return level, format_of(level)

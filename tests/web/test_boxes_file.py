@@ -18,7 +18,7 @@ from coco_sample import coco
 from live_server import PATIENCE_S, ended, look
 from room_api import ROOM
 
-from annotator.project import Project, WriteContext
+from annotator.project import Project, StoredFrame, WriteContext
 from annotator.project.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Source
@@ -46,6 +46,16 @@ TWICE = json.dumps(
         "categories": [{"id": 1, "name": "person"}],
     }
 ).encode()
+
+# The labels of one frame in SUSTechPOINTS.
+PSR = json.dumps(
+    [
+        {
+            "obj_type": "person",
+            "psr": {name: {"x": 1.0, "y": 1.0, "z": 1.0} for name in ("position", "scale", "rotation")},
+        }
+    ]
+)
 
 
 def packed(texts: dict[str, str]) -> bytes:
@@ -95,6 +105,7 @@ def test_a_coco_file_is_described_before_it_is_imported(live: Live, generated: P
         "boxes": {"Person": people, "dog": 1},
         "replaced": 0,
         "labelled": None,
+        "finalised": None,
         "scores": None,
         "source": "street_boxes",
         "renamed": None,
@@ -184,6 +195,29 @@ def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(
     assert project.labels.select() == ()
 
 
+def test_frames_that_an_import_leaves_unchanged_are_counted_before(live: Live, tmp_path: Path) -> None:
+    """As labels: also those with proposals, and with rejected boxes only; as proposals: those that are finalised."""
+    project = live.context.project("room")
+    proposed, rejected, finalised, free = project.frames.of()[:4]
+    entry = {"label": "person", "size": [4.0, 1.6, 1.5], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    entry |= {"center": [0.0, 0.0, 9.0]}
+
+    def sent(*frames: StoredFrame) -> dict[str, Any]:
+        return send(live, "mine.json", json.dumps({frame.key: [entry] for frame in frames}).encode())
+
+    run(project, tmp_path, upload=sent(proposed, rejected)["id"], become="proposals", source="mine")
+    (uid,) = (label.uid for label in project.labels.of_frame(rejected.id))
+    project.labels.reject(rejected.id, uid, WriteContext(project.frames.get(rejected.id).revision, "Bob"))
+    project.frames.finalise(finalised.id, WriteContext(project.frames.get(finalised.id).revision, "Bob"))
+    for become in ("labels", "proposals"):
+        found = sent(proposed, rejected, finalised, free)
+        assert (found["labelled"], found["finalised"]) == (3, 1)
+        done = run(project, tmp_path, upload=found["id"], become=become, source="yours").message
+        left = {"labels": "3 frames with labels or proposals", "proposals": "1 finalised frame"}[become]
+        assert f"{left} left unchanged" in done
+        project.history.undo("Ada")
+
+
 @pytest.mark.parametrize("become", ["labels", "proposals"])
 def test_an_import_of_3d_boxes_says_which_values_and_scores_it_leaves_out(
     live: Live, tmp_path: Path, become: str
@@ -207,7 +241,9 @@ def test_an_import_of_3d_boxes_says_which_values_and_scores_it_leaves_out(
     done = run(project, tmp_path, upload=sent["id"], become=become, source="mine", add_attributes=True)
     if become == "labels":
         filled = "2 values of attributes for labels and frames that had none"
-        assert done.message == f"0 labels imported in 0 frames, 1 frame with labels left unchanged, {filled}"
+        assert (
+            done.message == f"0 labels imported in 0 frames, 1 frame with labels or proposals left unchanged, {filled}"
+        )
     (label,) = project.labels.of_frame(project.frames.of()[0].id)
     assert dict(label.attributes) == {"age": 7, "pose": "sitting"}
 
@@ -269,6 +305,23 @@ def test_a_packed_yolo_folder(live: Live, tmp_path: Path) -> None:
     assert [box.label for box in drawn.boxes] == ["person"]
 
 
+@pytest.mark.parametrize("folder", ["", "label/", "room/label/", "data/room/label/"])
+def test_a_packed_scene_with_labels_of_one_frame(live: Live, tmp_path: Path, folder: str) -> None:
+    project = live.context.project("room")
+    key = project.frames.of()[0].key
+    sent = send(live, "room.zip", packed({f"{folder}{key}.json": PSR}))
+    assert (sent["format"], sent["images"], sent["boxes"]) == ("sustechpoints", 1, {"person": 1})
+    assert run(project, tmp_path, upload=sent["id"], become="labels").result["boxes"] == 1
+
+
+def test_no_message_has_the_folder_of_an_upload(live: Live) -> None:
+    folder = live.context.project("room").path / uploads.FOLDER / ("0f" * 16)
+    said = live.context.public_message(f"{folder}/a/b.json: no boxes; give the folder of all: {folder}; see {folder}.")
+    assert said == (
+        "a/b.json: no boxes; give the folder of all: the folder that was sent; see the folder that was sent."
+    )
+
+
 def test_a_zip_of_macos_with_labels_beside_the_images(live: Live, tmp_path: Path) -> None:
     project = live.context.project("room")
     key = project.frames.of()[0].key
@@ -306,6 +359,7 @@ def test_images_of_several_recordings_need_a_choice(live: Live, generated: Path)
         ("boxes.txt", b"0 0.5 0.5 0.1 0.1", "neither a file of boxes in JSON nor a packed"),
         ("boxes.json", b"{", "boxes.json"),
         ("boxes.json", b'{"images": [], "annotations": [], "categories": []}', "none of the dataset's images"),
+        ("0.json", PSR.encode(), "0.json: has the labels of one frame; pack the folder of all frames as .zip"),
         ("set.zip", b"PK no zip", "cannot be unpacked"),
         ("set.zip", damaged(), "cannot be unpacked"),
         ("boxes.json", TWICE, "a/000000.jpg and b/000000.jpg both match frame 000000; keep one of them"),

@@ -157,6 +157,9 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
         start.get_by_test_id("boxes-file").set_input_files(tmp_path / f"{name}.json")
         expect(start.get_by_test_id("boxes-found")).to_contain_text(f"{len(boxes)} 3D boxes in 2 frames")
         expect(start.get_by_test_id("boxes-class-Person")).to_have_value("person")
+        if project.labels.select():
+            says = "1 of these frames has labels or proposals, and can only take proposals."
+            expect(start.get_by_test_id("boxes-labelled")).to_have_text(says)
         expect(start.get_by_test_id("boxes-kind")).to_be_hidden()
         expect(start.get_by_test_id("boxes-source")).to_have_value(name)
         expect(dialog).to_contain_text("The scores are 0.2 to 0.8")
@@ -182,6 +185,7 @@ def test_3d_boxes_of_two_detectors_are_proposed_and_their_sources_shown(
     expect(start.get_by_test_id("queue-remaining")).to_have_text("2 proposals")
     items.first.click()
     expect(start.get_by_text("mine: person 0.80, theirs: person 0.60")).to_be_visible()
+    expect(start.get_by_title("Score: ")).to_have_attribute("title", "Score: of mine")
     # undone as one step
     start.keyboard.press("Control+z")
     expect(items).to_have_count(0)
