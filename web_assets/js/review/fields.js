@@ -2,6 +2,7 @@
 
 import { MIN_SIZE_M, anglesDeg, copyBox, withAnglesDeg } from "../box3d.js";
 import { count, h, leaveField } from "../dom.js";
+import { OWN } from "./queue.js";
 
 const CENTER = [
   ["x", "to the right of the camera"],
@@ -287,7 +288,7 @@ const percent = (value) => (value === null || value === undefined ? "–" : `${(
 function describe(label) {
   const rows = [
     ["Points", label.points.toLocaleString("en"), "in the stored box"],
-    ["Score", label.score === null ? "–" : label.score.toFixed(2), "of both detectors together"],
+    ["Score", label.score === null ? "–" : label.score.toFixed(2), scorer(label)],
     ["Created by", label.source === "auto" ? "proposal" : label.source, "who created the box"],
     ["Changed by", label.author, "who changed it last"],
   ];
@@ -317,6 +318,17 @@ function describe(label) {
   if (label.kept) wide.push(["Stays", "until it is reviewed: attributes were set by hand"]);
   if (label.said.length) wide.push(["Said by", label.said.map(words).join(", ")]);
   return [...wide.map(([name, who]) => h("div", { class: "wide" }, h("dt", {}, name), h("dd", {}, who))), ...facts];
+}
+
+/**
+ * Whose score a label has: of several sources, that of the shown box.
+ *
+ * @param {PageLabel} label
+ */
+function scorer({ score, source, said }) {
+  const by = said.find((each) => each.score === score)?.source;
+  if (by !== undefined && by !== OWN) return `of ${by}`;
+  return by === undefined && source === "imported" ? "as in the imported file" : "of both detectors together";
 }
 
 /**
