@@ -61,7 +61,8 @@ As_ = Annotated[
     arg(
         name="as",
         help="what 3D boxes become: labels, on frames without labels and proposals; proposals, to be reviewed, on all "
-        "frames; or 2d: 2D training boxes on the camera image and on the pseudo-views of the first two steps, without 3D labels.",
+        "frames; or 2d: 2D training boxes on the camera image and on the pseudo-views of the first two steps, without "
+        "3D labels.",
     ),
 ]
 

@@ -96,6 +96,16 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
         raise FormatError(path, f"the archive cannot be read ({error})") from error
 
 
+def holds_texts(path: Path, suffix: str = ".txt") -> bool:
+    """True for a folder with text files or one that cannot be listed, and for any zip archive."""
+    if not path.is_dir():
+        return path.is_file() and _is_archive(path)
+    try:
+        return any(_is_wanted(file, suffix) for file in path.iterdir())
+    except OSError:
+        return True  # its reader says what is wrong
+
+
 def _is_archive(path: Path) -> bool:
     with suppress(OSError):
         check_file(path)

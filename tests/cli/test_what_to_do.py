@@ -41,6 +41,9 @@ REFUSALS = [
     ("check other", "`annotator inspect other` lists what each format needs"),
     # evaluation
     ("evaluate labels labels --protocol kitti", "append one to each row (1.0 if all are equally certain)"),
+    ("evaluate boxes.json boxes.json --protocol kitti", "then `annotator evaluate --project PROJECT`"),
+    ("evaluate sun labels --protocol kitti", "sun: is no folder of KITTI's text files, one for each frame"),
+    ("evaluate sun sun --protocol kitti", "then `annotator evaluate --project PROJECT`"),
     ("evaluate boxes.csv boxes.csv --protocol sunrgbd", "boxes.csv:1: has no column score"),
     ("evaluate boxes.json boxes.json --protocol oriented", "then `annotator evaluate --project PROJECT`"),
     ("evaluate boxes.json boxes.json --protocol sunrgbd", "then `annotator evaluate --project PROJECT`"),
@@ -53,6 +56,11 @@ REFUSALS = [
     ("import room labels --classes car=person --as proposals", "the dataset has no class 'car'; did you mean 'Car'?"),
     ("import room labels --classes car=person --as 2d", "the dataset has no class 'car'; did you mean 'Car'?"),
     ("import room flat.json --classes car=person", "the dataset has no class 'car'; did you mean 'Car'?"),
+    ("import room flat.json", "Map the classes to those of the project, as in --classes Car=person, or add them with"),
+    (
+        "import room near.json",
+        "did you mean 'person'? Map the classes to those of the project, as in --classes Person=",
+    ),
     ("import room labels --format rcv", "labels: is no dataset in the format rcv, which has a dataset.json"),
     ("import room other", "no format of boxes was recognised; if it has one of these, name it: --format coco|yolo|"),
     ("import room labels/000000.txt", "has the labels of one frame; give the folder of all: labels"),
@@ -94,6 +102,8 @@ def place(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     flat |= {"categories": [{"id": 1, "name": "Car"}]}
     flat |= {"annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [1, 1, 9, 9]}]}
     (folder / "flat.json").write_text(json.dumps(flat))
+    flat["categories"] = [{"id": 1, "name": "Person"}]
+    (folder / "near.json").write_text(json.dumps(flat))
     (folder / "other/thesis.pdf").touch()
     return folder
 

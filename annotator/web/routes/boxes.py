@@ -31,8 +31,8 @@ class BoxesFile(BaseModel):
         ambiguous: number of those that fit frames of several recordings: one of these must be chosen.
         boxes: number of boxes on the others, by class name.
         replaced: number of images with boxes drawn in the project, which the import replaces.
-        labelled: of 3D boxes: number of frames that an import as labels leaves unchanged: those with labels or proposals,
-            and finalised ones; null for 2D boxes.
+        labelled: of 3D boxes: number of frames that an import as labels leaves unchanged: those with labels or
+            proposals, and finalised ones; null for 2D boxes.
         finalised: of 3D boxes: number of finalised frames, which an import as proposals leaves unchanged, too.
         scores: of 3D boxes: the lowest and the highest score, if there are any.
         source: name that 3D boxes have as a source of proposals, unless another is given.

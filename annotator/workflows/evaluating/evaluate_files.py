@@ -22,6 +22,7 @@ from annotator.formats.kitti.label_files import KittiLabel
 from annotator.formats.kitti.label_folders import label_place, read_kitti_folder
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import MANIFEST
+from annotator.formats.text_folder import holds_texts
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
@@ -92,6 +93,11 @@ def evaluate_files(detections: Path, truth: Path, protocol: Protocol, options: O
 
 def _kitti(detections: Path, truth: Path, options: Options) -> Report:
     detections, truth = label_place(detections), label_place(truth)
+    for path in (detections, truth):
+        if path.exists() and not holds_texts(path):
+            raise FormatError(
+                path, f"is no folder of KITTI's text files, one for each frame, and no zip of one; {SCORE_PROJECT}"
+            )
     detected, true = read_kitti_folder(detections, scored=True), read_kitti_folder(truth, scored=False)
     names = sorted(detected) if options.frames is None else list(dict.fromkeys(options.frames))
     _require(names, true, truth, "with the truth")

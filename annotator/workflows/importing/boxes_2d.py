@@ -14,7 +14,7 @@ from annotator.project import Project
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 from annotator.workflows.importing.boxes_3d import PROGRAM, Importer
-from annotator.workflows.importing.class_names import NO_NAMES
+from annotator.workflows.importing.class_names import NO_NAMES, how_to_map
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
 from annotator.workflows.importing.image_values import ImageValues, TakenValues
@@ -197,7 +197,7 @@ class _Tally:
             raise FormatError(
                 path,
                 f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(named))}, the "
-                f"project has {', '.join(project.config.classes)}; rename the categories in the file",
+                f"project has {', '.join(project.config.classes)}; {how_to_map(named, project)}",
             )
 
     def known(self, boxes: Sequence[Box2D]) -> list[Box2D]:

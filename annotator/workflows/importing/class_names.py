@@ -37,6 +37,18 @@ def class_names(text: str, project: Project) -> dict[str, str]:
     return names
 
 
+def how_to_map(theirs: Collection[str], project: Project) -> str:
+    """For messages: what to do about a dataset of which the project has no class."""
+    ours = project.config.classes
+    pairs = ((label, nearest(label, ours)) for label in sorted(theirs))
+    label, near = next((pair for pair in pairs if pair[1] is not None), (min(theirs), None))
+    meant = "" if near is None else f"did you mean {near!r}? "
+    return (
+        f"{meant}Map the classes to those of the project, as in --classes {label}={near or ours[0]}, or add them with "
+        "`annotator classes add`"
+    )
+
+
 def without_effect(names: Mapping[str, str], present: Collection[str]) -> list[str]:
     """Returns a line for each class in `names` that a dataset does not have.
 
