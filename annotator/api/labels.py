@@ -24,8 +24,8 @@ def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES) -> LabelS
     """The 3D labels in a file or folder, read and checked as a whole.
 
     Args:
-        format: boxes (a `boxes.json` file), rcv, kitti, kitti-tracking, sunrgbd, openlabel, labelcloud, nuscenes or
-            sustechpoints.
+        format: boxes (a `boxes.json` file), rcv, kitti, kitti-tracking, sunrgbd, openlabel, labelcloud, nuscenes,
+            sustechpoints, argoverse2 or box-csv.
 
     Returns:
         the labels: `frames` has the names of the labelled frames, and `truths(name, frame)` returns the objects of one

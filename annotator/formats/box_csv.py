@@ -3,22 +3,30 @@
     image,class,cx,cy,cz,l,w,h,yaw[,score]
 
 z up, metres, radians: centre, full sizes, and the direction of the length, counter-clockwise from +x seen from above.
+The frame is SUN RGB-D's "upright depth" (`sunrgbd/upright_depth.py`).
 """
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.reading import finite_number
+from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 
 TEXTS = ("image", "class")
 NUMBERS = ("cx", "cy", "cz", "l", "w", "h", "yaw")
 SCORE = "score"
+# Characters of the first line that tell the format.
+FIRST_LINE = 1000
 
 
 @dataclass(frozen=True)
@@ -50,6 +58,35 @@ def read_box_csv(path: Path, *, scored: bool) -> list[BoxRow]:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
+
+
+def is_box_csv(path: Path) -> bool:
+    """True if the first line names some columns of such a file; the others may be missing."""
+    with suppress(OSError, UnicodeDecodeError, csv.Error), open_text_file(path, TABLE_BYTES, "utf-8-sig") as file:
+        names = {name.strip() for name in next(csv.reader([file.readline(FIRST_LINE)]), [])}
+        return names.issuperset(TEXTS) and not names.isdisjoint(NUMBERS)
+    return False
+
+
+def read_upright_boxes(path: Path) -> dict[str, list[Truth]]:
+    """Returns the objects of each image with a row, in upright depth, with their scores if the file has them.
+
+    Raises:
+        FormatError: as `read_box_csv`, or a box is out of range.
+    """
+    images: dict[str, list[Truth]] = {}
+    for row in read_box_csv(path, scored=False):
+        try:
+            images.setdefault(row.image, []).append(_truth(row))
+        except ValueError as error:
+            raise FormatError(path, f"{row.image}: {row.label}: {error}") from error
+    return images
+
+
+def _truth(row: BoxRow) -> Truth:
+    turn = Rotation.from_rotvec([0.0, 0.0, row.yaw_rad])
+    pose = RigidTransform.from_components(np.array(row.center_m), turn)
+    return Truth(row.label, OrientedBox.at(pose, np.array(row.size_m)), score=row.score)
 
 
 def _rows(path: Path, lines: Iterator[str], scored: bool) -> Iterator[BoxRow]:

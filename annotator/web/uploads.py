@@ -1,7 +1,7 @@
 """Files with boxes that a page has sent, kept in the project's folder until they are imported.
 
-A JSON file is kept as it is. Of a packed dataset (`.zip`), only the text files are unpacked: images are not needed,
-since the project has them.
+A JSON or CSV file is kept as it is. Of a packed dataset (`.zip`), only the text files are unpacked: images are not
+needed, since the project has them.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ def add_upload(project: Project, name: str, content: bytes, in_use: Collection[s
         in_use: ids of uploads that are not removed.
 
     Raises:
-        FormatError: it is neither JSON nor a `.zip`, or the `.zip` is damaged, too large or without a dataset.
+        FormatError: it is neither JSON nor CSV nor a `.zip`, or the `.zip` is damaged, too large or without a dataset.
     """
     uploads = project.path / FOLDER
     place = uploads / uuid.uuid4().hex
     file = Path(_NAME.sub("_", PurePosixPath(name).name)[-100:].lstrip(".") or "boxes")
-    if file.suffix.lower() not in (".json", ".zip"):
-        raise FormatError(file, "is neither a file of boxes in JSON nor a packed folder of boxes (.zip)")
+    if file.suffix.lower() not in (".json", ".csv", ".zip"):
+        raise FormatError(file, "is neither a file of boxes (.json, .csv) nor a packed folder of boxes (.zip)")
     private_folder(uploads)
     place.mkdir()
     try:
@@ -110,7 +110,8 @@ def _format_of(file: Path) -> FlatFormat | BoxFormat:
     try:
         return format_of(file)
     except FormatError:
-        return FlatFormat.COCO  # its reader says what is wrong
+        # its reader says what is wrong
+        return BoxFormat.BOX_CSV if file.suffix.lower() == ".csv" else FlatFormat.COCO
 
 
 def as_sent(text: str, root: str) -> str:

@@ -305,6 +305,15 @@ def test_a_packed_yolo_folder(live: Live, tmp_path: Path) -> None:
     assert [box.label for box in drawn.boxes] == ["person"]
 
 
+def test_a_box_csv(live: Live, tmp_path: Path) -> None:
+    project = live.context.project("room")
+    key = project.frames.of()[0].key
+    rows = f"image,class,cx,cy,cz,l,w,h,yaw,score\n{key},person,0,3,0,1,1,1,0,0.25\n"
+    sent = send(live, "mine.csv", rows.encode())
+    assert (sent["format"], sent["boxes"], sent["scores"]) == ("box-csv", {"person": 1}, [0.25, 0.25])
+    assert run(project, tmp_path, upload=sent["id"], become="proposals").result["boxes"] == 1
+
+
 @pytest.mark.parametrize("folder", ["", "label/", "room/label/", "data/room/label/"])
 def test_a_packed_scene_with_labels_of_one_frame(live: Live, tmp_path: Path, folder: str) -> None:
     project = live.context.project("room")
@@ -356,7 +365,8 @@ def test_images_of_several_recordings_need_a_choice(live: Live, generated: Path)
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("boxes.txt", b"0 0.5 0.5 0.1 0.1", "neither a file of boxes in JSON nor a packed"),
+        ("boxes.txt", b"0 0.5 0.5 0.1 0.1", "neither a file of boxes (.json, .csv) nor a packed"),
+        ("boxes.csv", b"id,recording,key\n", "boxes.csv:1: the first line must name the columns image,class,cx"),
         ("boxes.json", b"{", "boxes.json"),
         ("boxes.json", b'{"images": [], "annotations": [], "categories": []}', "none of the dataset's images"),
         ("0.json", PSR.encode(), "0.json: has the labels of one frame; pack the folder of all frames as .zip"),

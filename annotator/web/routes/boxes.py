@@ -58,7 +58,7 @@ class BoxesFile(BaseModel):
 
 @router.post("", status_code=201)
 def upload(project: str, name: FileName, content: Content, ctx: Ctx, operator: Operator) -> BoxesFile:
-    """Send a JSON file of 2D or 3D boxes, or a packed folder of boxes. Nothing is imported."""
+    """Send a JSON file of 2D or 3D boxes, a CSV file of 3D boxes, or a packed folder of boxes. Nothing is imported."""
     opened = ctx.project(project)
     stored = add_upload(opened, name, content, ctx.jobs.uploads_in_use(opened.path))
     try:

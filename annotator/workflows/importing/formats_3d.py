@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
+from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
 from annotator.formats.attributes import Values
+from annotator.formats.box_csv import read_upright_boxes
 from annotator.formats.boxes_json import boxes_file, each_frame
 from annotator.formats.kitti.box_rows import label_frame
 from annotator.formats.kitti.label_folders import each_kitti_frame, read_kitti_shifts
@@ -27,6 +29,7 @@ from annotator.formats.sunrgbd.meta_table import read_meta
 from annotator.formats.sunrgbd.upright_depth import upright_frame
 from annotator.formats.sustechpoints import SustechFrame, read_sustechpoints
 from annotator.project import REVIEWED, Project
+from annotator.recordings.argoverse.log import ArgoverseLog
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes.recording import NuScenes
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
@@ -359,12 +362,12 @@ def nuscenes_labels(path: Path) -> NuScenesLabels | NuScenesResults:
 
 
 @dataclass(frozen=True)
-class NuScenesResults:
-    """The boxes of a detector or tracker, in the global frame.
+class _SampleBoxes:
+    """Boxes around a vehicle, of which each camera's frame gets those that its image shows.
 
     Attributes:
-        samples: objects by the token of their sample.
-        places: the token of each of a project's frames, by "RECORDING/KEY"; see `in_project`.
+        samples: objects by their sample, in the frame of the recordings' own labels.
+        places: the sample of each of a project's frames, by "RECORDING/KEY"; see `FoundInProject`.
     """
 
     path: Path
@@ -381,6 +384,36 @@ class NuScenesResults:
     @cached_property
     def scores(self) -> ScoreRange | None:
         return ScoreRange.of(self.samples.scores)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return _with_confidences(self.suggested(name, lambda: frame), self.scores)
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.samples[self.places.get(name, name)]]
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.samples[self.places.get(name, name)]]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        frame = read()
+        K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
+        sample = self.places.get(name, name)
+        truths = self.samples[sample]
+        if (T := frame.T_camera_label) is not None:
+            truths = tuple(replace(truth, box=truth.box.transformed(T)) for truth in truths)
+        seen = [place for place, truth in enumerate(truths) if is_seen(truth.box, K, *size)]
+        self._seen[sample].update(seen)
+        return [truths[place] for place in seen]
+
+    def unseen(self) -> int:
+        return sum(len(self.samples[sample]) - len(seen) for sample, seen in self._seen.items())
+
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut(scores=_lost(self.samples[self.places.get(name, name)], self.scores))
+
+
+class NuScenesResults(_SampleBoxes):
+    """The boxes of a detector or tracker, in the global frame, by the token of their sample."""
 
     def in_project(self, project: Project) -> NuScenesResults:
         """Returns the boxes by the project's frames: those of each camera of the samples' recordings."""
@@ -401,31 +434,33 @@ class NuScenesResults:
             raise FormatError(self.path, problem)
         return replace(self, places=places)
 
-    def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return _with_confidences(self.suggested(name, lambda: frame), self.scores)
 
-    def values_of_boxes(self, name: str) -> Sequence[Values]:
-        return [each.attributes for each in self.samples[self.places.get(name, name)]]
+class ArgoverseLabels(_SampleBoxes):
+    """The annotations of an Argoverse 2 log, in the ego frame, by the time of their sweep."""
 
-    def classes(self, name: str) -> list[str]:
-        return [each.label for each in self.samples[self.places[name]]]
+    def in_project(self, project: Project) -> ArgoverseLabels:
+        """Returns the boxes by the project's frames: those of each camera of the log."""
+        names = {
+            stored.id: stored.name
+            for stored in project.recordings.all()
+            if stored.format in (ArgoverseLog.format, LookAround.format)
+        }
+        frames = project.frames.of(tuple(names))
+        places = {f"{names[each.recording_id]}/{each.key}": each.key for each in frames if each.key in self.samples}
+        if not places:
+            problem = f"the project has none of its sweeps ({len(self.samples)}); add their log to the project first"
+            raise FormatError(self.path, problem)
+        return replace(self, places=places)
 
-    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        frame = read()
-        K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
-        sample = self.places[name]
-        truths = self.samples[sample]
-        if (T := frame.T_camera_label) is not None:
-            truths = tuple(replace(truth, box=truth.box.transformed(T)) for truth in truths)
-        seen = [place for place, truth in enumerate(truths) if is_seen(truth.box, K, *size)]
-        self._seen[sample].update(seen)
-        return [truths[place] for place in seen]
 
-    def unseen(self) -> int:
-        return sum(len(self.samples[sample]) - len(seen) for sample, seen in self._seen.items())
-
-    def left_out_of(self, name: str) -> LeftOut:
-        return LeftOut(scores=_lost(self.samples[self.places[name]], self.scores))
+def argoverse_labels(path: Path) -> ArgoverseLabels:
+    """Reads `annotations.feather`, or that of a log. Raises as `read_argoverse`."""
+    file = path / ANNOTATIONS if path.is_dir() else path
+    sweeps = (
+        (str(time_ns), [Truth(each.label, each.box, each.track) for each in boxes])
+        for time_ns, boxes in read_argoverse(file).items()
+    )
+    return ArgoverseLabels(path, PackedTruths(sweeps))
 
 
 @dataclass(frozen=True)
@@ -462,6 +497,22 @@ class BoxesLabels:
 def boxes_labels(path: Path) -> BoxesLabels:
     """Reads a `boxes.json` file, or that of a folder. Raises FormatError: missing, or not valid."""
     return BoxesLabels(path, PackedTruths(each_frame(boxes_file(path))))
+
+
+class BoxCsvLabels(BoxesLabels):
+    """The rows of a CSV file of boxes, in upright depth."""
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return _with_confidences(self.suggested(name, lambda: frame), self.scores)
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        T = upright_frame(read())
+        return [replace(truth, box=truth.box.transformed(T)) for truth in self.boxes[name]]
+
+
+def box_csv_labels(path: Path) -> BoxCsvLabels:
+    """Reads a CSV file of boxes. Raises FormatError as `read_upright_boxes`."""
+    return BoxCsvLabels(path, PackedTruths(read_upright_boxes(path).items()))
 
 
 # Two cameras with matrices that differ less, as a share of the focal length, are the same.

@@ -12,6 +12,8 @@ from pathlib import Path, PurePosixPath
 from pydantic_core import from_json
 
 from annotator.files import ARCHIVE_ERRORS, open_archive, open_file, why_missing
+from annotator.formats.argoverse import ANNOTATIONS as ARGOVERSE_ANNOTATIONS
+from annotator.formats.box_csv import is_box_csv
 from annotator.formats.boxes_json import NAME, PLACES
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.json_file import read_json
@@ -71,6 +73,7 @@ _FOLDERS: dict[Format, Callable[[Path], bool]] = {
     BoxFormat.KITTI_TRACKING: _has(f"training/{tracking_folder.LABELS}/", f"{tracking_folder.LABELS}/"),
     BoxFormat.KITTI: _has(*label_folders.PLACES),
     BoxFormat.SUNRGBD: _has("SUNRGBDMeta*.mat", "label/*.txt"),
+    BoxFormat.ARGOVERSE2: _has(ARGOVERSE_ANNOTATIONS),
     BoxFormat.BOXES: _has(*PLACES),
     FlatFormat.COCO: _has(f"{ANNOTATIONS}/instances_*.json"),
     FlatFormat.YOLO: _has(DATA_YAML, CLASSES),
@@ -97,6 +100,10 @@ def _of_file(file: Path) -> list[Format]:
             return [BoxFormat.SUNRGBD]
         case ".yaml":
             return [FlatFormat.YOLO]
+        case ".feather" if file.name == ARGOVERSE_ANNOTATIONS:
+            return [BoxFormat.ARGOVERSE2]
+        case ".csv" if is_box_csv(file):
+            return [BoxFormat.BOX_CSV]
         case ".json":
             found = _of_json(_beginning(file))
             # an empty file, or one with a fault that its reader names

@@ -22,6 +22,8 @@ class BoxFormat(StrEnum):
     LABELCLOUD = "labelcloud"
     NUSCENES = "nuscenes"
     SUSTECHPOINTS = "sustechpoints"
+    ARGOVERSE2 = "argoverse2"
+    BOX_CSV = "box-csv"
 
 
 READERS: dict[BoxFormat, Callable[[Path], ProposalSet]] = {
@@ -33,6 +35,8 @@ READERS: dict[BoxFormat, Callable[[Path], ProposalSet]] = {
     BoxFormat.LABELCLOUD: formats_3d.labelcloud_labels,
     BoxFormat.NUSCENES: formats_3d.nuscenes_labels,
     BoxFormat.SUSTECHPOINTS: formats_3d.sustechpoints_labels,
+    BoxFormat.ARGOVERSE2: formats_3d.argoverse_labels,
+    BoxFormat.BOX_CSV: formats_3d.box_csv_labels,
     BoxFormat.BOXES: formats_3d.boxes_labels,
 }
 

@@ -8,12 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from annotator.formats.sunrgbd.labels import read_extracted_folder
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.importing import BoxFormat, format_of, import_proposals, read_labels
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
 from annotator.workflows.workbench.review_queue import Order, queue
 
 
@@ -40,7 +45,8 @@ def people(make_project: Callable[..., Project], generated: Path) -> Project:
     return make_project(generated / "people")
 
 
-@pytest.mark.parametrize("format", BoxFormat)
+# Argoverse 2 is not exported: test_argoverse_labels.py
+@pytest.mark.parametrize("format", [each for each in BoxFormat if each is not BoxFormat.ARGOVERSE2])
 def test_boxes_of_every_format_become_proposals_onto_labelled_frames(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, format: BoxFormat
 ) -> None:
@@ -48,6 +54,8 @@ def test_boxes_of_every_format_become_proposals_onto_labelled_frames(
     people.labels.create(frame.id, [NewLabel("person", box(0.0), 0.7)], WriteContext(0, "me"))
     if format is BoxFormat.BOXES:
         path = boxes_file(tmp_path / "theirs.json", {frame.key: [("person", 0.0, 0.7)]})
+    elif format is BoxFormat.BOX_CSV:
+        path = box_csv(people, tmp_path)
     else:
         path = tmp_path / "theirs"
         export_project(people, path, ExportFormat(format))
@@ -62,6 +70,35 @@ def test_boxes_of_every_format_become_proposals_onto_labelled_frames(
     assert [(each.source, each.score) for each in proposed.said] == [("theirs", proposed.label.score)]
     # some formats hold upright boxes only
     np.testing.assert_allclose(proposed.label.box.center_m, box(0.0).center_m, atol=0.01)
+
+
+def box_csv(project: Project, folder: Path, score: float = 0.7) -> Path:
+    """The labels of a project as rows; their numbers are those of its export as SUN RGB-D."""
+    export_project(project, folder / "upright", ExportFormat.SUNRGBD)
+    rows = ["image,class,cx,cy,cz,l,w,h,yaw,score"]
+    for name, frame in read_extracted_folder(folder / "upright").items():
+        for each in frame.truths:
+            yaw = np.arctan2(*each.box.rotation[1::-1, 0])
+            numbers = (*each.box.center_m, *each.box.size_m, yaw, score)
+            rows.append(",".join((name, each.label, *map(str, numbers))))
+    (folder / "theirs.csv").write_text("\n".join(rows))
+    return folder / "theirs.csv"
+
+
+def test_rows_of_a_box_csv_are_turned_boxes_in_upright_depth(
+    people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path
+) -> None:
+    frame = people.frames.of()[1]
+    up = FrameSource(people).read(frame).up
+    assert up is not None
+    turn = level_pose(up).rotation.inv() * Rotation.from_euler("z", 0.4)
+    mine = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), turn.as_matrix(), np.array([0.9, 0.4, 1.8]))
+    people.labels.create(frame.id, [NewLabel("person", mine)], WriteContext(0, "me"))
+    other = make_project(generated / "people")
+    assert import_labels(other, read_labels(BoxFormat.BOX_CSV, box_csv(people, tmp_path, 7.0))).scores == 1
+    (label,) = other.labels.of_frame(other.frames.of()[1].id)
+    np.testing.assert_allclose(box_corners(label.box), box_corners(mine), atol=1e-5)
+    assert label.score is None
 
 
 def test_proposals_of_an_rcv_export_come_in_and_rejected_boxes_do_not(
