@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from annotator.files import ARCHIVE_ERRORS, is_within, open_archive, private_folder
+from annotator.formats.box_csv import is_box_csv
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES
@@ -161,6 +162,7 @@ def _dataset(folder: Path) -> tuple[Path, FlatFormat | BoxFormat]:
         if any((level / ANNOTATIONS).glob("instances_*.json")):
             return level, FlatFormat.COCO
     files = [path for path in folder.rglob("*.json") if path.is_file()]
+    files = files or [path for path in folder.rglob("*.csv") if is_box_csv(path)]
     if len(files) == 1 and (format := _format_of(files[0])) not in OF_FRAMES:
         return files[0], format
     for level in levels:

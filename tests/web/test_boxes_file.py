@@ -305,11 +305,12 @@ def test_a_packed_yolo_folder(live: Live, tmp_path: Path) -> None:
     assert [box.label for box in drawn.boxes] == ["person"]
 
 
-def test_a_box_csv(live: Live, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_a_box_csv(live: Live, tmp_path: Path, is_packed: bool) -> None:
     project = live.context.project("room")
     key = project.frames.of()[0].key
     rows = f"image,class,cx,cy,cz,l,w,h,yaw,score\n{key},person,0,3,0,1,1,1,0,0.25\n"
-    sent = send(live, "mine.csv", rows.encode())
+    sent = send(live, "mine.zip", packed({"a/mine.csv": rows})) if is_packed else send(live, "mine.csv", rows.encode())
     assert (sent["format"], sent["boxes"], sent["scores"]) == ("box-csv", {"person": 1}, [0.25, 0.25])
     assert run(project, tmp_path, upload=sent["id"], become="proposals").result["boxes"] == 1
 
