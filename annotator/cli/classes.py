@@ -68,7 +68,7 @@ def style(
     """Set the colour and the key of a class on the page.
 
     Args:
-        unset: settings to remove from the class.
+        unset: settings to remove.
     """
     _require_one_of_both({"colour": colour, "key": key}, unset)
 
@@ -197,7 +197,7 @@ def attribute(
         required: let checks report boxes without a value.
         optional: let checks accept boxes without a value.
         default: value of new boxes.
-        unset: settings to remove from the attribute.
+        unset: settings to remove.
         drop: remove stored values that do not fit.
     """
 

@@ -35,7 +35,6 @@ from test_las_file import written  # noqa: E402
 from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
 from test_ros_messages import rvl  # noqa: E402
 
-from annotator.formats.argoverse import read_argoverse  # noqa: E402
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
 from annotator.formats.coco_dataset import CocoWriter  # noqa: E402
 from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
@@ -256,6 +255,10 @@ RESULTS = {
         "empty": [],
     },
 }  # fmt: skip
+UPRIGHT_BOXES = (
+    "image,class,cx,cy,cz,l,w,h,yaw,score\n000001,hand,0.5,2.5,-0.2,0.2,0.1,0.05,0.3,0.9\n"
+    '000002,"a, b",1,3,0,1,0.5,1.7,-1.5,0.5\n'
+)
 BUILT = {build.__name__: build for build in small.BUILDERS}
 TARGETS: list[Target] = [
     *(Target(name, build, read_frame) for name, build in BUILT.items() if name not in ("record3d", "sunrgbd_scene")),
@@ -313,8 +316,10 @@ TARGETS: list[Target] = [
     Target("tracklets",
            lambda folder: (folder / "tracklet_labels.xml").write_text(document(VAN, PEDESTRIAN)),
            lambda folder: read_tracklets(folder / "tracklet_labels.xml") and None),
-    Target("argoverse_labels", BUILT["argoverse2"],
-           lambda folder: read_argoverse(folder / "annotations.feather") and None),
+    Target("export_argoverse2", BUILT["argoverse2"],
+           lambda folder: read_labels(BoxFormat.ARGOVERSE2, folder) and None),
+    Target("export_box_csv", lambda folder: (folder / "b.csv").write_text(UPRIGHT_BOXES),
+           lambda folder: read_labels(BoxFormat.BOX_CSV, folder / "b.csv") and None),
 ]  # fmt: skip
 if (SHARED / "data" / "realsense").is_dir():
     REAL = next((SHARED / "data" / "realsense").glob("*.bag"))

@@ -262,8 +262,8 @@ export async function importBoxes(app, name) {
           "span",
           { class: "help" },
           "2D boxes on camera images: a COCO file (.json), or a YOLO or COCO folder packed as .zip. 3D boxes: " +
-            "boxes.json, OpenLABEL, nuScenes' results, a CSV file of upright boxes, or a folder such as KITTI's label_2 packed as .zip. Images " +
-            "and frames must have the names of the project's, such as 000012.",
+            "boxes.json, OpenLABEL, nuScenes' results, a CSV file of upright boxes, or a folder such as KITTI's " +
+            "label_2 packed as .zip. Images and frames must have the names of the project's, such as 000012.",
         ),
       ),
       about,
