@@ -200,9 +200,7 @@ def attribute(
         unset: settings to remove.
         drop: remove stored values that do not fit.
     """
-
     given_here = {"minimum": minimum, "maximum": maximum, "classes": classes or None, "default": default, "key": key}
-
     _require_one_of_both(given_here, unset)
 
     def put(config: ProjectConfig) -> ClassEdit:

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, func, select, true
+from sqlalchemy import Connection, func, select
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
@@ -84,14 +84,15 @@ def counts_with_defaults(connection: Connection, attributes: Sequence[Attribute]
     """
     stored = list(_stored(connection))
     counts, without = _counted(stored), dict[str, int]()
-    boxes, frames_found = _boxes_without(connection, stored, attributes), _frames_found(connection)
+    boxes = _boxes_without(connection, stored, attributes)
+    frames_found, frames_with = _frames_found(connection), _frames_with(connection)
     for each in attributes:
         missing = boxes[each.name]
         if each.of is AttributeOf.FRAME:
-            missing = frames_found - _frames_with(connection, each.name)
-        if each.of is AttributeOf.FRAME and each.default is not None and missing:
-            counts[each.name][value_text(each.default)] += missing
-            missing = 0
+            missing = frames_found - frames_with[each.name]
+            if each.default is not None and missing:
+                counts[each.name][value_text(each.default)] += missing
+                missing = 0
         counts.setdefault(each.name, Counter())
         without[each.name] = missing
     return ValueCounts(_by_name(counts), without)
@@ -143,12 +144,13 @@ def _frames_found(connection: Connection) -> int:
     return int(connection.execute(select(func.count()).where(frames.c.position.is_not(None))).scalar_one())
 
 
-def _frames_with(connection: Connection, name: str) -> int:
-    """Frames that the latest scans found and that have a value of their own."""
-    values = func.json_each(frame_attributes.c.attributes).table_valued("key")
-    query = select(func.count()).select_from(frame_attributes).join(frames).join(values, true())
-    query = query.where(frames.c.position.is_not(None), values.c.key == name)
-    return int(connection.execute(query).scalar_one())
+def _frames_with(connection: Connection) -> Counter[str]:
+    """Frames that the latest scans found and that have a value of their own, by attribute."""
+    query = select(frame_attributes.c.attributes, func.count()).join(frames).where(frames.c.position.is_not(None))
+    counts: Counter[str] = Counter()
+    for text, number in connection.execute(query.group_by(frame_attributes.c.attributes)):
+        counts.update(dict.fromkeys(values_of(text), number))
+    return counts
 
 
 def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int, str]]:

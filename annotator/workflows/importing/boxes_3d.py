@@ -17,7 +17,7 @@ from annotator.types.label import AttributeValue, Said
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
-from annotator.workflows.importing.label_set import FoundInProject, HasBoxValues, HasFrameValues, HasUnseen, LabelSet
+from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, HasUnseen, LabelSet
 from annotator.workflows.importing.missing_values import give_missing_values
 
 AUTHOR = "import"
@@ -149,9 +149,8 @@ class _Importer:
 
     def has_values(self, name: str) -> bool:
         """Whether a frame of the dataset has values of the project's attributes; no frame is read."""
-        of_boxes = self._dataset.values_of_boxes(name) if isinstance(self._dataset, HasBoxValues) else ()
         of_frame = self._dataset.values_of(name) if isinstance(self._dataset, HasFrameValues) else {}
-        return any(self._attributes & values.keys() for values in (of_frame, *of_boxes))
+        return any(self._attributes & values.keys() for values in (of_frame, *self._dataset.values_of_boxes(name)))
 
     def add(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
         """Stores the labels and values of a frame without labels."""

@@ -75,6 +75,9 @@ class LabelSet(Protocol):
             FormatError: the frame lacks what the format needs.
         """
 
+    def values_of_boxes(self, name: str) -> Sequence[Mapping[str, AttributeValue]]:
+        """Returns the values of the attributes of each box of one of these frames; no frame is read."""
+
     def left_out_of(self, name: str) -> LeftOut:
         """Returns what is left out of one of these frames, for the report."""
 
@@ -126,14 +129,6 @@ class HasFrameValues(Protocol):
 
     def values_of(self, name: str) -> Mapping[str, AttributeValue]:
         """Returns the values of a frame."""
-
-
-@runtime_checkable
-class HasBoxValues(Protocol):
-    """A `LabelSet` whose boxes have attributes."""
-
-    def values_of_boxes(self, name: str) -> Sequence[Mapping[str, AttributeValue]]:
-        """Returns the values of each box of a frame."""
 
 
 @runtime_checkable

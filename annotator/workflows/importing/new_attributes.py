@@ -16,7 +16,7 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.types.label import AttributeValue
 from annotator.workflows.importing.boxes_3d import AUTHOR
-from annotator.workflows.importing.label_set import HasBoxValues, HasFrameValues, LabelSet
+from annotator.workflows.importing.label_set import HasFrameValues, LabelSet
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
 
 # Texts that repeat are a choice, if there are at most so many different ones.
@@ -38,7 +38,7 @@ def values_of_labels(dataset: LabelSet) -> FoundValues:
     """Returns the values of a dataset of 3D boxes."""
     found = FoundValues(defaultdict(list), defaultdict(list))
     for name in dataset.frames:
-        for values in dataset.values_of_boxes(name) if isinstance(dataset, HasBoxValues) else ():
+        for values in dataset.values_of_boxes(name):
             _add(found.of_boxes, values.items())
         if isinstance(dataset, HasFrameValues):
             _add(found.of_frames, dataset.values_of(name).items())

@@ -1,4 +1,4 @@
-"""The table of import formats of 3D boxes. A new format needs one row here and a reader in `formats_3d.py`."""
+"""The table of import formats of 3D boxes. A new format needs one row here and a function in `readers/`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 
-from annotator.workflows.importing import formats_3d
 from annotator.workflows.importing.label_set import ProposalSet
+from annotator.workflows.importing.readers import frame_boxes, reviewed_boxes, surround_boxes
 
 
 class BoxFormat(StrEnum):
@@ -26,18 +26,22 @@ class BoxFormat(StrEnum):
     BOX_CSV = "box-csv"
 
 
+def _nuscenes(path: Path) -> ProposalSet:
+    return surround_boxes.nuscenes_results(path) if path.is_file() else frame_boxes.nuscenes_tables(path)
+
+
 READERS: dict[BoxFormat, Callable[[Path], ProposalSet]] = {
-    BoxFormat.RCV: formats_3d.rcv_labels,
-    BoxFormat.KITTI: formats_3d.kitti_labels,
-    BoxFormat.KITTI_TRACKING: formats_3d.kitti_tracking_labels,
-    BoxFormat.SUNRGBD: formats_3d.sunrgbd_labels,
-    BoxFormat.OPENLABEL: formats_3d.openlabel_labels,
-    BoxFormat.LABELCLOUD: formats_3d.labelcloud_labels,
-    BoxFormat.NUSCENES: formats_3d.nuscenes_labels,
-    BoxFormat.SUSTECHPOINTS: formats_3d.sustechpoints_labels,
-    BoxFormat.ARGOVERSE2: formats_3d.argoverse_labels,
-    BoxFormat.BOX_CSV: formats_3d.box_csv_labels,
-    BoxFormat.BOXES: formats_3d.boxes_labels,
+    BoxFormat.RCV: reviewed_boxes.rcv_labels,
+    BoxFormat.KITTI: frame_boxes.kitti_labels,
+    BoxFormat.KITTI_TRACKING: frame_boxes.kitti_tracking_labels,
+    BoxFormat.SUNRGBD: frame_boxes.sunrgbd_labels,
+    BoxFormat.OPENLABEL: reviewed_boxes.openlabel_labels,
+    BoxFormat.LABELCLOUD: frame_boxes.labelcloud_labels,
+    BoxFormat.NUSCENES: _nuscenes,
+    BoxFormat.SUSTECHPOINTS: frame_boxes.sustechpoints_labels,
+    BoxFormat.ARGOVERSE2: surround_boxes.argoverse_labels,
+    BoxFormat.BOX_CSV: frame_boxes.box_csv_labels,
+    BoxFormat.BOXES: frame_boxes.boxes_labels,
 }
 
 

@@ -35,7 +35,8 @@ from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.importing.formats_3d import LabelCloudLabels, OpenLabelLabels, RcvLabels, openlabel_labels
+from annotator.workflows.importing.readers.frame_boxes import of_labelcloud
+from annotator.workflows.importing.readers.reviewed_boxes import OpenLabelLabels, RcvLabels, openlabel_labels
 
 # Generated recordings have their truth in a separate folder.
 TRUTH_FOLDER = "truth"
@@ -254,7 +255,7 @@ def _from_openlabel(path: Path, key: str, frame: Frame) -> list[Truth]:
 
 
 def _from_labelcloud(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return LabelCloudLabels(path, {key: read_labelcloud_file(path)}).truths(key, frame)
+    return of_labelcloud(path, {key: read_labelcloud_file(path)}).truths(key, frame)
 
 
 def file_version(path: Path) -> tuple[int, int]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from annotator.formats.attributes import Values
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.types import BoxKind, Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
@@ -34,6 +35,9 @@ class Given:
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return self.boxes[name]
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.boxes[name]]
 
     def left_out_of(self, name: str) -> LeftOut:
         return LeftOut()

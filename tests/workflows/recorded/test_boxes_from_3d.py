@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from annotator.formats.attributes import Values
 from annotator.geometry.oriented_box import box_corners
 from annotator.project import Project, StoredFrame, WriteContext
 from annotator.recordings import open_recording
@@ -172,6 +173,9 @@ class Elsewhere:
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         assert name == self.frames[0]
         return list(self.beside.truths(self.beside.frames[3], frame))
+
+    def values_of_boxes(self, name: str) -> list[Values]:
+        return []
 
     def left_out_of(self, name: str) -> LeftOut:
         assert name == self.frames[0]

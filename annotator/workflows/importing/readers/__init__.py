@@ -1,0 +1,1 @@
+"""Reads 3D boxes in each format as a `ProposalSet`."""

@@ -1,0 +1,74 @@
+"""Boxes that belong to one frame each; most formats have such."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.attributes import Values
+from annotator.formats.openlabel import OpenLabelBox
+from annotator.formats.packed_truths import PackedTruths
+from annotator.types import Frame, Truth
+from annotator.workflows.importing.label_set import LeftOut, ScoreRange
+
+Pose = Callable[[str, Callable[[], Frame]], RigidTransform | None]
+"""Transform of the boxes of a frame, by its name, to its camera; None: they are in its frame already. The second
+argument reads the project's frame, which takes long."""
+
+
+@dataclass(frozen=True)
+class PlacedBoxes:
+    """Boxes of which none was rejected.
+
+    Attributes:
+        objects: objects by frame name, with their scores as in the file.
+        pose: None: all are in the camera frame.
+    """
+
+    path: Path
+    objects: PackedTruths
+    pose: Pose | None = None
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.objects)
+
+    @cached_property
+    def scores(self) -> ScoreRange | None:
+        return ScoreRange.of(self.objects.scores)
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self.objects[name]]
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        return with_confidences(self.suggested(name, lambda: frame), self.scores)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self.objects[name]]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        return transformed(self.objects[name], None if self.pose is None else self.pose(name, read))
+
+    def left_out_of(self, name: str) -> LeftOut:
+        return LeftOut(scores=lost_scores(self.objects[name], self.scores))
+
+
+def transformed(truths: Sequence[Truth], T: RigidTransform | None) -> list[Truth]:
+    """Returns the objects with their boxes transformed; None: as they are."""
+    return list(truths) if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
+
+
+def with_confidences(truths: Sequence[Truth], scores: ScoreRange | None) -> list[Truth]:
+    """Labels keep scores only if all of the dataset are in 0..1, as confidences are."""
+    confident = scores is None or scores.are_confidences
+    return list(truths) if confident else [replace(truth, score=None) for truth in truths]
+
+
+def lost_scores(objects: Sequence[Truth] | Sequence[OpenLabelBox], scores: ScoreRange | None) -> int:
+    """Number of scores that `with_confidences` leaves out."""
+    confident = scores is None or scores.are_confidences
+    return 0 if confident else sum(each.score is not None for each in objects)
