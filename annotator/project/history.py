@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from sqlalchemy import Connection, bindparam, select, true
+from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.adjusting.adjustment import adjustment_of
 from annotator.project.classes.applying import made_changes
@@ -81,6 +82,7 @@ _ACTIONS = (
     .where(events.c.author == bindparam("author"), events.c.action.is_not(None), events.c.id > bindparam("last"))
     .order_by(events.c.id)
 )
+_NEWEST = select(func.coalesce(func.max(events.c.id), 0))
 _CHANGES = (
     select(
         events.c.id,
@@ -141,6 +143,7 @@ class _Stacks:
 
     Attributes:
         known: the recordings of all actions so far.
+        words: descriptions, by original action and then by the recordings in which it would be reverted.
         lock: held by the thread that uses them.
     """
 
@@ -148,7 +151,24 @@ class _Stacks:
     known: dict[str, set[int]] = field(default_factory=dict)
     undo: list[Step] = field(default_factory=list)
     redo: list[Step] = field(default_factory=list)
+    words: dict[str, dict[frozenset[int], str]] = field(default_factory=dict)
     lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def follow(self, connection: Connection, author: str) -> None:
+        """Reads the operator's events since `last`."""
+        for row in connection.execute(_ACTIONS, {"author": author, "last": self.last}):
+            self.last = row.id
+            # an action that is written in several calls has its place since the first
+            self.words.pop(row.action, None)
+            if row.recording_id not in self.known.get(row.action, ()):
+                self.add(row.action, row.undoes, row.recording_id)
+
+    def description(self, connection: Connection, step: Step) -> str:
+        """What a step has done, in words."""
+        known = self.words.setdefault(step.original, {})
+        if step.recordings not in known:
+            known[step.recordings] = _description(connection, step)
+        return known[step.recordings]
 
     def add(self, action: str, undoes: str | None, recording: int) -> None:
         """Updates both stacks with what the operator's latest action has changed in one more recording."""
@@ -190,16 +210,15 @@ class History:
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
         self._stacks_by_author: dict[str, _Stacks] = {}
-        # by original action, then by the recordings in which it would be reverted
-        self._words: dict[str, dict[frozenset[int], str]] = {}
 
     def next(self, author: str) -> tuple[str | None, str | None]:
         """Descriptions of the operator's next undo and redo; None where the stack is empty."""
-        with self._writer.store.read() as connection:
-            undo, redo = (next(stack, None) for stack in self._stacks(connection, author))
+        with self._writer.store.read() as connection, self._stacks(connection, author) as stacks:
+            removed = removed_recordings(connection)
+            undo, redo = (next(_without(steps, removed), None) for steps in (stacks.undo, stacks.redo))
             return (
-                None if undo is None else self._description(connection, undo),
-                None if redo is None else self._description(connection, redo),
+                None if undo is None else stacks.description(connection, undo),
+                None if redo is None else stacks.description(connection, redo),
             )
 
     def undo(self, author: str, *, skip: bool = False, effort: Effort | None = None) -> Reverted:
@@ -219,7 +238,9 @@ class History:
 
     def _revert(self, author: str, *, is_undo: bool, skip: bool, effort: Effort | None) -> Reverted:
         with self._writer.store.write() as connection:
-            steps = list(self._stacks(connection, author)[0 if is_undo else 1])
+            with self._stacks(connection, author) as stacks:
+                kept = stacks.undo if is_undo else stacks.redo
+                steps = list(_without(kept, removed_recordings(connection)))
             if not steps:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
             config = read_config(self._writer.folder)
@@ -235,7 +256,7 @@ class History:
                     break
                 if not skip:
                     raise HistoryError(
-                        f"{self._description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
+                        f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
                         f"{conflict}; nothing was changed; both versions are in the log",
                         frame_id=rows[0].frame_id,
                     )
@@ -254,34 +275,24 @@ class History:
                 effort = None
             receipts = self._writer.to_frames_in(connection, parts)
             others = tuple(zip(list(payloads_by_frame)[1:], receipts[1:], strict=True))
-            words = self._description(connection, step)
+            words = _description(connection, step)
             if left_out:
                 words += f"; without values that the project no longer allows: {', '.join(left_out)}"
             return Reverted(parts[0].frame_id, receipts[0], words, step.original, others)
 
-    def _stacks(self, connection: Connection, author: str) -> tuple[Iterator[Step], Iterator[Step]]:
-        """Both stacks as of the transaction, newest first, without removed recordings.
+    @contextmanager
+    def _stacks(self, connection: Connection, author: str) -> Iterator[_Stacks]:
+        """The operator's stacks as of the transaction, which no other thread uses within the block.
 
-        Only events since the last call are read, and only the steps that are asked for are looked at: the history of an
-        operator can be long, and every save names its newest steps.
+        Only events since the last call are read: the history of an operator can be long, and every save names its
+        newest steps. A snapshot can be older than the kept stacks, as another page of the operator has saved since it
+        began. It then gets stacks of its own: the kept ones have steps whose events it does not see.
         """
-        stacks = self._stacks_by_author.setdefault(author, _Stacks())
-        with stacks.lock:
-            for row in connection.execute(_ACTIONS, {"author": author, "last": stacks.last}):
-                stacks.last = row.id
-                # an action that is written in several calls has its place since the first
-                self._words.pop(row.action, None)
-                if row.recording_id not in stacks.known.get(row.action, ()):
-                    stacks.add(row.action, row.undoes, row.recording_id)
-            undo, redo = stacks.undo[:], stacks.redo[:]
-        removed = removed_recordings(connection)
-        return _without(undo, removed), _without(redo, removed)
-
-    def _description(self, connection: Connection, step: Step) -> str:
-        known = self._words.setdefault(step.original, {})
-        if step.recordings not in known:
-            known[step.recordings] = _action_words(connection, _changes_of(connection, step.original, step.recordings))
-        return known[step.recordings]
+        kept = self._stacks_by_author.setdefault(author, _Stacks())
+        with kept.lock:
+            stacks = kept if kept.last <= connection.execute(_NEWEST).scalar_one() else _Stacks()
+            stacks.follow(connection, author)
+            yield stacks
 
 
 def _without(steps: Sequence[Step], removed: Collection[int]) -> Iterator[Step]:
@@ -377,6 +388,10 @@ def _restoring(
 
 
 # --- descriptions for the page ----------------------------------------------------------------------------------------
+
+
+def _description(connection: Connection, step: Step) -> str:
+    return _action_words(connection, _changes_of(connection, step.original, step.recordings))
 
 
 def _target_name(target: str, state: str | None) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+import uuid
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +28,7 @@ from store_samples import (
     state_of,
 )
 
-from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
+from annotator.project import FramePart, NewLabel, Project, StoredRecording, create_project, open_project
 from annotator.project.event_types import FrameFinalised, LabelCreated, LabelDeleted, Payload
 from annotator.project.records import BoxRecord
 from annotator.project.writing import new_action
@@ -124,6 +126,51 @@ def test_the_next_undo_and_redo_are_described(project: Project, frame: int) -> N
     assert project.history.next("ann") == ("accept hand (frame 2)", "delete 2 labels (frame 2)")
     project.frames.finalise(frame, by_hand(6))
     assert project.history.next("ann") == ("finalise frame 2", None), "a new action empties the redo stack"
+
+
+def test_a_page_that_is_read_while_its_operator_saves_elsewhere_sees_the_steps_of_its_own_moment(
+    project: Project, frame: int
+) -> None:
+    def draw(count: int) -> None:
+        new = [NewLabel("hand", box_at(float(n))) for n in range(count)]
+        project.labels.create(frame, new, by_hand(project.frames.get(frame).revision))
+
+    def elsewhere(act: Callable[[], object]) -> object:
+        with ThreadPoolExecutor(1) as threads:  # a snapshot belongs to a thread
+            return threads.submit(act).result()
+
+    draw(1)
+    first, second = "draw hand (frame 2)", "draw 2 labels (frame 2)"
+    with project.store.snapshot():
+        project.log.last()
+        elsewhere(lambda: draw(2))
+        assert elsewhere(lambda: project.history.next("ann")) == (second, None)
+        assert project.history.next("ann") == (first, None)
+        elsewhere(lambda: project.history.undo("ann"))
+        assert elsewhere(lambda: project.history.next("ann")) == (first, second)
+        assert project.history.next("ann") == (first, None)
+    assert project.history.next("ann") == (first, second)
+    assert project.history.redo("ann").words == second
+
+
+def test_the_words_of_an_action_that_is_written_in_several_calls_are_those_of_the_moment(
+    project: Project, recording: StoredRecording
+) -> None:
+    frames, action = project.frames.of(), new_action()
+
+    def draw(frame: int) -> None:
+        made = LabelCreated(uid=uuid.uuid4().hex, label="hand", box=BoxRecord.of(box_at()))
+        project.log.append_to_frames([FramePart(frame, [made], by_hand())], action)
+
+    draw(frames[0].id)
+    with project.store.snapshot():
+        project.log.last()
+        with ThreadPoolExecutor(1) as threads:
+            threads.submit(draw, frames[1].id).result()
+            both = threads.submit(project.history.next, "ann").result()
+        assert project.history.next("ann") == (f"draw hand (frame {frames[0].key})", None)
+    # what the older moment said is not kept
+    assert project.history.next("ann") == both == (f"draw 2 labels (frames {frames[0].key} to {frames[1].key})", None)
 
 
 def test_operators_undo_only_their_own_actions(project: Project, recording: StoredRecording) -> None:
