@@ -103,7 +103,8 @@ class Context:
         folder = self._folder(name)
         _require(folder)
         self.jobs.require_none(name)
-        self.follow_runs.close(name)
+        if (project := self._projects.get(name)) is not None:
+            self.follow_runs.close(project)
         with self._opening(name):
             _require(folder)
             if name in self._projects:
@@ -195,7 +196,6 @@ class Context:
         with self._lock:
             project = self._projects.pop(name)
         self.caches.frames.forget(project)
-        self.hub.forget(name)
         project.close()
 
     def _send_job(self, job: Job) -> None:

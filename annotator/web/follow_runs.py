@@ -12,8 +12,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
+from weakref import WeakKeyDictionary
 
-from annotator.project import Receipt
+from annotator.project import Project, Receipt
 from annotator.types.errors import AnnotatorError
 from annotator.web.errors import INTERNAL
 from annotator.web.hub import Hub
@@ -94,9 +95,10 @@ class FollowRuns:
         self._hub, self._public_message = hub, public_message
         self._lock, self._starting = threading.Lock(), threading.Lock()
         self._number = 0
-        self._runs: dict[tuple[str, str], _Running] = {}
+        # the latest run of each operator; not by the project's name: another one of that name has none of them
+        self._runs = WeakKeyDictionary[Project, dict[str, _Running]]()
 
-    def start(self, project: str, operator: str, request: FollowRequest) -> FollowRunJson:
+    def start(self, project: Project, operator: str, request: FollowRequest) -> FollowRunJson:
         """Starts a run; an earlier one of the operator in this project is stopped first."""
         with self._starting:
             self.stop(project, operator)
@@ -117,23 +119,23 @@ class FollowRuns:
                     first=None,
                     message=None,
                 )
-                running = self._runs[project, operator] = _Running(shown, request.run.action)
+                running = self._runs.setdefault(project, {})[operator] = _Running(shown, request.run.action)
                 running.thread = threading.Thread(
                     target=self._follow, args=(project, running, request.run), name="follow", daemon=True
                 )
                 running.thread.start()
             return shown
 
-    def latest(self, project: str, operator: str) -> FollowRunJson | None:
+    def latest(self, project: Project, operator: str) -> FollowRunJson | None:
         """The operator's latest run in a project, or None."""
         with self._lock:
-            running = self._runs.get((project, operator))
+            running = self._runs.get(project, {}).get(operator)
             return None if running is None else running.shown
 
-    def stop(self, project: str, operator: str) -> FollowRunJson | None:
+    def stop(self, project: Project, operator: str) -> FollowRunJson | None:
         """Stops the operator's run, and waits until its last box is stored; its boxes stay."""
         with self._lock:
-            running = self._runs.get((project, operator))
+            running = self._runs.get(project, {}).get(operator)
         if running is None:
             return None
         running.stop.set()
@@ -141,25 +143,26 @@ class FollowRuns:
             running.thread.join()
         return running.shown
 
-    def forget(self, project: str, operator: str, action: str) -> None:
+    def forget(self, project: Project, operator: str, action: str) -> None:
         """Forgets the operator's run if it was this action, since its boxes were taken back."""
         with self._lock:
-            running = self._runs.get((project, operator))
+            running = self._runs.get(project, {}).get(operator)
             if running is not None and running.action == action:
-                del self._runs[project, operator]
+                del self._runs[project][operator]
                 shown = running.shown.model_copy(update={"state": "undone"})
-                self._hub.send({"type": "follow", "project": project, "run": shown.model_dump(mode="json")})
+                self._hub.send({"type": "follow", "project": project.path.name, "run": shown.model_dump(mode="json")})
 
-    def close(self, project: str | None = None) -> None:
+    def close(self, project: Project | None = None) -> None:
         """Stops and forgets all runs, or those of one project."""
         with self._lock:
-            keys = [key for key in self._runs if project in (None, key[0])]
-        for key in keys:
-            self.stop(*key)
+            runs = {one: list(self._runs.get(one, ())) for one in (self._runs.keys() if project is None else [project])}
+        for one, operators in runs.items():
+            for operator in operators:
+                self.stop(one, operator)
             with self._lock:
-                self._runs.pop(key, None)
+                self._runs.pop(one, None)
 
-    def _follow(self, project: str, running: _Running, run: FollowRun) -> None:
+    def _follow(self, project: Project, running: _Running, run: FollowRun) -> None:
         def report(state: Following) -> None:
             self._announce(project, running.shown.operator, state.changed)
             first = running.shown.first or next(iter(state.proposed), None)
@@ -171,19 +174,21 @@ class FollowRuns:
         except AnnotatorError as error:
             self._show(project, running, run.state, state="failed", message=self._public_message(str(error)))
         except Exception:
-            LOG.exception("following in project %s failed", project)
+            LOG.exception("following in project %s failed", project.path.name)
             self._show(project, running, run.state, state="failed", message=INTERNAL)
 
-    def _announce(self, project: str, operator: str, changed: tuple[tuple[int, Receipt], ...]) -> None:
+    def _announce(self, project: Project, operator: str, changed: tuple[tuple[int, Receipt], ...]) -> None:
         for frame_id, receipt in changed:
             self._hub.frame_changed(project, frame_id, receipt.revision, operator)
 
-    def _show(self, project: str, running: _Running, now: Following, **changes: object) -> None:
+    def _show(self, project: Project, running: _Running, now: Following, **changes: object) -> None:
         """Updates a run, and sends it to the pages of its project."""
         values = {"done": now.done, "total": now.total, "tracks": _tracks(now, self._public_message), **changes}
         with self._lock:
             running.shown = running.shown.model_copy(update=values)
-            self._hub.send({"type": "follow", "project": project, "run": running.shown.model_dump(mode="json")})
+            self._hub.send(
+                {"type": "follow", "project": project.path.name, "run": running.shown.model_dump(mode="json")}
+            )
 
 
 def _tracks(state: Following, public_message: Callable[[str], str]) -> list[FollowedJson]:

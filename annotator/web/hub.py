@@ -9,6 +9,9 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
+from weakref import WeakKeyDictionary
+
+from annotator.project import Project
 
 Message = Mapping[str, Any]
 """One event as JSON; "type" determines its further fields (docs/architecture.md lists them)."""
@@ -40,15 +43,29 @@ class Client:
     dropped: bool = False
 
 
+@dataclass(eq=False)
+class _Told:
+    """What the pages were told of an open project.
+
+    Attributes:
+        revisions: the newest one, by frame.
+        adjusted: the newest event, by recording.
+        recordings: by id, who has removed it; None before the first look.
+    """
+
+    revisions: dict[int, int] = field(default_factory=dict)
+    adjusted: dict[int, int] = field(default_factory=dict)
+    recordings: dict[int, str | None] | None = None
+
+
 class Hub:
     """Keeps track of the open pages and their frames, and sends events to them in order."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._clients: dict[Client, asyncio.AbstractEventLoop] = {}
-        self._announced: dict[tuple[str, int], int] = {}
-        self._adjusted: dict[tuple[str, int], int] = {}
-        self._recordings: dict[str, dict[int, str | None]] = {}
+        # not by name: another project of the same name begins anew
+        self._told = WeakKeyDictionary[Project, _Told]()
 
     # --- pages connect and disconnect (event loop) -----------------------------------------------------------------
 
@@ -110,24 +127,27 @@ class Hub:
 
     # --- events (any thread) ---------------------------------------------------------------------------------------
 
-    def frame_changed(self, project: str, frame_id: int, revision: int, operator: str) -> None:
+    def frame_changed(self, project: Project, frame_id: int, revision: int, operator: str) -> None:
         """Sends the event for a new revision of a frame, unless it was sent before."""
         with self._lock:
-            if self._announced.get((project, frame_id), -1) >= revision:
+            revisions = self._told.setdefault(project, _Told()).revisions
+            if revisions.get(frame_id, -1) >= revision:
                 return
-            self._announced[project, frame_id] = revision
-        self.send({"type": "frame", "project": project, "frame": frame_id, "revision": revision, "operator": operator})
-
-    def recording_adjusted(self, project: str, recording: int, adjusted: int, operator: str) -> None:
-        """Sends the event for a new up direction or calibration of a recording, unless it was sent before."""
-        with self._lock:
-            if self._adjusted.get((project, recording), -1) >= adjusted:
-                return
-            self._adjusted[project, recording] = adjusted
-        event = {"type": "adjusted", "project": project, "recording": recording, "adjusted": adjusted}
+            revisions[frame_id] = revision
+        event = {"type": "frame", "project": project.path.name, "frame": frame_id, "revision": revision}
         self.send({**event, "operator": operator})
 
-    def recordings_are(self, project: str, recordings: Mapping[int, str | None], operator: str = "") -> None:
+    def recording_adjusted(self, project: Project, recording: int, adjusted: int, operator: str) -> None:
+        """Sends the event for a new up direction or calibration of a recording, unless it was sent before."""
+        with self._lock:
+            told = self._told.setdefault(project, _Told()).adjusted
+            if told.get(recording, -1) >= adjusted:
+                return
+            told[recording] = adjusted
+        event = {"type": "adjusted", "project": project.path.name, "recording": recording, "adjusted": adjusted}
+        self.send({**event, "operator": operator})
+
+    def recordings_are(self, project: Project, recordings: Mapping[int, str | None], operator: str = "") -> None:
         """Takes a project's recordings; sends an event for each one that was added, removed or restored.
 
         Args:
@@ -137,23 +157,17 @@ class Hub:
         """
         now = dict(recordings)
         with self._lock:
-            before = self._recordings.get(project, now)
-            self._recordings[project] = now
+            told = self._told.setdefault(project, _Told())
+            before = now if told.recordings is None else told.recordings
+            told.recordings = now
         for recording, removed_by in sorted(now.items()):
             if (removed_by is None) != (before.get(recording, "") is None):
-                event = {"type": "recordings", "project": project, "recording": recording}
+                event = {"type": "recordings", "project": project.path.name, "recording": recording}
                 self.send({**event, "operator": removed_by or operator})
 
     def classes_changed(self, project: str, renamed: Mapping[str, str], operator: str) -> None:
         """Sends the event for changed classes or attributes; `renamed`: old class name -> new one."""
         self.send({"type": "classes", "project": project, "renamed": dict(renamed), "operator": operator})
-
-    def forget(self, project: str) -> None:
-        """Forgets the revisions of a project that was replaced by another one of the same name."""
-        with self._lock:
-            self._announced = {key: revision for key, revision in self._announced.items() if key[0] != project}
-            self._adjusted = {key: event for key, event in self._adjusted.items() if key[0] != project}
-            self._recordings.pop(project, None)
 
     def send(self, message: Message) -> None:
         """Sends an event to the pages of its "project" or "workbench" (the viewport's id), or else to all pages.

@@ -43,10 +43,10 @@ def next_of(socket: ClientConnection, kind: str) -> dict[str, Any]:
 def test_a_changed_frame_is_announced_once_to_pages_of_its_project(live: Live) -> None:
     with listen(live) as socket, listen(live, None) as other:
         next_of(socket, "presence")
-        live.context.hub.frame_changed("room", 1, 5, "Bob")
-        live.context.hub.frame_changed("room", 1, 5, "Bob")
-        live.context.hub.frame_changed("room", 1, 4, "Eve")
-        live.context.hub.frame_changed("room", 1, 6, "Bob")
+        live.context.hub.frame_changed(live.context.project("room"), 1, 5, "Bob")
+        live.context.hub.frame_changed(live.context.project("room"), 1, 5, "Bob")
+        live.context.hub.frame_changed(live.context.project("room"), 1, 4, "Eve")
+        live.context.hub.frame_changed(live.context.project("room"), 1, 6, "Bob")
         expected = {"type": "frame", "project": "room", "frame": 1, "revision": 5, "operator": "Bob"}
         assert next_of(socket, "frame") == expected
         assert next_of(socket, "frame")["revision"] == 6, "the same revision is not announced twice"
@@ -71,7 +71,7 @@ def test_recordings_removed_and_restored_by_another_process_are_announced(live: 
         frame = project.frames.of()[2]
         project.frames.finalise(frame.id, WriteContext(frame.revision, "Bob", Source.MANUAL))
         next_of(socket, "frame")
-        live.context.hub.recordings_are("room", {recording: None})
+        live.context.hub.recordings_are(live.context.project("room"), {recording: None})
         project.recordings.remove(recording, "Bob")
         event = next_of(socket, "recordings")
         assert (event["recording"], event["operator"]) == (recording, "Bob")
@@ -165,6 +165,6 @@ def test_twenty_pages_get_the_same_events_in_the_same_order(live: Live) -> None:
         for socket in sockets:
             next_of(socket, "presence")
         for revision in range(1, 31):
-            live.context.hub.frame_changed("room", 2, revision, "Ada")
+            live.context.hub.frame_changed(live.context.project("room"), 2, revision, "Ada")
         for socket in sockets:
             assert [next_of(socket, "frame")["revision"] for _ in range(30)] == list(range(1, 31))

@@ -10,8 +10,10 @@ import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from fastapi import FastAPI
 from in_process import HERE, ask
@@ -21,6 +23,7 @@ from room_api import BOX, ROOM
 
 from annotator.project import create_project
 from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.labels import Labels
 from annotator.types.errors import NotFoundError
 from annotator.web import fairness, projects
 from annotator.web.app import create_app
@@ -28,8 +31,10 @@ from annotator.web.background.learning import Learner
 from annotator.web.background.watch import Watch
 from annotator.web.fairness import Fair
 from annotator.web.leftovers import clear_leftovers
+from annotator.web.schemas import Box3DJson
 from annotator.web.server_lock import hold_server_lock
 from annotator.web.settings import ServerSettings
+from annotator.workflows.workbench import sheet_pictures
 
 if TYPE_CHECKING:
     import httpx
@@ -73,6 +78,38 @@ def test_a_project_replaced_by_its_backup_is_opened_anew(app: FastAPI, web_setti
     assert draw(app, 1).status_code == 200
     context.close()
     assert labels(create_app(web_settings)) == 2
+
+
+def test_nothing_of_a_replaced_database_is_taken_for_that_of_the_new_one(
+    app: FastAPI, web_settings: ServerSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context: Context = app.state.context
+    room = web_settings.projects_root / "room"
+    old, backup = context.project("room"), room.with_name("backup")
+    old.configure(settings=old.config.settings.model_copy(update={"learn_every": 10}))
+    shutil.copytree(room, backup)
+    sent: list[dict[str, Any]] = []
+    rounds: list[Path] = []
+    reviewed = [40]
+    monkeypatch.setattr(context.hub, "send", sent.append)
+    monkeypatch.setattr(context.jobs, "add", lambda _, path, *rest: rounds.append(path) or SimpleNamespace(id="1"))
+    monkeypatch.setattr(Labels, "count", lambda *_: reviewed[0])
+    learner, frame, box = Learner(context.jobs), old.frames.get(1), Box3DJson.model_validate(BOX).box()
+    learner.look("room", old)
+    context.hub.frame_changed(old, 1, 57, "Ada")
+    picture = context.caches.sheets.get(old, frame, box)
+    replace_folder(room, backup)
+    new = context.project("room")
+    reviewed[0] = 12
+    learner.look("room", new)
+    assert len(rounds) == 2, "what the former one has learned does not count"
+    # a request that began before is answered late
+    for project, revision in ((old, 58), (new, 3), (new, 3)):
+        context.hub.frame_changed(project, 1, revision, "Ada")
+    assert [event["revision"] for event in sent if event["type"] == "frame"] == [57, 58, 3]
+    monkeypatch.setattr(sheet_pictures, "picture", lambda *_: np.zeros((2, 2, 3), np.uint8))
+    assert context.caches.sheets.get(new, frame, box) != picture
+    context.close()
 
 
 def test_a_project_without_its_database_says_what_to_do(app: FastAPI, web_settings: ServerSettings) -> None:

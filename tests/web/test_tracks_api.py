@@ -148,7 +148,7 @@ def test_a_run_after_a_restart_of_the_server_has_a_higher_number(live: Live, pro
     restarted = FollowRuns(live.context.hub, str)
     frame = project.frames.get(1)
     run = follow_from_frame(project, frame.id, frame.revision, None, "Ada")
-    numbers.append(restarted.start("room", "Ada", FollowRequest(run, frame.id, "forward", False)).number)
+    numbers.append(restarted.start(project, "Ada", FollowRequest(run, frame.id, "forward", False)).number)
     restarted.close()
     assert numbers[0] < numbers[1] < numbers[2] < 2**53, "the page's numbers are exact to 2**53"
 
@@ -162,7 +162,7 @@ def test_undo_stops_a_run_and_takes_back_all_of_it(
     following_gate.release(2)
     wait_until(lambda: latest(live)["done"] == 2)
     # the run is asked to stop while it waits for a frame, and ends after that frame
-    running = live.context.follow_runs._runs["room", "Ada"]
+    running = live.context.follow_runs._runs[live.context.project("room")]["Ada"]
     threading.Thread(target=lambda: running.stop.wait(PATIENCE_S) and following_gate.release(2)).start()
     assert live.client.post(f"{ROOM}/undo", json={}).status_code == 200
     assert latest(live) is None

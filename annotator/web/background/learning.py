@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from annotator.project import REVIEWED, Project
@@ -19,10 +21,10 @@ class Learner:
 
     def __init__(self, jobs: JobRunner) -> None:
         self._jobs = jobs
-        # number of reviewed boxes when the last round began, by project
-        self._learned: dict[str, int] = {}
-        # the last round's job, and the number before it, by project
-        self._rounds: dict[str, tuple[str, int]] = {}
+        # number of reviewed boxes when the last round began
+        self._learned = WeakKeyDictionary[Project, int]()
+        # the last round's job, and the number before it
+        self._rounds = WeakKeyDictionary[Project, tuple[str, int]]()
 
     def look(self, name: str, project: Project) -> None:
         """Starts a round of a project if it is due and no other job runs or waits.
@@ -31,22 +33,22 @@ class Learner:
         """
         every = project.config.settings.learn_every
         if every is None:
-            self._learned.pop(name, None)
+            self._learned.pop(project, None)
             return
         reviewed = project.labels.count(REVIEWED)
-        if name not in self._learned:
-            self._learned[name] = _learned(project, reviewed)
-        learned = self._learned[name]
-        if name in self._rounds and self._jobs.stepped_aside(self._rounds[name][0]):
-            self._learned[name] = learned = self._rounds.pop(name)[1]
+        if project not in self._learned:
+            self._learned[project] = _learned(project, reviewed)
+        learned = self._learned[project]
+        if project in self._rounds and self._jobs.stepped_aside(self._rounds[project][0]):
+            self._learned[project] = learned = self._rounds.pop(project)[1]
         if reviewed - learned < every or not self._jobs.is_idle():
             return
         # a training that somebody started has learned, too
-        learned = self._learned[name] = max(learned, _learned(project, learned))
+        learned = self._learned[project] = max(learned, _learned(project, learned))
         if reviewed - learned >= every:
             job = self._jobs.add(name, project.path, ROUND, OPERATOR)
-            self._rounds[name] = (job.id, learned)
-            self._learned[name] = reviewed
+            self._rounds[project] = (job.id, learned)
+            self._learned[project] = reviewed
 
 
 def _learned(project: Project, reviewed: int) -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from weakref import WeakKeyDictionary
 
+from annotator.project import Project
 from annotator.project.database.patience import waiting_at_most
 from annotator.types.errors import AnnotatorError
 from annotator.web.background.learning import Learner
@@ -24,14 +26,14 @@ class Watch(Periodic):
     def __init__(self, context: Context, learner: Learner) -> None:
         super().__init__("watch", EVERY_S, self.poll)
         self._context, self._learner = context, learner
-        self._last_events: dict[str, int] = {}
+        self._last_events = WeakKeyDictionary[Project, int]()
         self._problems: dict[str, str] = {}
 
     def poll(self) -> None:
         """Reads new events of every project that a page has open."""
         opened = self._context.hub.projects()
-        for name in self._last_events.keys() - opened:
-            del self._last_events[name]
+        for project in [each for each in self._last_events if each.path.name not in opened]:
+            del self._last_events[project]
         for name in filter(self._context.is_open, opened):
             try:
                 with waiting_at_most(WAIT_S):
@@ -43,16 +45,16 @@ class Watch(Periodic):
 
     def _poll(self, name: str, since: int) -> None:
         project = self._context.project(name)
-        before = self._last_events.get(name, since)
+        before = self._last_events.get(project, since)
         newest, changed = project.log.changed_frames(before)
         adjusted = project.adjustments.since(before) if changed else ()
         classes = project.class_changes_after(before) if newest > before else ()
-        self._last_events[name] = newest
+        self._last_events[project] = newest
         for frame in changed:
-            self._context.hub.frame_changed(name, frame.frame_id, frame.revision, frame.author)
+            self._context.hub.frame_changed(project, frame.frame_id, frame.revision, frame.author)
         for recording, event, author in adjusted:
-            self._context.hub.recording_adjusted(name, recording, event, author)
-        self._context.hub.recordings_are(name, project.recordings.removed_by())
+            self._context.hub.recording_adjusted(project, recording, event, author)
+        self._context.hub.recordings_are(project, project.recordings.removed_by())
         for author, change in classes:
             self._context.hub.classes_changed(name, change.classes, author)
         self._learner.look(name, project)

@@ -9,7 +9,7 @@ from fastapi import APIRouter
 from fastapi.responses import Response
 from pydantic import Field
 
-from annotator.project import Basis
+from annotator.project import Basis, Project
 from annotator.types import Correction
 from annotator.types.correction import MOST_OFFSET_S, MOST_SHIFT_M
 from annotator.web.context import Context, Ctx, Operator
@@ -116,7 +116,7 @@ class CorrectionIn(Adjusting):
 @router.get("/api/projects/{name}/frames/{frame_id}/alignment")
 def show(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> AlignmentJson:
     """How the frame's cloud lies on its image."""
-    return _alignment(ctx, name, frame_id)
+    return _alignment(ctx, ctx.project(name), frame_id)
 
 
 @router.get("/api/projects/{name}/frames/{frame_id}/recorded.jpg", response_class=Response)
@@ -143,25 +143,27 @@ def estimate_up(ctx: Ctx, operator: Operator, name: str, recording: RowId) -> Es
 @router.post("/api/projects/{name}/recordings/{recording}/up")
 def set_up(ctx: Ctx, operator: Operator, name: str, recording: RowId, body: UpIn) -> AlignmentJson:
     """Set the recording's up direction. Stored boxes do not change."""
-    ctx.project(name).adjustments.set_up(recording, body.up, operator, body.basis())
-    return _adjusted(ctx, operator, name, body.frame)
+    project = ctx.project(name)
+    project.adjustments.set_up(recording, body.up, operator, body.basis())
+    return _adjusted(ctx, operator, project, body.frame)
 
 
 @router.post("/api/projects/{name}/recordings/{recording}/correction")
 def correct(ctx: Ctx, operator: Operator, name: str, recording: RowId, body: CorrectionIn) -> AlignmentJson:
     """Correct the recording's calibration. 3D boxes and pseudo-views stay where they are in the clouds."""
-    correct_calibration(ctx.project(name), recording, body.correction.correction(), operator, body.basis())
-    return _adjusted(ctx, operator, name, body.frame)
+    project = ctx.project(name)
+    correct_calibration(project, recording, body.correction.correction(), operator, body.basis())
+    return _adjusted(ctx, operator, project, body.frame)
 
 
-def _adjusted(ctx: Context, operator: str, name: str, frame_id: int) -> AlignmentJson:
-    shown = _alignment(ctx, name, frame_id)
-    ctx.hub.recording_adjusted(name, shown.recording, shown.adjusted, operator)
+def _adjusted(ctx: Context, operator: str, project: Project, frame_id: int) -> AlignmentJson:
+    shown = _alignment(ctx, project, frame_id)
+    ctx.hub.recording_adjusted(project, shown.recording, shown.adjusted, operator)
     return shown
 
 
-def _alignment(ctx: Context, name: str, frame_id: int) -> AlignmentJson:
-    shown = alignment(ctx.project(name), ctx.caches.frames, frame_id)
+def _alignment(ctx: Context, project: Project, frame_id: int) -> AlignmentJson:
+    shown = alignment(project, ctx.caches.frames, frame_id)
     camera = shown.recorded.camera
     return AlignmentJson.model_construct(
         recording=shown.recording.id,

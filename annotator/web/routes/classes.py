@@ -201,5 +201,5 @@ def set_values(
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed_id, receipt in changed:
-        ctx.hub.frame_changed(name, changed_id, receipt.revision, operator)
+        ctx.hub.frame_changed(project, changed_id, receipt.revision, operator)
     return frame_state(ctx, name, frame_id, operator)

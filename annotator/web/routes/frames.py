@@ -72,7 +72,7 @@ def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Chan
         receipt = apply_changes(project, frame_id, body.payloads(), body.context(operator), open_frame, known)
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, body.model_dump(mode="json")["changes"])
-    ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
+    ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
     return frame_response(ctx, name, frame_id, operator)
 
 
@@ -98,16 +98,17 @@ def _step(
     if ctx.jobs.stores_boxes(name, operator):
         # the import is one action: what it stores after its undo could not be undone
         raise HistoryError("your import of boxes is still running; stop it or wait, then undo it as a whole")
-    ctx.follow_runs.stop(name, operator)
+    project = ctx.project(name)
+    ctx.follow_runs.stop(project, operator)
     try:
-        reverted = method(ctx.project(name))(operator, skip=body.skip, effort=effort)
+        reverted = method(project)(operator, skip=body.skip, effort=effort)
     except HistoryError as error:
         if error.frame_id is None:
             raise
         present = frame_state(ctx, name, error.frame_id, operator).model_dump(mode="json")
         return error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
-    ctx.follow_runs.forget(name, operator, reverted.original)
+    ctx.follow_runs.forget(project, operator, reverted.original)
     for frame_id, receipt in ((reverted.frame_id, reverted.receipt), *reverted.others):
-        ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
+        ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
     state = frame_state(ctx, name, reverted.frame_id, operator)
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)

@@ -233,5 +233,5 @@ def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn)
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     if saved.receipt is not None:
-        ctx.hub.frame_changed(name, frame_id, saved.receipt.revision, operator)
+        ctx.hub.frame_changed(project, frame_id, saved.receipt.revision, operator)
     return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, operator), uid=saved.uid, drawn=answer)

@@ -179,7 +179,7 @@ def move(project: str, recording: RowId, body: RecordingPath, ctx: Ctx, operator
 def remove(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
     """Remove a recording from a project; its labels stay in the history and come back with it."""
     opened = ctx.project(project)
-    with _told(opened, project, ctx, operator):
+    with _told(opened, ctx, operator):
         opened.recordings.remove(recording, operator)
     return recordings(project, ctx, operator)
 
@@ -188,15 +188,15 @@ def remove(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> List
 def restore(project: str, recording: RowId, ctx: Ctx, operator: Operator) -> ListedRecordings:
     """Bring a removed recording back, with its labels."""
     opened = ctx.project(project)
-    with _told(opened, project, ctx, operator):
+    with _told(opened, ctx, operator):
         bring_back(opened, recording)
     return recordings(project, ctx, operator)
 
 
 @contextmanager
-def _told(opened: Project, project: str, ctx: Ctx, operator: str) -> Iterator[None]:
+def _told(opened: Project, ctx: Ctx, operator: str) -> Iterator[None]:
     """Tells the pages which recordings were removed or have come back within the `with` block."""
-    ctx.hub.recordings_are(project, opened.recordings.removed_by())
+    ctx.hub.recordings_are(opened, opened.recordings.removed_by())
     yield
     ctx.caches.frames.forget(opened)
-    ctx.hub.recordings_are(project, opened.recordings.removed_by(), operator)
+    ctx.hub.recordings_are(opened, opened.recordings.removed_by(), operator)

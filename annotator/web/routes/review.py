@@ -161,12 +161,10 @@ def _ready(ctx: Context, name: str, frame_id: int, operator: str) -> tuple[OpenF
 @router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)
 def copy(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson | JSONResponse:
     """Copy the reviewed boxes of another frame, except those that this frame already has."""
-    effort = None if body.effort is None else body.effort.stored()
+    project, effort = ctx.project(name), None if body.effort is None else body.effort.stored()
     try:
-        receipt = copy_boxes(
-            ctx.project(name), frame_id, body.source, WriteContext(body.revision, operator, effort=effort)
-        )
+        receipt = copy_boxes(project, frame_id, body.source, WriteContext(body.revision, operator, effort=effort))
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json", by_alias=True)])
-    ctx.hub.frame_changed(name, frame_id, receipt.revision, operator)
+    ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
     return frame_state(ctx, name, frame_id, operator)

@@ -124,7 +124,7 @@ async def drawn_ahead(draw: Callable[[Entry], str], entries: Sequence[Entry]) ->
 def accept(ctx: Ctx, operator: Operator, name: str, body: AcceptIn) -> AcceptOut:
     """Accept proposals in several frames, all or none, as one undo step."""
     boxes = [SeenBox(seen.frame, seen.revision, seen.uid) for seen in body.boxes]
-    effort = None if body.effort is None else body.effort.stored()
-    for frame, receipt in accept_boxes(ctx.project(name), boxes, operator, effort):
-        ctx.hub.frame_changed(name, frame, receipt.revision, operator)
+    project, effort = ctx.project(name), None if body.effort is None else body.effort.stored()
+    for frame, receipt in accept_boxes(project, boxes, operator, effort):
+        ctx.hub.frame_changed(project, frame, receipt.revision, operator)
     return AcceptOut(accepted=len(boxes))

@@ -143,7 +143,7 @@ def copy_to_next(
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed, receipt in done.changed:
-        ctx.hub.frame_changed(name, changed, receipt.revision, operator)
+        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
     return CopyNextOut(frame=done.frame_id)
 
 
@@ -157,7 +157,7 @@ def carry(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CarryI
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed, receipt in done:
-        ctx.hub.frame_changed(name, changed, receipt.revision, operator)
+        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
     return CarryOut(changed=len(done))
 
 
@@ -167,7 +167,7 @@ def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Follo
     project = ctx.project(name)
     effort = None if body.effort is None else body.effort.stored()
     view = _own_view(ctx, project)
-    ctx.follow_runs.stop(name, operator)
+    ctx.follow_runs.stop(project, operator)
     try:
         run = follow_from_frame(
             project,
@@ -182,21 +182,19 @@ def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Follo
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     request = FollowRequest(run, frame_id, body.direction, view is not None)
-    return ctx.follow_runs.start(name, operator, request)
+    return ctx.follow_runs.start(project, operator, request)
 
 
 @router.get("/api/projects/{name}/follow")
 def follow_run(ctx: Ctx, operator: Operator, name: str) -> FollowOut:
     """The operator's latest run in this project."""
-    ctx.project(name)
-    return FollowOut(run=ctx.follow_runs.latest(name, operator))
+    return FollowOut(run=ctx.follow_runs.latest(ctx.project(name), operator))
 
 
 @router.post("/api/projects/{name}/follow/stop")
 def stop_following(ctx: Ctx, operator: Operator, name: str) -> FollowOut:
     """Stop the operator's run; the boxes found so far stay."""
-    ctx.project(name)
-    return FollowOut(run=ctx.follow_runs.stop(name, operator))
+    return FollowOut(run=ctx.follow_runs.stop(ctx.project(name), operator))
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/interpolate", response_model=InterpolateOut, responses=STALE)
@@ -212,7 +210,7 @@ def interpolate(
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed, receipt in done.filled:
-        ctx.hub.frame_changed(name, changed, receipt.revision, operator)
+        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
     state = frame_state(ctx, name, frame_id, operator)
     return InterpolateOut.model_construct(
         filled=len(done.filled), finalised=done.finalised, covered=done.covered, state=state

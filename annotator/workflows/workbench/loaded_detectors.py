@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+from weakref import WeakSet
 
 import numpy as np
 
@@ -138,7 +139,7 @@ class ReadyDetectors:
         self._lock = threading.Lock()
         self._use = threading.Lock()
         self._loader = ThreadPoolExecutor(1, "detectors")
-        self._warmed: set[Path] = set()
+        self._warmed = WeakSet[Project]()
         self._calm = threading.Condition()
         self._is_asked = False
         self._holds = 0
@@ -179,9 +180,9 @@ class ReadyDetectors:
         if at_once:
             self._begin()
         with self._lock:
-            if project.path in self._warmed:
+            if project in self._warmed:
                 return
-            self._warmed.add(project.path)
+            self._warmed.add(project)
         self._loader.submit(self._wait)
         for role in DetectorKind:
             if (model := used_model(project, role)) is not None:

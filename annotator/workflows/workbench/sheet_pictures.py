@@ -151,4 +151,5 @@ class SheetPictures:
     def _key(project: Project, stored: StoredFrame, box: OrientedBox) -> Key:
         pose = box.pose.tobytes()
         adjusted = project.adjustments.newest(stored.recording_id)
-        return str(project.path), stored.id, stored.key, adjusted, pose, box.size_m.tobytes()
+        # not its path: another project can take its place
+        return project, stored.id, stored.key, adjusted, pose, box.size_m.tobytes()
