@@ -15,15 +15,16 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
+from annotator.types.times import LATEST_NS, too_late
+from annotator.types.validation import first_problem
 
 # Larger numbers are not physical, and their products overflow.
 LARGEST = 1e9
-# 2**63 nanoseconds, the largest time in the database.
-MOST_US = 2**63 // 1000
+MOST_US = LATEST_NS // 1000
 # A record without records in it; braces within texts do not count.
 RECORD = re.compile(rb'\{[^{}"]*+(?:"(?:[^"\\]|\\.)*+"[^{}"]*+)*+\}')
 # Bytes after the last record that are looked at.
@@ -35,7 +36,15 @@ Token = Annotated[str, Field(min_length=1)]
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Position = tuple[Number, Number, Number]
 Turn = tuple[Number, Number, Number, Number]
-Time = Annotated[int, Field(ge=-MOST_US, le=MOST_US)]
+
+
+def _in_time(time_us: int) -> int:
+    if abs(time_us) > MOST_US:
+        raise ValueError(too_late(time_us, "us"))
+    return time_us
+
+
+Time = Annotated[int, AfterValidator(_in_time)]
 
 
 class TableError(ValueError):
@@ -180,6 +189,4 @@ def _parsed(model: type[Row], record: bytes, where: str) -> Row:
     try:
         return model.model_validate_json(record)
     except ValidationError as error:
-        problem = error.errors(include_url=False, include_context=False)[0]
-        place = ".".join(map(str, problem["loc"])) or "the row"
-        raise TableError(f"{where}: {place}: {problem['msg']}") from error
+        raise TableError(f"{where}: {first_problem(error, whole='the row')}") from error

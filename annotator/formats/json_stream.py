@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 from annotator.files import CHUNK_BYTES, open_file
 from annotator.formats.json_file import MAX_BYTES, json_faults, require_encodable, unique_keys
+from annotator.text import MARK_BYTES, encoding_of
 from annotator.types.errors import FormatError
 
 # The longest value, such as all boxes of a frame, characters.
@@ -56,7 +57,9 @@ class _Text:
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path, self._file = path, file
-        self._bytes = codecs.getincrementaldecoder("utf-8-sig")()
+        head = file.read(MARK_BYTES)
+        file.seek(0)
+        self._bytes = codecs.getincrementaldecoder(encoding_of(head))()
         self._json = json.JSONDecoder(object_pairs_hook=unique_keys)
         self._text, self._at, self._line, self._ended = "", 0, 1, False
 

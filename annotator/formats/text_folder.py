@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath
 
 from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_archive, open_file, read_file
+from annotator.text import decoded
 from annotator.types.errors import FormatError
 
 MAX_FILES = 1_000_000
@@ -126,6 +127,6 @@ def _text(file: Path, content: bytes) -> str:
     if len(content) > DOCUMENT_BYTES:
         raise FormatError(file, f"is longer than {DOCUMENT_BYTES // 2**20} MiB; a label file of one frame is smaller")
     try:
-        return content.decode("utf-8-sig")
+        return decoded(content)
     except UnicodeDecodeError as error:
-        raise FormatError(file, "is not UTF-8 text; it may be truncated or not a text file") from error
+        raise FormatError(file, str(error)) from error

@@ -21,7 +21,8 @@ from pydantic import (
     model_validator,
 )
 
-from annotator.files import is_within, read_file, write_atomic
+from annotator.file_names import is_within
+from annotator.files import read_file, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.types.errors import RESTORE, ConfigError, ProjectError
 
@@ -176,7 +177,7 @@ def read_config(folder: Path) -> ProjectConfig:
     """
     path = folder / CONFIG_FILE
     try:
-        if path.is_symlink() and not is_within(folder, CONFIG_FILE):
+        if path.is_symlink() and not is_within(folder, path):
             raise ProjectError(f"{path}: is a link that leads out of the project; put the file in its place")
         content = read_file(path)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:

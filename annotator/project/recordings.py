@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
-from annotator.files import is_within
+from annotator.file_names import is_within
 from annotator.project.adjusting.adjustment import adjustment_in
 from annotator.project.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
 from annotator.project.store import Store

@@ -22,10 +22,10 @@ from typing import Annotated, ClassVar, Never
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.files import read_file
+from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
@@ -247,8 +247,8 @@ def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
             "write the intrinsics for this image size",
         )
     try:
-        rows = CloudPoseFile.model_validate_json(read_file(path)).cloud_to_camera
-    except (OSError, ValidationError) as error:
+        rows = CloudPoseFile.model_validate_json(read_text_file(path)).cloud_to_camera
+    except (OSError, ValueError) as error:
         raise FrameError(path, "cloud_to_camera is not four rows of four numbers", "correct the camera file") from error
     return CloudCamera(
         path, rigid_transform(path, "cloud_to_camera", rows), camera, read_up(path.with_name("gravity.json"))

@@ -26,7 +26,7 @@ from annotator.nuscenes_tables import (
 from annotator.types.errors import RecordingError
 
 LIDAR = "LIDAR_TOP"
-REMEDY = "copy the table again from the data set"
+REMEDY = "correct the table, or copy it again from the data set"
 
 Row = TypeVar("Row", bound=Record)
 

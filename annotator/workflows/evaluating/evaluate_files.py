@@ -68,7 +68,7 @@ def read_frame_names(path: Path) -> list[str]:
         FormatError: the file cannot be read, or contains no name.
     """
     try:
-        lines = read_text_file(path, TABLE_BYTES, "utf-8-sig").split("\n")
+        lines = read_text_file(path, TABLE_BYTES).split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise FormatError(path, f"the list of frames cannot be read ({error})") from error
     names = [line.strip() for line in lines if line.strip()]
