@@ -23,7 +23,7 @@ from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import (
     RgbdCamera,
@@ -117,7 +117,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
         color = path / "image"
     if not (color.is_dir() and depth.is_dir()):
         return NotFound(LOOKED_FOR)
-    keys = stems(color, IMAGE_SUFFIXES) | stems(depth, (".png",))
+    keys = joined(stems(color, IMAGE_SUFFIXES), stems(depth, (".png",)))
     ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
     return RgbdFolder(path, ordered, color, read_times(path, ordered))
 

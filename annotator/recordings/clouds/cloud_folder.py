@@ -25,6 +25,7 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import normal, spelled
 from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
@@ -174,7 +175,7 @@ class CloudFolder(KeyedFrames):
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""
-        for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
+        for path in (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt"):
             if path.is_file():
                 camera = _kitti_camera(path, rgb)
                 return replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera
@@ -202,7 +203,7 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
         keys = stems(clouds, CLOUD_SUFFIXES) if clouds.is_dir() else set()
         if keys:
             images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
-            if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
+            if images is None and {*map(normal, keys)} & {*map(normal, stems(clouds, IMAGE_SUFFIXES))}:
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
             return CloudFolder(path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns))

@@ -12,7 +12,7 @@ import numpy as np
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.kitti.calibration import KittiCalibration
 from annotator.recordings.kitti.frame import UP, read_frame
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.rig import Scan
 from annotator.recordings.scan_file import Scans
@@ -111,7 +111,8 @@ def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
     if not ((root / images).is_dir() and (root / scans).is_dir()):
         return None
     expected = f"{images}/KEY.png and {scans}/KEY.bin"
-    return sorted_keys(root, stems(root / images, IMAGE_SUFFIXES) | stems(root / scans, (".bin",)), expected)
+    keys = joined(stems(root / images, IMAGE_SUFFIXES), stems(root / scans, (".bin",)))
+    return sorted_keys(root, keys, expected)
 
 
 def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:

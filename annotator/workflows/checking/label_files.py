@@ -21,6 +21,7 @@ from annotator.recordings import Recording
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, FormatError
 from annotator.workflows.recorded.reading import is_labelled, label_file, load_truth
+from annotator.file_names import normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +104,9 @@ class RowFiles:
         return ()
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        keys = set(self.recording.keys)
+        keys = set(map(normal, self.recording.keys))
         for path in sorted(self.folder.glob("*.txt")):
-            if path.stem not in keys:
+            if normal(path.stem) not in keys:
                 yield path, None, path.stem
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from annotator.file_names import OutsideError, inside, stem_of
+from annotator.file_names import OutsideError, inside, normal, stem_of
 from annotator.formats.attributes import Values
 from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
 from annotator.formats.frames_csv import FrameOrigin, read_frames
@@ -49,8 +49,8 @@ class PictureLabels:
 
     @property
     def stem(self) -> str:
-        """The file's name without folder and suffix."""
-        return stem_of(self.file_name)
+        """The file's `normal` name without folder and suffix."""
+        return normal(stem_of(self.file_name))
 
     def file(self, path: Path) -> Path | None:
         """Returns the image file; None if it does not exist.
