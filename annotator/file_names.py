@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 _OF_WINDOWS = re.compile(r"[A-Za-z]:[\\/]|\\\\")
 # Characters of an invalid name that a message quotes.
 SHOWN = 60
+REMEDY = "write it relative to the folder"
 
 
 class OutsideError(ValueError):
@@ -38,13 +39,13 @@ def inside(folder: Path, name: str) -> Path:
         OutsideError: it leads out of the folder, also by a link, or is not a valid name.
     """
     if _OF_WINDOWS.match(name):
-        raise OutsideError(f"{name[:SHOWN]!r} is a path of another computer; write it relative to the folder")
+        raise OutsideError(f"{name[:SHOWN]!r} is a path of another computer; {REMEDY}")
     path = folder / name
     if "\\" in name and not (is_within(folder, path) and path.exists()):
         name = posix_path(name)
     path = spelled(folder, name)
     if not is_within(folder, path):
-        raise OutsideError(f"{name[:SHOWN]!r} leads out of its folder, or is not a valid name; use a name within it")
+        raise OutsideError(f"{name[:SHOWN]!r} leads out of the folder, or is not a valid name; {REMEDY}")
     return path
 
 

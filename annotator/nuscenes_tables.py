@@ -11,6 +11,7 @@ import mmap
 import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -19,12 +20,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
-from annotator.types.times import LATEST_NS, too_late
+from annotator.types.times import in_time
 from annotator.types.validation import first_problem
 
 # Larger numbers are not physical, and their products overflow.
 LARGEST = 1e9
-MOST_US = LATEST_NS // 1000
 # A record without records in it; braces within texts do not count.
 RECORD = re.compile(rb'\{[^{}"]*+(?:"(?:[^"\\]|\\.)*+"[^{}"]*+)*+\}')
 # Bytes after the last record that are looked at.
@@ -36,15 +36,7 @@ Token = Annotated[str, Field(min_length=1)]
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Position = tuple[Number, Number, Number]
 Turn = tuple[Number, Number, Number, Number]
-
-
-def _in_time(time_us: int) -> int:
-    if abs(time_us) > MOST_US:
-        raise ValueError(too_late(time_us, "us"))
-    return time_us
-
-
-Time = Annotated[int, AfterValidator(_in_time)]
+Time = Annotated[int, AfterValidator(partial(in_time, unit="us", unit_ns=1000))]
 
 
 class TableError(ValueError):

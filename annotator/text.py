@@ -24,7 +24,7 @@ class NotTextError(UnicodeDecodeError):
 
     def __str__(self) -> str:
         line = self.object.count(b"\n", 0, self.start) + 1
-        return f"it is not {self.encoding.upper()} text (line {line}: {self.object[self.start]:#04x}); save it as UTF-8"
+        return f"not {self.encoding.upper()} text in line {line} ({self.object[self.start]:#04x}); save it as UTF-8"
 
 
 def encoding_of(head: bytes) -> str:

@@ -85,7 +85,7 @@ def json_faults(path: Path) -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError as error:
-        raise FormatError(path, str(error)) from error
+        raise FormatError(path, f"is {error}") from error
     except json.JSONDecodeError as error:
         raise FormatError(path, f"is not valid JSON: {error.msg} (column {error.colno})", error.lineno) from error
     except RecursionError as error:

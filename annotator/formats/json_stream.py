@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Never
 
 from annotator.files import CHUNK_BYTES, open_file
 from annotator.formats.json_file import MAX_BYTES, json_faults, require_encodable, unique_keys
@@ -129,9 +129,13 @@ class _Text:
         read = self._file.read(max(CHUNK_BYTES, len(self._text) - self._at))
         self._ended = not read
         self._line += self._text.count("\n", 0, self._at)
-        self._text, self._at = self._text[self._at :] + self._bytes.decode(read, final=self._ended), 0
+        try:
+            more = self._bytes.decode(read, final=self._ended)
+        except UnicodeDecodeError:
+            self.fail("is not UTF-8 text; save it as UTF-8")
+        self._text, self._at = self._text[self._at :] + more, 0
         return True
 
-    def fail(self, reason: str) -> None:
+    def fail(self, reason: str) -> Never:
         """Raises FormatError for what is here."""
         raise FormatError(self._path, reason, self._line + self._text.count("\n", 0, self._at))

@@ -130,4 +130,4 @@ def _text(file: Path, content: bytes) -> str:
     try:
         return decoded(content)
     except UnicodeDecodeError as error:
-        raise FormatError(file, str(error)) from error
+        raise FormatError(file, f"is {error}") from error

@@ -52,7 +52,7 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
                 f"{path}:{number}: must be a key and a time in nanoseconds, not {text[:80]!r}; {REMEDY}"
             )
         if int(time) > LATEST_NS:
-            raise RecordingError(f"{path}:{number}: {too_late(time.strip(), 'ns')}, or remove the file")
+            raise RecordingError(f"{path}:{number}: {too_late(time.strip(), 'ns')}; {REMEDY}")
         if normal(key) in times:
             raise RecordingError(f"{path}:{number}: frame {key} already has a line; {REMEDY}")
         times[normal(key)] = int(time)

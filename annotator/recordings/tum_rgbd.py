@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from pathlib import Path, PurePosixPath
@@ -24,7 +25,7 @@ from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
 from annotator.file_names import OutsideError, inside, normal, posix_path, stem_of
-from annotator.files import TABLE_BYTES, read_text_file
+from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import are_plausible
@@ -134,12 +135,14 @@ class TumRgbd(KeyedFrames):
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
-        first, *rest = PurePosixPath(posix_path(name)).parts
-        is_linked = rest and first != os.pardir and (self.path / first).is_symlink()
+        first, *rest = PurePosixPath(name).parts
         try:
-            return inside(self.path / first, "/".join(rest)) if is_linked else inside(self.path, name)
+            return inside(self.path, name)
         except OutsideError as error:
-            raise FrameError(self.path, f"the listed file {error}", "or move it there") from error
+            if rest and first not in ("/", "//", os.pardir) and why_missing(self.path / first) is None:
+                with suppress(OutsideError):
+                    return inside(self.path / first, "/".join(rest))
+            raise FrameError(self.path, f"the listed file {error}") from error
 
 
 def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
@@ -195,7 +198,7 @@ def _time_ns(path: Path, number: int, text: str) -> int:
     try:
         time_s = Decimal(text)
         if time_s > LATEST_NS // S_TO_NS:
-            raise RecordingError(f"{path}:{number}: {too_late(text, 's')}")
+            raise RecordingError(f"{path}:{number}: {too_late(text, 's')}; {REMEDY}")
         if time_s >= 0:
             return int(time_s * S_TO_NS)
     except InvalidOperation:

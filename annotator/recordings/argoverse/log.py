@@ -231,7 +231,7 @@ def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
     names = {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
     late = sorted(name for name in names if int(name) > LATEST_NS)
     if late:
-        raise RecordingError(f"{folder}: a file's name: {too_late(late[0], 'ns')}, or remove the file")
+        raise RecordingError(f"{folder}: the file {late[0]}: {too_late(late[0], 'ns')}; remove it")
     return names
 
 

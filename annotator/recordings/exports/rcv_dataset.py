@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from annotator.files import read_text_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
@@ -23,7 +23,7 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
-from annotator.types.times import LATEST_NS
+from annotator.types.times import in_time
 from annotator.types.validation import first_problem
 
 MANIFEST, LABELS = "dataset.json", "labels"
@@ -64,7 +64,7 @@ class FrameFile(_Record):
     cloud: str
     camera: CameraRecord
     up: Vector | None = None
-    timestamp_ns: Annotated[int, Field(ge=-LATEST_NS, le=LATEST_NS)] | None = None
+    timestamp_ns: Annotated[int, AfterValidator(in_time)] | None = None
 
 
 @dataclass(frozen=True, eq=False)

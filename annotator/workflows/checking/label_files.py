@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import normal
 from annotator.formats.boxes_json import each_entries, entry_truth
 from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
 from annotator.formats.sunrgbd.labels import extracted_truth
@@ -21,7 +22,6 @@ from annotator.recordings import Recording
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, FormatError
 from annotator.workflows.recorded.reading import is_labelled, label_file, load_truth
-from annotator.file_names import normal
 
 
 @dataclass(frozen=True, eq=False)

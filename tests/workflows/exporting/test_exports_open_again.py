@@ -177,7 +177,10 @@ def test_damaged_exports_are_errors(people: Project, tmp_path: Path) -> None:
         (lambda record: record.update(image="/x"), rf"{re.escape(str(rcv))}: .* '/x', which is outside the dataset"),
         (lambda record: record.update(cloud="labels/x.json"), "is none of"),
         (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
-        (lambda record: record.update(timestamp_ns=10**19), "timestamp_ns: Input should be less than"),
+        (
+            lambda record: record.update(timestamp_ns=10**19),
+            "timestamp_ns: the time 1\d+ ns is beyond",
+        ),
         (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
         (lambda record: record["camera"].update(width_px=7), "but its camera 7 x"),
     ):
