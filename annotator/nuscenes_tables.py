@@ -181,4 +181,4 @@ def _parsed(model: type[Row], record: bytes, where: str) -> Row:
     try:
         return model.model_validate_json(record)
     except ValidationError as error:
-        raise TableError(f"{where}: {first_problem(error, whole='the row')}") from error
+        raise TableError(f"{where}: {first_problem(error)}") from error

@@ -25,6 +25,7 @@ from annotator.file_names import is_within
 from annotator.files import read_file, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.types.errors import RESTORE, ConfigError, ProjectError
+from annotator.types.validation import first_problem
 
 CONFIG_FILE = "project.json"
 FORMAT_VERSION = 1
@@ -225,12 +226,3 @@ class _Version(BaseModel):
     """The field that every version of the file has."""
 
     format_version: int
-
-
-def first_problem(error: ValidationError) -> str:
-    """The first problem of a file or value, with its place."""
-    detail = error.errors()[0]
-    where = ".".join(str(part) for part in detail["loc"])
-    # pydantic prefixes the messages of custom validators
-    problem = detail["msg"].removeprefix("Value error, ")
-    return f"{where}: {problem}" if where else problem

@@ -8,16 +8,16 @@ from pydantic import ValidationError
 _NAMING_A_CLASS = ("model_type", "model_attributes_type", "dataclass_type", "is_instance_of")
 
 
-def first_problem(error: ValidationError, *within: str | int, whole: str = "the file") -> str:
+def first_problem(error: ValidationError, *within: str | int) -> str:
     """Returns the first problem in one line, after its place: "annotations.3.bbox: Field required".
 
     Args:
         within: the place of the value itself.
-        whole: the place of a problem that is of the value as a whole.
     """
     first = error.errors(include_url=False, include_context=False)[0]
-    where = ".".join(map(str, (*within, *first["loc"]))) or whole
-    if first["type"] in _NAMING_A_CLASS:
-        return f"{where}: Input should be an object with named fields"
+    where = ".".join(map(str, (*within, *first["loc"])))
     # pydantic prefixes the messages of custom validators
-    return f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    problem = first["msg"].removeprefix("Value error, ")
+    if first["type"] in _NAMING_A_CLASS:
+        problem = "Input should be an object with named fields"
+    return f"{where}: {problem}" if where else problem
