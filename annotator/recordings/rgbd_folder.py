@@ -60,6 +60,11 @@ class RgbdFolder(KeyedFrames):
     is_sequence: ClassVar[bool] = True
     is_parallel: ClassVar[bool] = True
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        key = self.key(i)
+        color = frame_file(self.color, key, IMAGE_SUFFIXES, f"depth/{key}.png")
+        return color, frame_file(self.path / "depth", key, (".png",), f"{self.color.name}/{color.name}")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered.
 
@@ -67,10 +72,7 @@ class RgbdFolder(KeyedFrames):
             FrameError: a missing or broken file, different sizes, or no depth in the image.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        depth_folder = self.path / "depth"
-        color_path = frame_file(self.color, key, IMAGE_SUFFIXES, f"{depth_folder.name}/{key}.png")
-        depth_path = frame_file(depth_folder, key, (".png",), f"{self.color.name}/{color_path.name}")
+        key, (color_path, depth_path) = self.key(i), self.files(i)
         color = read_camera(camera_file(self.path))
         rgb, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
         return Frame(

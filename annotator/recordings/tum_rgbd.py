@@ -118,6 +118,11 @@ class TumRgbd(KeyedFrames):
         """The key of the frame that each image belongs to."""
         return {file: key for key, files in zip(self.keys, self.images, strict=True) for file in files}
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        self.key(i)
+        color, depth = self.images[i]
+        return self._file(color), self._file(depth)
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
 
@@ -125,11 +130,11 @@ class TumRgbd(KeyedFrames):
             FrameError: a missing or broken file, different sizes, or no depth at all.
             IndexError: there is no such frame.
         """
-        key, (color, depth) = self.key(i), self.images[i]
+        key, (color, depth) = self.key(i), self.files(i)
         camera = RgbdCamera(self.path / FILE_NAME, CAMERA, UNITS_PER_M)
         if camera.path.is_file():
             camera = read_camera(camera.path, UNITS_PER_M)
-        rgb, cloud, depth_m = read_images(self.path, self._file(color), self._file(depth), camera)
+        rgb, cloud, depth_m = read_images(self.path, color, depth, camera)
         up = None if self.poses is None else self.poses.up(self.times_ns[i], self.tolerance_ns)
         return Frame(key, i, camera.camera, rgb, cloud, depth_m, up=up, timestamp_ns=self.times_ns[i])
 

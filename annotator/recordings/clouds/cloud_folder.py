@@ -113,6 +113,13 @@ class CloudFolder(KeyedFrames):
     def notes(self) -> tuple[str, ...]:
         return self.scans.notes
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        key = self.key(i)
+        cloud = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
+        if self.images is None:
+            return (cloud,)
+        return cloud, frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud.name}")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
 
@@ -121,9 +128,9 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
+        cloud_path, *images = self.files(i)
         raw = read_cloud(cloud_path, self.scans)
-        if self.images is None:
+        if not images:
             source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
@@ -131,8 +138,7 @@ class CloudFolder(KeyedFrames):
             cloud = source.to_camera(raw)
             rgb = virtual_image(source.camera, cloud)
         else:
-            image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
-            rgb = read_rgb(image_path)
+            rgb = read_rgb(images[0])
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
             cloud = cloud_in_image(source.camera, source.to_camera(raw), rgb)
             if len(cloud) == 0:

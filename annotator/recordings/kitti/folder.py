@@ -39,6 +39,11 @@ class KittiFolder(KeyedFrames, ABC):
     scans: ClassVar[str]
     is_parallel: ClassVar[bool] = True
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        key = self.key(i)
+        image = frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin")
+        return image, self._scan_file(key)
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`).
 
@@ -46,16 +51,8 @@ class KittiFolder(KeyedFrames, ABC):
             FrameError: a missing or broken file, or no point in the image.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        return read_frame(
-            key,
-            i,
-            frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin"),
-            self._scan_file(key),
-            self.reader,
-            self.calibration(key),
-            self._time_of(i),
-        )
+        key, (image, scan) = self.key(i), self.files(i)
+        return read_frame(key, i, image, scan, self.reader, self.calibration(key), self._time_of(i))
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`.

@@ -54,6 +54,11 @@ class SunRgbdExtracted(KeyedFrames):
         note = unread_note(self.path, READ, "label/KEY.txt")
         return () if note is None else (note,)
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        key, suffix = self.key(i), ".mat" if self.clouds.name == "depth" else ".npz"
+        image = frame_file(self.path / "image", key, IMAGE_SUFFIXES, f"{self.clouds.name}/{key}{suffix}")
+        return image, frame_file(self.clouds, key, (suffix,), f"image/{image.name}")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in upright depth (`T_camera_label`).
 
@@ -63,14 +68,11 @@ class SunRgbdExtracted(KeyedFrames):
             FrameError: a missing or broken file.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        suffixes = (".mat",) if self.clouds.name == "depth" else (".npz",)
-        image_path = frame_file(self.path / "image", key, IMAGE_SUFFIXES, f"{self.clouds.name}/{key}{suffixes[0]}")
-        cloud_path = frame_file(self.clouds, key, suffixes, f"image/{image_path.name}")
+        key, (image_path, cloud_path) = self.key(i), self.files(i)
         calibration = read_extracted_calibration(spelled(self.path / "calib", f"{key}.txt"))
         rgb = read_rgb(image_path)
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
-        raw = _read_mat(cloud_path) if suffixes == (".mat",) else read_cloud(cloud_path)
+        raw = _read_mat(cloud_path) if cloud_path.suffix.lower() == ".mat" else read_cloud(cloud_path)
         xyz_m = calibration.T_camera_upright.apply(raw.xyz_m)
         cloud, depth_m = _organised(camera, xyz_m, raw, rgb)
         return Frame(key, i, camera, rgb, cloud, depth_m, calibration.up, calibration.T_camera_upright)
