@@ -20,10 +20,9 @@ class OutsideError(ValueError):
 def is_within(folder: Path, path: Path) -> bool:
     """True if a path, as it would be opened, is valid and in a folder after resolving links; it may be missing."""
     try:
-        place = path.resolve()
         # raises for a name that is too long
-        place.exists()
-        return place.is_relative_to(folder.resolve())
+        path.exists()
+        return path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError):
         # too long, a circular link, a null byte
         return False
