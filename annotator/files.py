@@ -26,6 +26,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, BinaryIO
 
+from annotator.file_names import is_within
+from annotator.text import MARK_BYTES, decoded, encoding_of
 from annotator.types.errors import FormatError
 
 LOG = logging.getLogger("annotator.files")
@@ -73,18 +75,6 @@ def why_missing(path: Path) -> str | None:
     return None
 
 
-def is_within(folder: Path, name: str | Path) -> bool:
-    """True if a name is a valid path inside a folder after resolving links; the file may be missing."""
-    try:
-        place = (folder / name).resolve()
-        # raises for a name that is too long
-        place.exists()
-        return place.is_relative_to(folder.resolve())
-    except (OSError, RuntimeError, ValueError):
-        # too long, a circular link, a null byte
-        return False
-
-
 def link_out(folder: Path, unvisited: str = "") -> Path | None:
     """The first link below a folder that leads out of it, also a broken one; None if there is none.
 
@@ -101,7 +91,7 @@ def link_out(folder: Path, unvisited: str = "") -> Path | None:
         with suppress(FileNotFoundError, PermissionError), os.scandir(place) as entries:
             for entry in entries:
                 if entry.is_symlink():
-                    if not is_within(folder, Path(entry.path).relative_to(folder)):
+                    if not is_within(folder, Path(entry.path)):
                         return Path(entry.path)
                 elif entry.is_dir() and (place != str(folder) or entry.name != unvisited):
                     left.append(entry.path)
@@ -159,15 +149,16 @@ def open_file(path: Path, most_bytes: int | None = None, *, buffering: int = -1)
         raise
 
 
-def open_text_file(
-    path: Path, most_bytes: int, encoding: str = "utf-8", newline: str | None = None
-) -> io.TextIOWrapper:
-    """Opens a regular file for reading text.
+def open_text_file(path: Path, most_bytes: int, newline: str | None = None) -> io.TextIOWrapper:
+    """Opens a regular file for reading text, as `decoded` has it.
 
     Raises:
         OSError: as `open_file`.
     """
-    return io.TextIOWrapper(open_file(path, most_bytes), encoding, newline=newline)
+    file = open_file(path, most_bytes)
+    head = file.read(MARK_BYTES)
+    file.seek(0)
+    return io.TextIOWrapper(file, encoding_of(head), newline=newline)
 
 
 def read_file(path: Path, most_bytes: int = DOCUMENT_BYTES) -> bytes:
@@ -200,17 +191,15 @@ def sha256_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def read_text_file(
-    path: Path, most_bytes: int = DOCUMENT_BYTES, encoding: str = "utf-8", errors: str = "strict"
-) -> str:
-    """Returns the content of a text file; lines end with `\n`.
+def read_text_file(path: Path, most_bytes: int = DOCUMENT_BYTES, errors: str = "strict") -> str:
+    """Returns the content of a text file, as `decoded` has it; lines end with `\n`.
 
     Raises:
         OSError: as `open_file`.
         UnicodeDecodeError: it has another encoding.
     """
     return io.IncrementalNewlineDecoder(None, translate=True).decode(
-        read_file(path, most_bytes).decode(encoding, errors), final=True
+        decoded(read_file(path, most_bytes), errors), final=True
     )
 
 

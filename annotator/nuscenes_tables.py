@@ -11,19 +11,20 @@ import mmap
 import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import open_file
+from annotator.types.times import in_time
+from annotator.types.validation import first_problem
 
 # Larger numbers are not physical, and their products overflow.
 LARGEST = 1e9
-# 2**63 nanoseconds, the largest time in the database.
-MOST_US = 2**63 // 1000
 # A record without records in it; braces within texts do not count.
 RECORD = re.compile(rb'\{[^{}"]*+(?:"(?:[^"\\]|\\.)*+"[^{}"]*+)*+\}')
 # Bytes after the last record that are looked at.
@@ -35,7 +36,7 @@ Token = Annotated[str, Field(min_length=1)]
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Position = tuple[Number, Number, Number]
 Turn = tuple[Number, Number, Number, Number]
-Time = Annotated[int, Field(ge=-MOST_US, le=MOST_US)]
+Time = Annotated[int, AfterValidator(partial(in_time, unit="us", unit_ns=1000))]
 
 
 class TableError(ValueError):
@@ -180,6 +181,4 @@ def _parsed(model: type[Row], record: bytes, where: str) -> Row:
     try:
         return model.model_validate_json(record)
     except ValidationError as error:
-        problem = error.errors(include_url=False, include_context=False)[0]
-        place = ".".join(map(str, problem["loc"])) or "the row"
-        raise TableError(f"{where}: {place}: {problem['msg']}") from error
+        raise TableError(f"{where}: {first_problem(error)}") from error

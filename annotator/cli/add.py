@@ -33,6 +33,7 @@ def run(
     up: tuple[float, float, float] | None = None,
     no_labels: bool = False,
     as_new: bool = False,
+    leave_out_broken: bool = False,
     reading: Reading = AS_FILES_SAY,
     projects: Projects = None,
 ) -> None:
@@ -49,18 +50,30 @@ def run(
             not contain it; 0 -1 0 for a level camera.
         no_labels: do not import the 3D boxes that come with the recordings.
         as_new: add a recording even if it seems to be one of the project whose path is gone.
+        leave_out_broken: leave out the frames that cannot be read. Each comes back when the recording is added again
+            and it can be read.
     """
     if not paths:
         raise ConfigError(f"no recording given; write annotator add {project} PATH ...")
     one = replace(reading, scene=(), camera=()).options()
     with open_named(project, projects) as opened:
         every = add_recordings(
-            opened, paths, name=name, up=up, options=one, scenes=reading.scene, cameras=reading.camera, as_new=as_new
+            opened,
+            paths,
+            name=name,
+            up=up,
+            options=one,
+            scenes=reading.scene,
+            cameras=reading.camera,
+            as_new=as_new,
+            leave_out_broken=leave_out_broken,
         )
         for added in every:
             print_line(_summary(added))
-            for note in added.notes:
+            for note in (*added.notes, *added.broken.sentences):
                 print_line(f"  {note}")
+            if len(added.broken.errors) > added.left_out:
+                print_line("  to leave them out, give this command again with --leave-out-broken")
             if not no_labels:
                 has_labels = has_own_labels(opened, added.recording.id)
                 with counted("reading labels") if has_labels else nullcontext() as progress:
@@ -93,9 +106,12 @@ def _label_lines(imported: OwnLabels, classes: Sequence[str]) -> list[str]:
 
 def _summary(added: Added) -> str:
     recording = added.recording
+    left_out = f", {added.left_out} left out" if added.left_out else ""
     if added.is_new:
-        return f"added {recording.name}: {amount(recording.frames, 'frame')} ({recording.format})"
+        return f"added {recording.name}: {amount(recording.frames, 'frame')} ({recording.format}){left_out}"
     if added.came_back:
-        return f"{recording.name} is back in the project, with its labels: {amount(recording.frames, 'frame')}"
+        return (
+            f"{recording.name} is back in the project, with its labels: {amount(recording.frames, 'frame')}{left_out}"
+        )
     missing = f", {added.missing_frames} missing (labels are kept)" if added.missing_frames else ""
-    return f"{recording.name} is already in the project: {amount(added.new_frames, 'new frame')}{missing}"
+    return f"{recording.name} is already in the project: {amount(added.new_frames, 'new frame')}{missing}{left_out}"

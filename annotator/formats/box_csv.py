@@ -52,7 +52,7 @@ def read_box_csv(path: Path, *, scored: bool) -> list[BoxRow]:
             number of fields, a field that is not a finite number, an empty name or a size that is not positive.
     """
     try:
-        with open_text_file(path, TABLE_BYTES, "utf-8-sig", newline="") as file:
+        with open_text_file(path, TABLE_BYTES, newline="") as file:
             return list(_rows(path, file, scored))
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
@@ -62,7 +62,7 @@ def read_box_csv(path: Path, *, scored: bool) -> list[BoxRow]:
 
 def is_box_csv(path: Path) -> bool:
     """True if the first line names some columns of such a file; the others may be missing."""
-    with suppress(OSError, UnicodeDecodeError, csv.Error), open_text_file(path, TABLE_BYTES, "utf-8-sig") as file:
+    with suppress(OSError, UnicodeDecodeError, csv.Error), open_text_file(path, TABLE_BYTES) as file:
         names = {name.strip() for name in next(csv.reader([file.readline(FIRST_LINE)]), [])}
         return names.issuperset(TEXTS) and not names.isdisjoint(NUMBERS)
     return False

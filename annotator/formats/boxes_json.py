@@ -24,6 +24,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
+from annotator.types.validation import first_problem
 
 Number = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)]
 Vector = tuple[Number, Number, Number]
@@ -120,9 +121,7 @@ def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
     try:
         return _truth(BoxEntry.model_validate(value), path, key)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in (key, number, *first["loc"]))
-        raise FormatError(path, f"{where}: {first['msg']}") from error
+        raise FormatError(path, first_problem(error, key, number)) from error
 
 
 def _truth(entry: BoxEntry, path: Path, key: str) -> Truth:

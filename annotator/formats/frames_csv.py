@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.file_names import normal
 from annotator.formats.text_folder import read_text
 from annotator.types.errors import FormatError
 
@@ -63,7 +64,7 @@ def _escaped(cell: str) -> str:
 
 
 def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
-    """Returns the lines of the file, by id; `path` is for error messages.
+    """Returns the lines of the file, by `normal` id; `path` is for error messages.
 
     Raises:
         FormatError: a wrong header, a line with too few or too many fields, an empty id or key, or an id that occurs
@@ -79,16 +80,16 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
                 raise FormatError(
                     path, f"needs the fields {', '.join(HEADER)}; id and key must not be empty", rows.line_num
                 )
-            if row[0] in origins:
+            if normal(row[0]) in origins:
                 raise FormatError(path, f"the id {row[0]} occurs twice; keep one of its lines", rows.line_num)
-            origins[row[0]] = FrameOrigin(row[0], row[1], row[2], row[3] or None)
+            origins[normal(row[0])] = FrameOrigin(row[0], row[1], row[2], row[3] or None)
     except csv.Error as error:
         raise FormatError(path, f"is not valid CSV: {error}", rows.line_num) from error
     return origins
 
 
 def read_frames(folder: Path) -> dict[str, FrameOrigin]:
-    """Returns the origins of a dataset's frames, by id; empty if it has no such file or an unrelated one.
+    """Returns the origins of a dataset's frames, by `normal` id; empty if it has no such file or an unrelated one.
 
     Raises:
         FormatError: as `parse_frames`, or the file cannot be read.

@@ -15,9 +15,11 @@ from typing import Annotated, TypeVar
 from pydantic import BaseModel, Field, ValidationError
 
 from annotator.files import read_file, write_atomic
+from annotator.text import decoded
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
+from annotator.types.validation import first_problem
 
 # The largest label file in common use, COCO's training labels, takes 450 MB.
 MAX_BYTES = 2**30
@@ -54,7 +56,7 @@ def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = No
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise FormatError(path, first_problem(error)) from error
+        raise FormatError(path, first_problem(error) + _more(error)) from error
 
 
 def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
@@ -71,7 +73,7 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     with json_faults(path):
-        text = data.decode("utf-8-sig")
+        text = decoded(data)
         content: object = json.loads(text, object_pairs_hook=pairs_hook)
     require_encodable(path, text, content)
     return content
@@ -83,7 +85,7 @@ def json_faults(path: Path) -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError as error:
-        raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
+        raise FormatError(path, f"is {error}") from error
     except json.JSONDecodeError as error:
         raise FormatError(path, f"is not valid JSON: {error.msg} (column {error.colno})", error.lineno) from error
     except RecursionError as error:
@@ -114,13 +116,9 @@ def require_encodable(path: Path, text: str, content: object) -> None:
         ) from error
 
 
-def first_problem(error: ValidationError) -> str:
-    """Returns the first validation error in one line, and the number of further ones."""
-    problems = error.errors(include_url=False, include_context=False)
-    first = problems[0]
-    where = ".".join(str(part) for part in first["loc"]) or "the file"
-    more = f" (and {amount(len(problems) - 1, 'more problem')})" if len(problems) > 1 else ""
-    return f"{where}: {first['msg']}{more}"
+def _more(error: ValidationError) -> str:
+    more = error.error_count() - 1
+    return f" (and {amount(more, 'more problem')})" if more else ""
 
 
 def write_text(path: Path, text: str) -> None:

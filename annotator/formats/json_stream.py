@@ -7,10 +7,11 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Never
 
 from annotator.files import CHUNK_BYTES, open_file
 from annotator.formats.json_file import MAX_BYTES, json_faults, require_encodable, unique_keys
+from annotator.text import MARK_BYTES, encoding_of
 from annotator.types.errors import FormatError
 
 # The longest value, such as all boxes of a frame, characters.
@@ -56,7 +57,9 @@ class _Text:
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path, self._file = path, file
-        self._bytes = codecs.getincrementaldecoder("utf-8-sig")()
+        head = file.read(MARK_BYTES)
+        file.seek(0)
+        self._bytes = codecs.getincrementaldecoder(encoding_of(head))()
         self._json = json.JSONDecoder(object_pairs_hook=unique_keys)
         self._text, self._at, self._line, self._ended = "", 0, 1, False
 
@@ -126,9 +129,13 @@ class _Text:
         read = self._file.read(max(CHUNK_BYTES, len(self._text) - self._at))
         self._ended = not read
         self._line += self._text.count("\n", 0, self._at)
-        self._text, self._at = self._text[self._at :] + self._bytes.decode(read, final=self._ended), 0
+        try:
+            more = self._bytes.decode(read, final=self._ended)
+        except UnicodeDecodeError:
+            self.fail("is not UTF-8 text; save it as UTF-8")
+        self._text, self._at = self._text[self._at :] + more, 0
         return True
 
-    def fail(self, reason: str) -> None:
+    def fail(self, reason: str) -> Never:
         """Raises FormatError for what is here."""
         raise FormatError(self._path, reason, self._line + self._text.count("\n", 0, self._at))

@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 
 from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import decode_image
+from annotator.text import SHOWN, to_number
 from annotator.types import BoxKind
 from annotator.types.errors import FormatError
 
@@ -32,10 +33,6 @@ def known_kind(value: object) -> BoxKind | None:
     return next((kind for kind in BoxKind if kind.value == value), None)
 
 
-# Maximum number of characters that a message quotes from an invalid text.
-SHOWN = 40
-
-
 def finite_number(text: str, path: Path, line: int, name: str = "") -> float:
     """Returns a text as a finite number.
 
@@ -46,14 +43,13 @@ def finite_number(text: str, path: Path, line: int, name: str = "") -> float:
     Raises:
         FormatError: the text is not a number, or not finite.
     """
-    quoted = f"{name}: {text[:SHOWN]!r}" if name else f"{text[:SHOWN]!r}"
+    where = f"{name}: " if name else ""
     try:
-        # float() would accept 1_000
-        value = float(text.replace("_", "?"))
-    except ValueError:
-        raise FormatError(path, f"{quoted} is not a number", line) from None
+        value = to_number(text)
+    except ValueError as error:
+        raise FormatError(path, f"{where}{error}", line) from None
     if not math.isfinite(value):
-        raise FormatError(path, f"{quoted} is not a finite number", line)
+        raise FormatError(path, f"{where}{text[:SHOWN]!r} is not a finite number", line)
     return value
 
 

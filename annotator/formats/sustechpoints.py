@@ -30,6 +30,7 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.file_names import normal
 from annotator.files import new_folder
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
@@ -146,10 +147,11 @@ def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
         origins = next((found for up in (path, scene, *scene.parents[:2]) if (found := read_frames(up))), {})
         cameras = tuple(_camera(file) for file in sorted((scene / CALIBRATIONS).glob("*.json")))
         for file in sorted(folder.glob("*.json")):
-            name = origins[file.stem].name if file.stem in origins else file.stem
+            stem = normal(file.stem)
+            name = origins[stem].name if stem in origins else stem
             if name in files:
                 raise FormatError(file, f"the frame {name} has labels in two scenes; import one scene")
-            is_export = file.stem in origins and len(cameras) == 1
+            is_export = stem in origins and len(cameras) == 1
             files[name] = _LabelFile(file, read_model(file, _Labels).root, cameras, is_export)
     tracks = _Tracks(each.obj_id for labels in files.values() for each in labels.objects)
     return {

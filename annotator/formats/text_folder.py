@@ -7,14 +7,16 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath
 
+from annotator.file_names import normal
 from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_archive, open_file, read_file
+from annotator.text import decoded
 from annotator.types.errors import FormatError
 
 MAX_FILES = 1_000_000
 
 
 def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> Iterator[tuple[str, Path, str]]:
-    """Yields key (the name without suffix), path and content of each text file, sorted by name.
+    """Yields key (the `normal` name without suffix), path and content of each text file, sorted by name.
 
     In an archive, the folders of the files are ignored. Files with another suffix and hidden files are skipped: macOS
     adds `._KEY.txt` for each file that it packs.
@@ -46,7 +48,7 @@ def _of_folder(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
     if not files:
         raise FormatError(path, f"has no {suffix} files; give the folder that contains them")
     for file in files:
-        yield file.stem, file, read_text(file)
+        yield normal(file.stem), file, read_text(file)
 
 
 def _is_wanted(file: PurePath, suffix: str) -> bool:
@@ -81,9 +83,9 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
             named: dict[str, zipfile.ZipInfo] = {}
             for info in _wanted(archive, suffix, within):
                 name = PurePosixPath(info.filename)
-                if name.stem in named:
+                if normal(name.stem) in named:
                     raise FormatError(path, f"has two files called {name.name}; keep one")
-                named[name.stem] = info
+                named[normal(name.stem)] = info
             if not named:
                 raise FormatError(path, f"has no {suffix} files")
             for key in sorted(named):
@@ -126,6 +128,6 @@ def _text(file: Path, content: bytes) -> str:
     if len(content) > DOCUMENT_BYTES:
         raise FormatError(file, f"is longer than {DOCUMENT_BYTES // 2**20} MiB; a label file of one frame is smaller")
     try:
-        return content.decode("utf-8-sig")
+        return decoded(content)
     except UnicodeDecodeError as error:
-        raise FormatError(file, "is not UTF-8 text; it may be truncated or not a text file") from error
+        raise FormatError(file, f"is {error}") from error

@@ -19,6 +19,7 @@ import numpy as np
 
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.geometry.image_shares import clip_to_image, edges_of, shares_of
+from annotator.text import to_number
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
 
@@ -97,12 +98,12 @@ def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> 
             line,
         )
     try:
-        number, numbers = int(fields[0]), [float(field.replace("_", "?")) for field in fields[1:]]
-    except ValueError:
-        raise FormatError(path, f"must hold numbers ({FIELDS}), not {' '.join(fields)[:80]!r}", line) from None
-    if number not in names:
+        class_number, numbers = int(fields[0]), list(map(to_number, fields[1:]))
+    except ValueError as error:
+        raise FormatError(path, f"must hold numbers ({FIELDS}): {error}", line) from None
+    if class_number not in names:
         raise FormatError(
-            path, f"class {number} has no name; classes with a name go from 0 to {max(names, default=-1)}", line
+            path, f"class {class_number} has no name; classes with a name go from 0 to {max(names, default=-1)}", line
         )
     if not all(map(math.isfinite, numbers)):
         raise FormatError(path, "all numbers must be finite", line)
@@ -121,4 +122,4 @@ def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> 
     # a smaller box has no extent once it is clipped to an image of any size
     if min(edges[2], 1) - max(edges[0], 0) < 1e-9 or min(edges[3], 1) - max(edges[1], 0) < 1e-9:
         raise FormatError(path, "the box is outside the image", line)
-    return YoloBox(names[number], (cx, cy, w, h), score)
+    return YoloBox(names[class_number], (cx, cy, w, h), score)

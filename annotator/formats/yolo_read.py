@@ -11,27 +11,28 @@ outside, as in a moved dataset, its parts are looked up beside `data.yaml`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.files import is_within, why_missing
-from annotator.formats.json_file import first_problem
+from annotator.file_names import OutsideError, inside, is_within, posix_path
+from annotator.files import why_missing
 from annotator.formats.reading import OnFault, known_kind, raise_fault
 from annotator.formats.text_folder import read_text
 from annotator.formats.yolo import YoloBox, parse_boxes
 from annotator.formats.yolo_dataset import DATA_YAML, PARTS
 from annotator.types import BoxKind
 from annotator.types.errors import FormatError
+from annotator.types.validation import first_problem
 
 CLASSES = "classes.txt"
 READABLE = (".png", ".jpg", ".jpeg")
 # Image types that Ultralytics also reads; here they are reported as faults.
 OTHERS = (".bmp", ".tif", ".tiff", ".webp")
 SUFFIXES = READABLE + OTHERS
-LEADS_OUT = "leads out of the dataset's folder, or is not a valid path"
 # Maximum number of characters that a message quotes from an invalid path.
 SHOWN = 60
 
@@ -142,15 +143,18 @@ def _require_different(file: Path, names: Mapping[int, str]) -> None:
 def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
     """Returns the image folder or image list that a part's entry names."""
     root = file.parent
+    name = posix_path(entry)
+    problem = f"there is no {entry[:SHOWN]!r} in the dataset's folder"
     # some services export ../train/images where train/images is right
-    candidates = [root / (base or "") / entry, root / entry, root / entry.removeprefix("../")]
-    inside = [candidate for candidate in candidates if is_within(root, candidate)]
-    for candidate in inside:
-        if candidate.exists() or _inside(_labels_of(candidate, root), root).is_dir():
-            return candidate
-    if not inside:
-        raise FormatError(file, f"{part}: {entry[:SHOWN]!r} {LEADS_OUT}; use a path inside it")
-    raise FormatError(file, f"{part}: there is no {entry[:SHOWN]!r} in the dataset's folder")
+    for candidate in (str(PurePosixPath(posix_path(base or "")) / name), entry, name.removeprefix("../")):
+        try:
+            place = inside(root, candidate)
+        except OutsideError as error:
+            problem = str(error)
+            continue
+        if place.exists() or _inside(_labels_of(place, root), root).is_dir():
+            return place
+    raise FormatError(file, f"{part}: {problem}")
 
 
 def _inside(path: Path, root: Path) -> Path:
@@ -160,7 +164,7 @@ def _inside(path: Path, root: Path) -> Path:
         FormatError: the path is, or is behind, a link that leads out of the dataset's folder.
     """
     if not is_within(root, path):
-        raise FormatError(path, f"is a link that {LEADS_OUT}; copy the file itself there")
+        raise FormatError(path, "is a link that leads out of the dataset's folder; copy the file itself there")
     return path
 
 
@@ -191,10 +195,12 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
     for line, text in enumerate(read_text(file).splitlines(), 1):
         if not (name := text.strip()):
             continue
-        picture = (file.parent if name.startswith("./") else root) / PurePosixPath(name)
-        if not is_within(root, picture):
-            raise FormatError(file, f"{name[:SHOWN]!r} {LEADS_OUT}", line)
-        yield picture
+        # a name that begins with a point is relative to the list
+        below = os.path.relpath(file.parent, root) + "/" if posix_path(name).startswith("./") else ""
+        try:
+            yield inside(root, below + name)
+        except OutsideError as error:
+            raise FormatError(file, str(error), line) from error
 
 
 def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:

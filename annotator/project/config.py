@@ -21,9 +21,11 @@ from pydantic import (
     model_validator,
 )
 
-from annotator.files import is_within, read_file, write_atomic
+from annotator.file_names import is_within
+from annotator.files import read_file, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.types.errors import RESTORE, ConfigError, ProjectError
+from annotator.types.validation import first_problem
 
 CONFIG_FILE = "project.json"
 FORMAT_VERSION = 1
@@ -176,7 +178,7 @@ def read_config(folder: Path) -> ProjectConfig:
     """
     path = folder / CONFIG_FILE
     try:
-        if path.is_symlink() and not is_within(folder, CONFIG_FILE):
+        if path.is_symlink() and not is_within(folder, path):
             raise ProjectError(f"{path}: is a link that leads out of the project; put the file in its place")
         content = read_file(path)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
@@ -224,12 +226,3 @@ class _Version(BaseModel):
     """The field that every version of the file has."""
 
     format_version: int
-
-
-def first_problem(error: ValidationError) -> str:
-    """The first problem of a file or value, with its place."""
-    detail = error.errors()[0]
-    where = ".".join(str(part) for part in detail["loc"])
-    # pydantic prefixes the messages of custom validators
-    problem = detail["msg"].removeprefix("Value error, ")
-    return f"{where}: {problem}" if where else problem

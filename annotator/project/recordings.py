@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
-from annotator.files import is_within
+from annotator.file_names import is_within
 from annotator.project.adjusting.adjustment import adjustment_in
 from annotator.project.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
 from annotator.project.store import Store
@@ -92,6 +92,7 @@ class Recordings:
         up: Sequence[float | int] | np.ndarray | None = None,
         options: str = "",
         fingerprint: str | None = None,
+        left_out: Collection[str] = (),
     ) -> StoredRecording:
         """Registers a recording and its frames, at revision 0.
 
@@ -101,6 +102,7 @@ class Recordings:
             keys: the frames' keys, in the recording's order.
             up: vector against gravity in the camera frame (3,), any length.
             options, fingerprint: as in `StoredRecording`.
+            left_out: keys of frames that get no index, as if a scan had not found them.
 
         Raises:
             ProjectError: the recording is in the project already or was removed from it, a key occurs twice, or `up` is
@@ -126,16 +128,23 @@ class Recordings:
             }
             key = connection.execute(insert(recordings), row).inserted_primary_key
             assert key is not None  # one row was inserted
-            _insert_frames(connection, key[0], list(enumerate(keys)))
+            _insert_frames(connection, key[0], _indices(keys, left_out))
             return _recording(connection, key[0])
 
-    def rescan(self, recording_id: int, keys: Sequence[str], fingerprint: str | None = None) -> Rescan:
+    def rescan(
+        self,
+        recording_id: int,
+        keys: Sequence[str],
+        fingerprint: str | None = None,
+        left_out: Collection[str] = (),
+    ) -> Rescan:
         """Updates a recording's frames: new ones are added; missing ones stay, without an index.
 
         A removed recording comes back with its labels.
 
         Args:
             fingerprint: as in `StoredRecording`; kept if none is known yet.
+            left_out: as for `add`.
 
         Raises:
             ProjectError: no such recording, or a key occurs twice.
@@ -144,7 +153,7 @@ class Recordings:
             before = _recording(connection, recording_id, removed=True)
             _require_unique(before.path, keys)
             known = _positions(connection, recording_id)
-            new = _update_frames(connection, recording_id, known, keys)
+            new = _update_frames(connection, recording_id, known, _indices(keys, left_out))
             if before.fingerprint is None and fingerprint is not None:
                 same = recordings.c.id == recording_id
                 connection.execute(update(recordings).where(same).values(fingerprint=fingerprint))
@@ -197,7 +206,7 @@ class Recordings:
         # a removed one has no latest scan
         needed = known if before.removed_by is None else dict.fromkeys(_used_keys(connection, recording_id), 0)
         _require_same(before, path, needed, keys)
-        _update_frames(connection, recording_id, known, keys)
+        _update_frames(connection, recording_id, known, _indices(keys))
         if path != before.path:
             same = recordings.c.id == recording_id
             connection.execute(update(recordings).where(same).values(path=str(path)))
@@ -394,27 +403,32 @@ def _unit(path: Path, up: Sequence[float | int] | np.ndarray) -> list[float]:
     return (vector / np.linalg.norm(vector)).tolist()
 
 
-def _insert_frames(connection: Connection, recording_id: int, places: list[tuple[int, str]]) -> None:
-    if places:
+def _insert_frames(connection: Connection, recording_id: int, indices: Mapping[str, int | None]) -> None:
+    if indices:
         rows = [
             {"recording_id": recording_id, "key": key, "position": index, "revision": 0, "finalised": False}
-            for index, key in places
+            for key, index in indices.items()
         ]
         connection.execute(insert(frames), rows)
 
 
+def _indices(keys: Sequence[str], left_out: Collection[str] = ()) -> dict[str, int | None]:
+    """Frame key -> index; None for those that are left out."""
+    return {key: None if key in left_out else index for index, key in enumerate(keys)}
+
+
 def _update_frames(
-    connection: Connection, recording_id: int, known: dict[str, int | None], keys: Sequence[str]
+    connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int | None]
 ) -> tuple[str, ...]:
     """Updates the index of all frames and inserts new ones; returns the keys of the new frames."""
-    _move_frames(connection, recording_id, known, {key: index for index, key in enumerate(keys)})
-    new = [(index, key) for index, key in enumerate(keys) if key not in known]
+    _move_frames(connection, recording_id, known, present)
+    new = {key: index for key, index in present.items() if key not in known}
     _insert_frames(connection, recording_id, new)
-    return tuple(key for _, key in new)
+    return tuple(new)
 
 
 def _move_frames(
-    connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int]
+    connection: Connection, recording_id: int, known: dict[str, int | None], present: dict[str, int | None]
 ) -> None:
     moved = [
         {"of_recording": recording_id, "of_key": key, "new_position": present.get(key)}

@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.types.errors import RecordingError
+from annotator.types.times import LATEST_NS, too_late
 
 FILE_NAME = "timestamps.csv"
 HEADER = "key,timestamp_ns"
 REMEDY = "correct the line, or remove the file to use the frames without times"
-# Largest integer in a column of the database.
-MOST_NS = 2**63 - 1
 LONGEST_TIME = 40
 
 Times = tuple[int | None, ...]
@@ -47,11 +47,13 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
     for number, text in enumerate(lines[1:], 2):
         key, _, time = text.rpartition(",")
         # int() raises for thousands of digits
-        if not key or not time.strip().isdecimal() or len(time) > LONGEST_TIME or int(time) > MOST_NS:
+        if not key or not time.strip().isdecimal() or len(time) > LONGEST_TIME:
             raise RecordingError(
                 f"{path}:{number}: must be a key and a time in nanoseconds, not {text[:80]!r}; {REMEDY}"
             )
-        if key in times:
+        if int(time) > LATEST_NS:
+            raise RecordingError(f"{path}:{number}: {too_late(time.strip(), 'ns')}; {REMEDY}")
+        if normal(key) in times:
             raise RecordingError(f"{path}:{number}: frame {key} already has a line; {REMEDY}")
-        times[key] = int(time)
-    return tuple(times.get(key) for key in keys)
+        times[normal(key)] = int(time)
+    return tuple(times.get(normal(key)) for key in keys)

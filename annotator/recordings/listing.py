@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
+from annotator.file_names import normal, spelled
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.names import first_few
 
@@ -55,6 +56,14 @@ def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
         return {stem for stem, suffix in named if suffix.lower() in suffixes}
 
 
+def joined(names: set[str], *others: set[str]) -> set[str]:
+    """Returns the union of names; of one in two Unicode forms, that of the earlier set."""
+    for other in others:
+        forms = set(map(normal, names))
+        names = names | {name for name in other if normal(name) not in forms}
+    return names
+
+
 def unread_note(folder: Path, known: tuple[str, ...], labels: str) -> str | None:
     """Returns a sentence that names the entries of a folder that no reader of its format knows; None if there are none.
 
@@ -98,7 +107,7 @@ def frame_file(folder: Path, key: str, suffixes: tuple[str, ...], partner: str) 
     Raises:
         FrameError: no such file, more than one, or the folder cannot be read.
     """
-    candidates = [folder / (key + suffix) for lower in suffixes for suffix in (lower, lower.upper())]
+    candidates = [spelled(folder, key + suffix) for lower in suffixes for suffix in (lower, lower.upper())]
     # by inode: on a case-insensitive file system both spellings are the same file
     try:
         files = {path.stat().st_ino: path for path in reversed(candidates) if path.is_file()}

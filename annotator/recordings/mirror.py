@@ -16,12 +16,13 @@ import shutil
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from annotator.file_names import normal
 from annotator.recordings.open import NO_OPTIONS, open_recording
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import Recording
@@ -83,7 +84,7 @@ class Mirror:
         self._opened, self._store, self._removed = opened, store, removed
         self._of_key: dict[str, list[str]] = {}
         self._shared: list[str] = []
-        keys = set(opened.keys)
+        keys = {normal(key): key for key in opened.keys}
         listed: dict[str, str] = getattr(opened, "file_owners", {})
         for path in store.files:
             owner = listed.get(path) or _owner(path, keys)
@@ -265,14 +266,11 @@ def _below(url: str, root: str, sizes: dict[str, int]) -> Iterator[tuple[str, tu
             yield str(relative), (path, size)
 
 
-def _owner(path: str, keys: set[str]) -> str | None:
-    """Returns the key of the frame that a file belongs to; None for shared files."""
-    pure = PurePosixPath(path)
-    if pure.stem in keys:
-        return pure.stem
-    folders = pure.parts[:-1]
-    joined = (KEY_SEPARATOR.join(folders[:count]) for count in range(len(folders), 0, -1))
-    return next((key for key in joined if key in keys), None)
+def _owner(path: str, keys: Mapping[str, str]) -> str | None:
+    """Returns the key of the frame that a file belongs to, by their `normal` names; None for shared files."""
+    *folders, name = PurePosixPath(normal(path)).parts
+    scenes = (KEY_SEPARATOR.join(folders[:count]) for count in range(len(folders), 0, -1))
+    return next((keys[each] for each in (PurePosixPath(name).stem, *scenes) if each in keys), None)
 
 
 def _process_folder(folder: Path) -> Path:

@@ -95,6 +95,16 @@ class KeyedFrames:
     def __len__(self) -> int:
         return len(self.keys)
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        """Returns the files that only frame `i` is read from, as far as the reader knows them.
+
+        Raises:
+            FrameError: one of them is missing.
+            IndexError: there is no such frame.
+        """
+        self.key(i)
+        return ()
+
     def key(self, i: int) -> str:
         """Returns the key of frame `i`; unlike `keys[i]`, it raises for negative indices.
 

@@ -11,12 +11,13 @@ from jaxtyping import Float32, Float64, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform
 
-from annotator.files import read_file
+from annotator.files import read_text_file
 from annotator.geometry.projection import resized
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.recordings.rotated_depth import decode_depth, looks_rotated
 from annotator.types import Camera
 from annotator.types.errors import FrameError, UnclearError
+from annotator.types.validation import first_problem
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0
@@ -121,9 +122,9 @@ def camera_file(folder: Path) -> Path:
 
 def _has_matrix(path: Path) -> bool:
     try:
-        return path.is_file() and b'"intrinsic_matrix"' in read_file(path)
-    except OSError as error:
-        raise FrameError(path, f"cannot be read ({error.strerror})", "correct or remove it") from error
+        return path.is_file() and '"intrinsic_matrix"' in read_text_file(path)
+    except (OSError, ValueError) as error:
+        raise FrameError(path, f"cannot be read ({_brief(error)})", "correct or remove it") from error
 
 
 def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
@@ -133,8 +134,8 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
         FrameError: not JSON, a missing key, or numbers that do not describe a pinhole camera.
     """
     try:
-        content = IntrinsicFile.model_validate_json(read_file(path))
-    except (OSError, ValidationError) as error:
+        content = IntrinsicFile.model_validate_json(read_text_file(path))
+    except (OSError, ValueError) as error:
         raise FrameError(path, f"not a camera file ({_brief(error)})", "compare it with Open3D's format") from error
     K = np.array(content.intrinsic_matrix).reshape(3, 3).T
     if not is_pinhole(K):
@@ -199,8 +200,8 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
         return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
     read = read_camera(path, color.depth_scale)
     try:
-        more = DepthFile.model_validate_json(read_file(path))
-    except (OSError, ValidationError) as error:
+        more = DepthFile.model_validate_json(read_text_file(path))
+    except (OSError, ValueError) as error:
         raise FrameError(
             path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
         ) from error
@@ -231,8 +232,8 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
     if not path.exists():
         return None
     try:
-        up = np.array(GravityFile.model_validate_json(read_file(path)).up)
-    except (OSError, ValidationError) as error:
+        up = np.array(GravityFile.model_validate_json(read_text_file(path)).up)
+    except (OSError, ValueError) as error:
         raise FrameError(path, f"not a gravity file ({_brief(error)})", 'write {"up": [x, y, z]}') from error
     length = np.linalg.norm(up)
     if length < 1 / LARGEST:
@@ -240,10 +241,8 @@ def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
     return up / length
 
 
-def _brief(error: OSError | ValidationError) -> str:
+def _brief(error: OSError | ValueError) -> str:
     """Returns the first problem in one line."""
     if isinstance(error, OSError):
         return str(error.strerror)
-    first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
-    return f"{where}: {first['msg']}" if where else first["msg"]
+    return first_problem(error) if isinstance(error, ValidationError) else str(error)

@@ -23,7 +23,7 @@ from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import (
     RgbdCamera,
@@ -60,6 +60,11 @@ class RgbdFolder(KeyedFrames):
     is_sequence: ClassVar[bool] = True
     is_parallel: ClassVar[bool] = True
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        key = self.key(i)
+        color = frame_file(self.color, key, IMAGE_SUFFIXES, f"depth/{key}.png")
+        return color, frame_file(self.path / "depth", key, (".png",), f"{self.color.name}/{color.name}")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered.
 
@@ -67,10 +72,7 @@ class RgbdFolder(KeyedFrames):
             FrameError: a missing or broken file, different sizes, or no depth in the image.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        depth_folder = self.path / "depth"
-        color_path = frame_file(self.color, key, IMAGE_SUFFIXES, f"{depth_folder.name}/{key}.png")
-        depth_path = frame_file(depth_folder, key, (".png",), f"{self.color.name}/{color_path.name}")
+        key, (color_path, depth_path) = self.key(i), self.files(i)
         color = read_camera(camera_file(self.path))
         rgb, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
         return Frame(
@@ -117,7 +119,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
         color = path / "image"
     if not (color.is_dir() and depth.is_dir()):
         return NotFound(LOOKED_FOR)
-    keys = stems(color, IMAGE_SUFFIXES) | stems(depth, (".png",))
+    keys = joined(stems(color, IMAGE_SUFFIXES), stems(depth, (".png",)))
     ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
     return RgbdFolder(path, ordered, color, read_times(path, ordered))
 

@@ -13,27 +13,30 @@ gravity; the worlds of other recordings in this format are not known.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import re
+from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
-from annotator.files import TABLE_BYTES, is_within, read_text_file
-from annotator.recordings.frame_times import MOST_NS
+from annotator.file_names import OutsideError, inside, normal, posix_path, stem_of
+from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, RgbdCamera, read_camera
 from annotator.recordings.rgbd_folder import read_images
+from annotator.text import to_number
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import FrameError, RecordingError
+from annotator.types.times import LATEST_NS, too_late
 
 LOOKED_FOR = "rgb.txt and depth.txt of TUM's RGB-D format"
 RGB_LIST, DEPTH_LIST, POSES = "rgb.txt", "depth.txt", "groundtruth.txt"
@@ -47,6 +50,10 @@ S_TO_NS = 10**9
 # A colour image is compared with this many depth images before and after it.
 NEIGHBOURS = 3
 REMEDY = "correct the line, or remove it"
+# Between the values of a line, as in TUM's own tools.
+SEPARATOR = re.compile(r"[\s,]+")
+# Seconds and their decimals, with another value after them.
+DECIMAL_COMMA = re.compile(r"\d+,\d+[\s,;]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +118,11 @@ class TumRgbd(KeyedFrames):
         """The key of the frame that each image belongs to."""
         return {file: key for key, files in zip(self.keys, self.images, strict=True) for file in files}
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        self.key(i)
+        color, depth = self.images[i]
+        return self._file(color), self._file(depth)
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
 
@@ -118,22 +130,24 @@ class TumRgbd(KeyedFrames):
             FrameError: a missing or broken file, different sizes, or no depth at all.
             IndexError: there is no such frame.
         """
-        key, (color, depth) = self.key(i), self.images[i]
+        key, (color, depth) = self.key(i), self.files(i)
         camera = RgbdCamera(self.path / FILE_NAME, CAMERA, UNITS_PER_M)
         if camera.path.is_file():
             camera = read_camera(camera.path, UNITS_PER_M)
-        rgb, cloud, depth_m = read_images(self.path, self._file(color), self._file(depth), camera)
+        rgb, cloud, depth_m = read_images(self.path, color, depth, camera)
         up = None if self.poses is None else self.poses.up(self.times_ns[i], self.tolerance_ns)
         return Frame(key, i, camera.camera, rgb, cloud, depth_m, up=up, timestamp_ns=self.times_ns[i])
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
-        first, *rest = Path(name).parts
-        may_be_linked = rest and first not in (os.pardir, Path(name).anchor)
-        if not (is_within(self.path, name) or (may_be_linked and is_within(self.path / first, Path(*rest)))):
-            problem = f"the listed file {name[:80]} lies outside the recording's folder"
-            raise FrameError(self.path, problem, "move it there, and correct the list")
-        return self.path / name
+        first, *rest = PurePosixPath(name).parts
+        try:
+            return inside(self.path, name)
+        except OutsideError as error:
+            if rest and first not in ("/", "//", os.pardir) and why_missing(self.path / first) is None:
+                with suppress(OutsideError):
+                    return inside(self.path / first, "/".join(rest))
+            raise FrameError(self.path, f"the listed file {error}") from error
 
 
 def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
@@ -148,13 +162,13 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
     tolerance_ns = round(tolerance_s * S_TO_NS)
     (color_times, colors), (depth_times, depths) = (_listed(path / name) for name in (RGB_LIST, DEPTH_LIST))
     pairs = _pairs(color_times, depth_times, tolerance_ns)
-    keys = tuple(Path(colors[at]).stem for at, _ in pairs)
+    keys = tuple(stem_of(colors[at]) for at, _ in pairs)
     if not pairs:
         raise RecordingError(
             f"{path}: no frames; none of its colour images ({len(colors)}) has a depth image within {tolerance_s:g} s; "
             "give a larger --tolerance"
         )
-    if len({*keys}) < len(keys):
+    if len({*map(normal, keys)}) < len(keys):
         raise RecordingError(f"{path / RGB_LIST}: two images have the same name; rename one of them")
     return TumRgbd(
         path,
@@ -167,20 +181,30 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
     )
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Returns the numbers and the words of all lines that are not comments."""
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Returns the numbers and the texts of all lines that are neither blank nor comments.
+
+    Raises:
+        RecordingError: the file cannot be read, or has decimal commas.
+    """
     try:
-        lines = read_text_file(path, TABLE_BYTES).splitlines()
+        lines = read_text_file(path, TABLE_BYTES).split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read ({error})") from error
-    split = ((number, line.replace(",", " ").split()) for number, line in enumerate(lines, 1))
-    return [(number, words) for number, words in split if words and not words[0].startswith("#")]
+    rows = [(number, line.strip()) for number, line in enumerate(lines, 1)]
+    rows = [(number, line) for number, line in rows if line and not line.startswith("#")]
+    for number, line in rows:
+        if DECIMAL_COMMA.match(line):
+            raise RecordingError(f"{path}:{number}: begins with a time with a decimal comma; write a point")
+    return rows
 
 
 def _time_ns(path: Path, number: int, text: str) -> int:
     try:
         time_s = Decimal(text)
-        if 0 <= time_s <= MOST_NS // S_TO_NS:
+        if time_s > LATEST_NS // S_TO_NS:
+            raise RecordingError(f"{path}:{number}: {too_late(text, 's')}; {REMEDY}")
+        if time_s >= 0:
             return int(time_s * S_TO_NS)
     except InvalidOperation:
         pass
@@ -190,10 +214,14 @@ def _time_ns(path: Path, number: int, text: str) -> int:
 def _listed(path: Path) -> tuple[Int64[np.ndarray, "n"], list[str]]:
     """Returns the times (ns) and files of a list, in time order."""
     images = []
-    for number, words in _lines(path):
-        if len(words) < 2 or Path(words[1]).suffix.lower() not in IMAGE_SUFFIXES:
+    for number, line in _lines(path):
+        time, rest = (*SEPARATOR.split(line, maxsplit=1), "")[:2]
+        # further columns are ignored, but a name may have blanks
+        names = (SEPARATOR.split(rest)[0], rest)
+        name = next((name for name in map(posix_path, names) if name.lower().endswith(IMAGE_SUFFIXES)), None)
+        if name is None:
             raise RecordingError(f"{path}:{number}: must be a time and a PNG or JPEG file; {REMEDY}")
-        images.append((_time_ns(path, number, words[0]), words[1]))
+        images.append((_time_ns(path, number, time), name))
     images.sort()
     return np.array([time for time, _ in images], np.int64), [name for _, name in images]
 
@@ -218,18 +246,23 @@ def _pairs(times: Int64[np.ndarray, "n"], others: Int64[np.ndarray, "m"], tolera
 
 def _poses(path: Path) -> Poses | None:
     """Reads the poses; None if there are none."""
-    rows = [(_time_ns(path, number, words[0]), _quaternion(path, number, words)) for number, words in _lines(path)]
+    lines = _lines(path)
+    rows = [
+        (_time_ns(path, number, SEPARATOR.split(line)[0]), _quaternion(path, number, line)) for number, line in lines
+    ]
     rows.sort(key=lambda row: row[0])
     if not rows:
         return None
     return Poses(np.array([time for time, _ in rows], np.int64), np.array([quaternion for _, quaternion in rows]))
 
 
-def _quaternion(path: Path, number: int, words: Sequence[str]) -> list[float]:
+def _quaternion(path: Path, number: int, line: str) -> list[float]:
+    # commas within values that blanks separate are decimal commas
+    words = line.split() if len(line.split()) == 8 and ", " not in line else SEPARATOR.split(line)
     try:
-        numbers = [float(word) for word in words[4:8]]
-    except ValueError:
-        numbers = []
+        numbers = [to_number(word) for word in words[4:8]]
+    except ValueError as error:
+        raise RecordingError(f"{path}:{number}: {error}; {REMEDY}") from error
     if len(words) != 8 or not are_plausible(np.array(numbers)) or not 0.99 < np.linalg.norm(numbers) < 1.01:
         raise RecordingError(f"{path}:{number}: must be a time, a place and a unit quaternion; {REMEDY}")
     return numbers

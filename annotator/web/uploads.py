@@ -17,7 +17,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from annotator.files import ARCHIVE_ERRORS, is_within, open_archive, private_folder
+from annotator.file_names import is_within
+from annotator.files import ARCHIVE_ERRORS, open_archive, private_folder
 from annotator.formats.box_csv import is_box_csv
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.yolo_dataset import DATA_YAML
@@ -141,7 +142,7 @@ def _unpack(file: Path, content: bytes, folder: Path) -> None:
                 )
             folder.mkdir()
             for entry in texts:
-                if not is_within(folder, entry.filename):
+                if not is_within(folder, folder / entry.filename):
                     raise FormatError(file, f"contains {entry.filename[:60]!r}, which leads out of its folder")
                 packed.extract(entry, folder)
     except ARCHIVE_ERRORS as error:

@@ -13,6 +13,7 @@ from annotator.recordings import ReaderOptions, Recording, open_recording, store
 from annotator.recordings.rig import RigCamera, Scenes
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.workflows.recorded.broken_frames import SECONDS, BrokenFrames, broken_frames, still_broken
 from annotator.workflows.recorded.moved import fingerprint_of, require_not_moved
 
 # If this many frames at the beginning are unreadable, the recording is refused without trying the others.
@@ -23,6 +24,7 @@ NO_OPTIONS = ReaderOptions()
 LONGEST_NAME = 100
 # In place of the names of scenes or cameras.
 ALL = "all"
+NONE_BROKEN = BrokenFrames()
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class Added:
         missing_frames: number of known frames that are gone; their labels stay.
         notes: what the reader says about it.
         came_back: True if it had been removed; its labels are back, too.
+        broken: its frames that cannot be read.
+        left_out: number of them that are no frames of the project.
     """
 
     recording: StoredRecording
@@ -44,6 +48,8 @@ class Added:
     missing_frames: int
     notes: tuple[str, ...] = ()
     came_back: bool = False
+    broken: BrokenFrames = NONE_BROKEN
+    left_out: int = 0
 
 
 def add_recordings(
@@ -56,11 +62,12 @@ def add_recordings(
     scenes: Sequence[str] = (),
     cameras: Sequence[str] = (),
     as_new: bool = False,
+    leave_out_broken: bool = False,
 ) -> list[Added]:
     """Adds recordings to a project: all, or none if one of the paths cannot be used. Their files stay in place.
 
     A recording that the project has already is updated with its new frames; its name and up direction stay. One that
-    was removed comes back with its labels.
+    was removed comes back with its labels. Frames that were left out come back once they can be read.
 
     Args:
         name: name of a single recording; None = the name of its folder.
@@ -68,6 +75,7 @@ def add_recordings(
         options: how the recordings are read.
         scenes, cameras: names, of which each combination is a recording, or `ALL`; () = those of `options`.
         as_new: add a recording even if it seems to be one of the project whose path is gone.
+        leave_out_broken: leave out the frames that cannot be read; their labels, if they have any, stay.
 
     Raises:
         RecordingError: a path holds no recording, or none of its first frames can be read.
@@ -82,15 +90,18 @@ def add_recordings(
         raise ConfigError(f"{len(opened)} recordings cannot all be called {name!r}; add them one by one")
     frames = []
     for recording, options in opened:
-        frames.append(_require_readable(recording))
+        frames.append(_require_readable(recording, len(recording) if leave_out_broken else FRAMES_TRIED))
         known = _known(project, recording, options)
         _require_unchanged(project.path.name, known, name, up)
         if known is None and not as_new:
             require_not_moved(project, recording, options.stored())
-    added = [
-        _add(project, recording, name, up, options, fingerprint_of(frame))
-        for (recording, options), frame in zip(opened, frames, strict=True)
-    ]
+    added = []
+    for (recording, options), frame in zip(opened, frames, strict=True):
+        left_out = _left_out(project, _known(project, recording, options))
+        broken = broken_frames(recording, left_out, SECONDS / len(opened))
+        left_out = frozenset(broken.errors) if leave_out_broken else left_out & broken.errors.keys()
+        one = _add(project, recording, name, up, options, fingerprint_of(frame), left_out)
+        added.append(replace(one, broken=broken))
     return [_with_up_note(project, *each) for each in zip(added, frames, strict=True)]
 
 
@@ -141,7 +152,13 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     beside = project.recordings.at(known.path) if known.removed_by is None else ()
     # this recording first: its error says what is wrong
     moved = {each.id: _moved(each, path) for each in (known, *(each for each in beside if each.id != known.id))}
-    return project.recordings.move_together(moved, author)[0]
+    left_out = {each.id: still_broken(moved[each.id], _left_out(project, each)) for each in (known, *beside)}
+    places = {number: (recording.path, recording.keys) for number, recording in moved.items()}
+    first = project.recordings.move_together(places, author)[0]
+    for number, keys in left_out.items():
+        if keys:
+            project.recordings.rescan(number, moved[number].keys, left_out=keys)
+    return first
 
 
 def bring_back(project: Project, recording_id: int) -> StoredRecording:
@@ -153,12 +170,18 @@ def bring_back(project: Project, recording_id: int) -> StoredRecording:
     """
     known = project.recordings.get(recording_id, removed=True)
     project.recordings.require_readable(known)
-    _, keys = _moved(known, known.path)
-    project.recordings.rescan(known.id, keys)
+    project.recordings.rescan(known.id, _moved(known, known.path).keys)
     return project.recordings.get(known.id)
 
 
-def _moved(known: StoredRecording, path: Path) -> tuple[Path, Sequence[str]]:
+def _left_out(project: Project, known: StoredRecording | None) -> frozenset[str]:
+    """Returns the frames of a recording that the latest scan has not found, or that were left out of it."""
+    if known is None or known.removed_by is not None:
+        return frozenset()
+    return frozenset(frame.key for frame in project.frames.of([known.id]) if frame.index is None)
+
+
+def _moved(known: StoredRecording, path: Path) -> Recording:
     moved = open_recording(path, stored_options(known.options))
     if moved.format != known.format:
         raise RecordingError(
@@ -166,7 +189,7 @@ def _moved(known: StoredRecording, path: Path) -> tuple[Path, Sequence[str]]:
             "give the folder that was moved"
         )
     _require_readable(moved)
-    return moved.path, moved.keys
+    return moved
 
 
 def _chosen(
@@ -213,6 +236,7 @@ def _add(
     up: Sequence[float] | None,
     options: ReaderOptions,
     fingerprint: str | None = None,
+    left_out: frozenset[str] = frozenset(),
 ) -> Added:
     known = _known(project, recording, options)
     if known is None:
@@ -225,11 +249,13 @@ def _add(
             up,
             options.stored(),
             fingerprint,
+            left_out,
         )
-        return Added(stored, True, len(recording), 0, recording.notes)
-    change = project.recordings.rescan(known.id, recording.keys, fingerprint)
+        return Added(stored, True, stored.frames, 0, recording.notes, left_out=len(left_out))
+    change = project.recordings.rescan(known.id, recording.keys, fingerprint, left_out)
     stored, came_back = project.recordings.get(known.id), known.removed_by is not None
-    return Added(stored, False, len(change.added), len(change.missing), recording.notes, came_back)
+    new_frames = sum(key not in left_out for key in change.added)
+    return Added(stored, False, new_frames, len(change.missing), recording.notes, came_back, left_out=len(left_out))
 
 
 def _with_up_note(project: Project, added: Added, frame: Frame) -> Added:
@@ -270,9 +296,9 @@ def _same_direction(a: Sequence[float], b: Sequence[float] | None) -> bool:
     return b is not None and length > 0 and np.allclose(np.asarray(a) / length, b)
 
 
-def _require_readable(recording: Recording) -> Frame:
+def _require_readable(recording: Recording, most: int = FRAMES_TRIED) -> Frame:
     problems = []
-    for index in range(min(FRAMES_TRIED, len(recording))):
+    for index in range(min(most, len(recording))):
         try:
             return recording.frame(index)
         except FrameError as error:

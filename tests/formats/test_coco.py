@@ -82,7 +82,7 @@ def repeated(part: str, **changes: Any) -> dict[str, Any]:
     [
         ('{"images": [\n {"id": 1,}]}', ":2: is not valid JSON"),
         ("", "is not valid JSON"),
-        ("[]", "the file:"),
+        ("[]", "Input should be an object"),
         ({"images": []}, "annotations"),
         (broken("images.0.width", 0), "images.0.width"),
         (broken("images.0.file_name", ""), "images.0.file_name"),

@@ -209,7 +209,7 @@ ROW = {"token": "a0", "sample_token": "s", "instance_token": "i0", "translation"
         ("category", [{"token": "c", "name": "a"}, {"token": "c", "name": "b"}], "1: the token c occurs twice"),
         ("ego_pose", [], r"sample_data\.json: row 0: refers to the token p, which is not in ego_pose\.json"),
         ("sensor", [{"token": n, "channel": n, "modality": "lidar"} for n in "FB"], "has no key frame of a camera"),
-        ("instance", {"token": "i0"}, r"instance\.json: the file: Input should be a valid tuple"),
+        ("instance", {"token": "i0"}, r"instance\.json: Input should be a valid tuple"),
     ],
 )
 def test_errors_of_invalid_tables_name_the_place(tmp_path: Path, table: str, rows: Any, problem: str) -> None:

@@ -109,8 +109,8 @@ def test_datasets_of_other_tools_are_read(
         ({"data.yaml": "train: x"}, "names: Field required"),
         ({"data.yaml": "names: [a]"}, "names no image"),
         ({"data.yaml": "train: images\nnames: [a]"}, "train: there is no 'images'"),
-        ({"data.yaml": "path: ..\ntrain: ../../../etc\nnames: [a]"}, "leads out of the dataset's folder"),
-        ({"data.yaml": "train: /etc\nnames: [a]"}, "leads out of the dataset's folder"),
+        ({"data.yaml": "path: ..\ntrain: ../../../etc\nnames: [a]"}, "leads out of the folder"),
+        ({"data.yaml": "train: /etc\nnames: [a]"}, "leads out of the folder"),
         ({"data.yaml": "train: l.txt\nnames: [a]", "l.txt": "\n../../x.png"}, r"l\.txt:2: .* leads out"),
         ({"data.yaml": "train: i\nnames: [a]", "i/x.png": "", "i/x.txt": "0 1"}, r"i/x\.txt:1: has 2 fields"),
         (
@@ -160,15 +160,13 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, link: str, tar
 def test_invalid_file_names_are_errors(tmp_path: Path, name: str) -> None:
     put(tmp_path, **{"list.txt": f"\n{name}\n", "data.yaml": "train: list.txt\nnames: [a]"})
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the dataset's folder, or is not a valid path"):
+    with pytest.raises(FormatError, match=r"list\.txt:2: .* leads out of the folder, or is not a valid name"):
         read_yolo(tmp_path)
     put(tmp_path, **{"data.yaml": json.dumps({"train": name, "names": ["a"]})})
-    with pytest.raises(
-        FormatError, match=r"data\.yaml: train: .* leads out of the dataset's folder, or is not a valid path"
-    ):
+    with pytest.raises(FormatError, match=r"data\.yaml: train: .* leads out of the folder, or is not a valid name"):
         read_yolo(tmp_path)
     picture = PictureLabels(name, tmp_path, (), None, lambda _w, _h: ())
-    with pytest.raises(FormatError, match=r"coco\.json: .* leads out of the image folder or is not a valid name"):
+    with pytest.raises(FormatError, match=r"coco\.json: .* leads out of the folder, or is not a valid name"):
         picture.file(Path("coco.json"))
 
 

@@ -29,6 +29,7 @@ from annotator.formats.kitti.label_files import (
     row_truth,
 )
 from annotator.formats.text_folder import read_text, text_files, text_rows
+from annotator.text import to_number
 from annotator.types import Truth
 from annotator.types.errors import FormatError
 
@@ -125,12 +126,13 @@ def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
         if head.rstrip(":") != "P2":
             continue
         try:
-            P2 = np.array([float(word) for word in words]).reshape(3, 4)
+            P2 = np.array([to_number(word) for word in words]).reshape(3, 4)
             if not (np.abs(P2) <= MOST).all():
-                raise ValueError
+                raise ValueError(f"a number beyond {MOST:g}")
             shift = np.linalg.solve(P2[:, :3], P2[:, 3])
         except (ValueError, np.linalg.LinAlgError) as error:
-            raise FormatError(path, "P2 must be an invertible 3x4 camera matrix (twelve numbers)", line) from error
+            problem = f"P2 must be an invertible 3x4 camera matrix (twelve numbers): {error}"
+            raise FormatError(path, problem, line) from error
         if not (np.abs(shift) <= MOST_SHIFT_M).all():
             raise FormatError(
                 path, f"P2 shifts the camera by more than {MOST_SHIFT_M:g} m; correct its last column", line

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.json_file import MOST
 from annotator.formats.text_folder import text_rows
+from annotator.text import to_number
 from annotator.types import Camera
 from annotator.types.errors import FormatError
 
@@ -49,9 +50,9 @@ def read_calibration_pose(path: Path) -> RigidTransform:
         if shape is None:
             continue
         try:
-            matrix = np.array([float(word) for word in words]).reshape(shape)
+            matrix = np.array([to_number(word) for word in words]).reshape(shape)
         except ValueError as error:
-            raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers", line) from error
+            raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers: {error}", line) from error
         if not (np.abs(matrix) <= MOST).all():
             raise FormatError(path, f"{name} must be finite and at most {MOST:g}", line)
         matrices[name] = matrix

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import normal, spelled
 from annotator.formats.frames_csv import read_frames
 from annotator.formats.json_file import read_model
 from annotator.formats.labelcloud.boxes import box_of, in_degrees
@@ -97,13 +98,13 @@ def _read_folder(folder: Path, on_fault: OnFault) -> Iterator[tuple[str, LabelCl
                 boxes.append((entry.name, box_of(entry, degrees)))
             except ValueError as error:
                 on_fault(FormatError(file, f"objects.{number}: {error}"))
-        pose = folder.parent / CALIBRATIONS / f"{file.stem}.txt"
+        pose = spelled(folder.parent / CALIBRATIONS, f"{file.stem}.txt")
         try:
             T_camera_cloud = _pose_for(boxes, pose) if pose.is_file() else None
         except FormatError as fault:
             on_fault(fault)
             continue
-        yield file.stem, LabelCloudFrame(tuple(boxes), T_camera_cloud)
+        yield normal(file.stem), LabelCloudFrame(tuple(boxes), T_camera_cloud)
 
 
 def _pose_for(boxes: Sequence[tuple[str, OrientedBox]], file: Path) -> RigidTransform:

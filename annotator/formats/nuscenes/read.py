@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from pydantic import RootModel
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import normal, stem_of
 from annotator.formats.attributes import VISIBILITY, from_dotted
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model
@@ -68,7 +69,7 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
     for index, row in enumerate(labels.data.values()):
         if not row.is_key_frame or labels.sensor(index, row).modality != "camera":
             continue
-        stem = PurePosixPath(row.filename).stem
+        stem = normal(stem_of(row.filename))
         name = origins[stem].name if stem in origins else stem
         if name in frames:
             raise FormatError(

@@ -24,6 +24,7 @@ from annotator.formats.nuscenes.model import Quaternion, Vector3
 from annotator.formats.nuscenes.shapes import box_from
 from annotator.types import Truth
 from annotator.types.errors import FormatError
+from annotator.types.validation import first_problem
 
 RESULTS = "results"
 
@@ -62,9 +63,7 @@ def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int]) 
         row = ResultBox.model_validate(value)
         box = box_from(row.translation, row.rotation, row.size)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, (where, *first["loc"])))
-        raise FormatError(path, f"{place}: {first['msg']}") from error
+        raise FormatError(path, first_problem(error, where)) from error
     except ValueError as error:
         raise FormatError(path, f"{where}: {error}") from error
     track = None if row.tracking_id is None else tracks.setdefault(row.tracking_id, len(tracks))

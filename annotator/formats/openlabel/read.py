@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
+from annotator.file_names import normal, stem_of
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model, unique_keys
 from annotator.formats.openlabel.coordinates import Coordinates
@@ -105,7 +106,7 @@ def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) ->
                 # this camera has no image in the frame
                 continue
             # paths may come from Windows; only the file name is used, the file is not opened
-            stem = PureWindowsPath(stream.uri).stem if stream is not None and stream.uri else number
+            stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
             name = origins[stem].name if stem in origins else stem
             boxes = tuple(
                 _box(path, place, each, cuboid, uid, coordinates, sensor)

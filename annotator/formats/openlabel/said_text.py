@@ -17,6 +17,7 @@ from annotator.formats.json_file import Bounded, BoundedTrack
 from annotator.formats.openlabel.shapes import box_from, cuboid_values
 from annotator.types import BoxKind
 from annotator.types.label import Said
+from annotator.types.validation import first_problem
 
 SAID_BY = "said_by"
 
@@ -60,9 +61,7 @@ def said_from(text: str) -> tuple[Said, ...]:
     try:
         entries = _ENTRIES.validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, (SAID_BY, *first["loc"])))
-        raise ValueError(f"{where}: {first['msg']}; correct it or leave it out") from error
+        raise ValueError(f"{first_problem(error, SAID_BY)}; correct it or leave it out") from error
     return tuple(
         Said(each.source, each.type, box_from(each.val), each.score, each.track_id, each.box_kind) for each in entries
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from annotator.files import is_within
+from annotator.file_names import OutsideError, inside
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from
@@ -88,24 +88,21 @@ class RcvDataset:
         return self.path / "labels" / f"{self.manifest.frames[i]}.json"
 
     def _frame(self, path: Path, record: RcvLabels) -> Frame:
-        rgb, cloud = _image(self.path / record.image), read_ply(self.path / record.cloud)
+        rgb, file = _image(_inside(self.path, record.image, path)), _inside(self.path, record.cloud, path)
+        cloud = read_ply(file)
         if len(cloud) != record.points:
-            raise FormatError(
-                self.path / record.cloud, f"holds {len(cloud)} points, but {path.name} says {record.points}"
-            )
+            raise FormatError(file, f"holds {len(cloud)} points, but {path.name} says {record.points}")
         return _frame(path, record, rgb, cloud)
 
     def _record(self, i: int) -> tuple[Path, RcvLabels]:
         """Returns the path and the content of frame `i`'s label file."""
         frame_id, path = self.manifest.frames[i], self.label_path(i)
-        if not is_within(self.path, f"labels/{frame_id}.json"):
-            raise FormatError(self.path / MANIFEST, f"the label file of {frame_id[:SHOWN]!r} is outside this dataset")
+        _inside(self.path, f"labels/{frame_id}.json", self.path / MANIFEST)
         record = read_model(path, RcvLabels)
         if record.id != frame_id:
             raise FormatError(path, f"has the id {record.id!r}, but the file's name requires {frame_id!r}")
         for name in (record.image, record.cloud):
-            if not is_within(self.path, name):
-                raise FormatError(path, f"{name[:SHOWN]!r} is outside this dataset")
+            _inside(self.path, name, path)
         return path, record
 
 
@@ -126,6 +123,13 @@ def read_rcv(path: Path) -> RcvDataset:
         if frame_id != Path(frame_id).name:
             raise FormatError(path / MANIFEST, f"the id {frame_id[:SHOWN]!r} is not a valid file name")
     return RcvDataset(path, manifest)
+
+
+def _inside(folder: Path, name: str, listed_in: Path) -> Path:
+    try:
+        return inside(folder, name)
+    except OutsideError as error:
+        raise FormatError(listed_in, str(error)) from error
 
 
 def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:

@@ -9,9 +9,10 @@ from pydantic import ValidationError
 
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeKind, AttributeOf, ClassStyle
 from annotator.project.classes.relabelling import Filled, Relabelling
-from annotator.project.config import ProjectConfig, first_problem
+from annotator.project.config import ProjectConfig
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.types.names import alternatives
+from annotator.types.validation import first_problem
 
 
 @dataclass(frozen=True)

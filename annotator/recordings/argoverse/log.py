@@ -35,6 +35,7 @@ from annotator.recordings.rig import Scan, level_turn
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.times import LATEST_NS, too_late
 
 LOOKED_FOR = "sensors/lidar/TIME_NS.feather and city_SE3_egovehicle.feather (a log of Argoverse 2's sensor data set)"
 SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"
@@ -49,7 +50,7 @@ MOST_INTENSITY = np.float32(255.0)
 # Half the period of the LiDAR.
 TOLERANCE_S = 0.05
 # 64 bits have 19 digits.
-LONGEST_TIME, LATEST_NS = 19, 2**63 - 1
+LONGEST_TIME = 19
 POSE: dict[str, Kind] = dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float")
 UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
@@ -230,7 +231,7 @@ def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
     names = {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
     late = sorted(name for name in names if int(name) > LATEST_NS)
     if late:
-        raise RecordingError(f"{folder}: the file {late[0]} is not a time in nanoseconds; remove it")
+        raise RecordingError(f"{folder}: the file {late[0]}: {too_late(late[0], 'ns')}; remove it")
     return names
 
 

@@ -22,10 +22,11 @@ from typing import Annotated, ClassVar, Never
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.files import read_file
+from annotator.file_names import normal, spelled
+from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
@@ -112,6 +113,13 @@ class CloudFolder(KeyedFrames):
     def notes(self) -> tuple[str, ...]:
         return self.scans.notes
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        key = self.key(i)
+        cloud = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
+        if self.images is None:
+            return (cloud,)
+        return cloud, frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud.name}")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
 
@@ -120,9 +128,9 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
+        cloud_path, *images = self.files(i)
         raw = read_cloud(cloud_path, self.scans)
-        if self.images is None:
+        if not images:
             source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
@@ -130,8 +138,7 @@ class CloudFolder(KeyedFrames):
             cloud = source.to_camera(raw)
             rgb = virtual_image(source.camera, cloud)
         else:
-            image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
-            rgb = read_rgb(image_path)
+            rgb = read_rgb(images[0])
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
             cloud = cloud_in_image(source.camera, source.to_camera(raw), rgb)
             if len(cloud) == 0:
@@ -174,7 +181,7 @@ class CloudFolder(KeyedFrames):
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""
-        for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
+        for path in (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt"):
             if path.is_file():
                 camera = _kitti_camera(path, rgb)
                 return replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera
@@ -202,7 +209,7 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
         keys = stems(clouds, CLOUD_SUFFIXES) if clouds.is_dir() else set()
         if keys:
             images = next((path / name for name in IMAGE_FOLDERS if (path / name).is_dir()), None)
-            if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
+            if images is None and {*map(normal, keys)} & {*map(normal, stems(clouds, IMAGE_SUFFIXES))}:
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
             return CloudFolder(path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns))
@@ -247,8 +254,8 @@ def _json_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:
             "write the intrinsics for this image size",
         )
     try:
-        rows = CloudPoseFile.model_validate_json(read_file(path)).cloud_to_camera
-    except (OSError, ValidationError) as error:
+        rows = CloudPoseFile.model_validate_json(read_text_file(path)).cloud_to_camera
+    except (OSError, ValueError) as error:
         raise FrameError(path, "cloud_to_camera is not four rows of four numbers", "correct the camera file") from error
     return CloudCamera(
         path, rigid_transform(path, "cloud_to_camera", rows), camera, read_up(path.with_name("gravity.json"))

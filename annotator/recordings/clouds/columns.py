@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32, Float64, UInt8
 
 from annotator.frame_limits import memory_problem
 from annotator.recordings.plausible import LARGEST
+from annotator.text import to_number
 from annotator.types.errors import FrameError
 
 CLOUD_REMEDY = "save the cloud again, or remove the frame"
@@ -164,11 +165,21 @@ def text_columns(path: Path, body: bytes, count: int, names: tuple[str, ...], fi
         try:
             table[filled : filled + len(part)] = np.array(part).astype(np.float64)
         except ValueError as error:
-            raise FrameError(path, f"a value is not a number ({error})", CLOUD_REMEDY) from error
+            raise FrameError(path, _not_a_number(part), CLOUD_REMEDY) from error
         filled += len(part)
     if filled < count:
         raise FrameError(path, f"declares {count} points but has {filled}", CLOUD_REMEDY)
     return {name: table[:, column] for column, name in enumerate(names)}
+
+
+def _not_a_number(rows: list[list[bytes]]) -> str:
+    """Says which value is no number."""
+    for value in chain.from_iterable(rows):
+        try:
+            to_number(value.decode("latin-1"))
+        except ValueError as error:
+            return str(error)
+    return "a value is not a number"
 
 
 def _text_rows(path: Path, body: bytes, names: tuple[str, ...], first_line: int) -> Iterator[list[bytes]]:

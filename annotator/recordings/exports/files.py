@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from annotator.files import is_within, read_file
+from annotator.file_names import OutsideError, inside
+from annotator.files import read_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_rgb
+from annotator.text import decoded
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -27,7 +29,7 @@ def read_document(path: Path) -> Any:
         FrameError: it cannot be read, or is not JSON.
     """
     try:
-        return json.loads(read_file(path, MOST_DOCUMENT_BYTES))
+        return json.loads(decoded(read_file(path, MOST_DOCUMENT_BYTES)))
     except (OSError, ValueError, RecursionError) as error:
         raise FrameError(path, f"cannot be read as JSON ({str(error)[:80]})", REMEDY) from error
 
@@ -50,7 +52,10 @@ def exported_frame(
     Raises:
         FrameError: a file is missing, broken, outside the dataset, or the image has another size than the camera.
     """
-    image, cloud = (_inside(folder, name) for name in files)
+    try:
+        image, cloud = (inside(folder, name) for name in files)
+    except OutsideError as error:
+        raise FrameError(folder, f"has a frame whose file {error}", REMEDY) from error
     rgb = read_rgb(image)
     _check_size(image, rgb, camera)
     if cloud.suffix.lower() not in CLOUD_SUFFIXES:
@@ -58,12 +63,6 @@ def exported_frame(
     raw = read_cloud(cloud)
     points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
     return Frame(key, index, camera, rgb, points, up=up, timestamp_ns=timestamp_ns)
-
-
-def _inside(folder: Path, name: str) -> Path:
-    if not is_within(folder, name):
-        raise FrameError(folder, f"has a frame with the file {name[:60]!r}, which is outside the dataset", REMEDY)
-    return folder / name
 
 
 def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:

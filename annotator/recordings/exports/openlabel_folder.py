@@ -13,19 +13,20 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from annotator.file_names import stem_of
 from annotator.files import open_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
-from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
 from annotator.recordings.plausible import LARGEST_SIDE_PX, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError
+from annotator.types.times import LATEST_NS, too_late
 
 LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"
@@ -88,7 +89,7 @@ class OpenLabelFolder(KeyedFrames):
         for document in self.documents:
             try:
                 for frame in _frames(document, read_document(document)["openlabel"]):
-                    frames[PurePosixPath(frame.image).stem] = frame
+                    frames[stem_of(frame.image)] = frame
             except (KeyError, TypeError, AttributeError, ValueError) as error:
                 problem = f"is not a document of annotator ({type(error).__name__} {str(error)[:60]})"
                 raise FrameError(document, problem, REMEDY) from error
@@ -140,8 +141,10 @@ def _nanoseconds(seconds: str) -> int:
     """Returns whole nanoseconds; a float would lose some."""
     whole, _, rest = seconds.partition(".")
     time_ns = int(whole[:20]) * 10**9 + int((rest[:9] or "0").ljust(9, "0"))
-    if not 0 <= time_ns <= MOST_NS:
-        raise ValueError(f"the time {seconds[:40]} is out of range")
+    if time_ns > LATEST_NS:
+        raise ValueError(too_late(seconds, "s"))
+    if time_ns < 0:
+        raise ValueError(f"the time {seconds[:40]} is negative")
     return time_ns
 
 

@@ -14,16 +14,17 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.files import read_file
+from annotator.files import read_text_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
-from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
+from annotator.types.times import in_time
+from annotator.types.validation import first_problem
 
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"
@@ -63,7 +64,7 @@ class FrameFile(_Record):
     cloud: str
     camera: CameraRecord
     up: Vector | None = None
-    timestamp_ns: Annotated[int, Field(ge=-MOST_NS, le=MOST_NS)] | None = None
+    timestamp_ns: Annotated[int, AfterValidator(in_time)] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,7 @@ class RcvFolder(KeyedFrames):
         key = self.key(i)
         path = self.path / LABELS / f"{key}.json"
         try:
-            record = FrameFile.model_validate_json(read_file(path))
+            record = FrameFile.model_validate_json(read_text_file(path))
             camera = Camera(**record.camera.model_dump())
         except OSError as error:
             raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
@@ -123,5 +124,4 @@ def open_rcv(path: Path) -> RcvFolder | NotFound:
 def _first_line(error: ValueError) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
-    first = error.errors()[0]
-    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return first_problem(error)

@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.geometry.projection import undistort_px
 from annotator.recordings.two_cameras import seen_points
 from annotator.types import Camera
+from annotator.types.validation import first_problem
 
 MM_PER_M = 1000.0
 LENS_MODEL = "CALIBRATION_LensDistortionModelBrownConrady"
@@ -154,8 +155,7 @@ def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> Kin
     try:
         information = _File.model_validate_json(content.rstrip(b"\0 \r\n\t")).CalibrationInformation
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"{'.'.join(str(part) for part in first['loc'])} {first['msg']}".strip()) from error
+        raise ValueError(first_problem(error)) from error
     depth, color = information.camera_for(DEPTH_PURPOSE), information.camera_for(COLOUR_PURPOSE)
     accelerometer = information.accelerometer()
     return KinectCalibration(

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import read_text_file
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.text import to_number
 from annotator.types import Camera
 from annotator.types.errors import FrameError
 
@@ -136,9 +137,9 @@ def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shap
     if name is None:
         raise FrameError(path, f"{' or '.join(names)} is missing", REMEDY)
     try:
-        values = np.array([float(value) for value in rows[name]])
+        values = np.array([to_number(value) for value in rows[name]])
     except ValueError as error:
-        raise FrameError(path, f"{name} has a value that is not a number ({error})", REMEDY) from error
+        raise FrameError(path, f"{name}: {error}", REMEDY) from error
     if values.size != shape[0] * shape[1]:
         raise FrameError(path, f"{name} must have {shape[0] * shape[1]} numbers, not {values.size}", REMEDY)
     if not are_plausible(values):

@@ -12,7 +12,7 @@ import numpy as np
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.kitti.calibration import KittiCalibration
 from annotator.recordings.kitti.frame import UP, read_frame
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.rig import Scan
 from annotator.recordings.scan_file import Scans
@@ -39,6 +39,11 @@ class KittiFolder(KeyedFrames, ABC):
     scans: ClassVar[str]
     is_parallel: ClassVar[bool] = True
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        key = self.key(i)
+        image = frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin")
+        return image, self._scan_file(key)
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`).
 
@@ -46,16 +51,8 @@ class KittiFolder(KeyedFrames, ABC):
             FrameError: a missing or broken file, or no point in the image.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        return read_frame(
-            key,
-            i,
-            frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin"),
-            self._scan_file(key),
-            self.reader,
-            self.calibration(key),
-            self._time_of(i),
-        )
+        key, (image, scan) = self.key(i), self.files(i)
+        return read_frame(key, i, image, scan, self.reader, self.calibration(key), self._time_of(i))
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`.
@@ -111,7 +108,8 @@ def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
     if not ((root / images).is_dir() and (root / scans).is_dir()):
         return None
     expected = f"{images}/KEY.png and {scans}/KEY.bin"
-    return sorted_keys(root, stems(root / images, IMAGE_SUFFIXES) | stems(root / scans, (".bin",)), expected)
+    keys = joined(stems(root / images, IMAGE_SUFFIXES), stems(root / scans, (".bin",)))
+    return sorted_keys(root, keys, expected)
 
 
 def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from annotator.file_names import spelled
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.folder import KittiFolder, keys_in, require_calibration
 from annotator.recordings.options import ReaderOptions
@@ -37,7 +38,7 @@ class KittiObject(KittiFolder):
         return self.folder
 
     def calibration(self, key: str) -> KittiCalibration:
-        return read_calibration(self.root / "calib" / f"{key}.txt")
+        return read_calibration(spelled(self.root / "calib", f"{key}.txt"))
 
     def time_ns(self, number: int) -> None:
         """Unrelated frames have no time."""

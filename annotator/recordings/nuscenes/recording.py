@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import spelled
 from annotator.geometry.transforms import FORWARD
 from annotator.nuscenes_tables import TableError, pose
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
@@ -98,6 +99,11 @@ class NuScenes(KeyedFrames):
     def _index(self) -> dict[str, int]:
         return {key: index for index, key in enumerate(self.keys)}
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        self.key(i)
+        image, scan = self.moments[i]
+        return tuple(spelled(self.root, shot.file) for shot in ((image, scan) if self.camera else (scan,)))
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud holds the points inside the image, or all without images.
 
@@ -109,15 +115,16 @@ class NuScenes(KeyedFrames):
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
         image, scan = self.moments[i]
-        rgb = read_rgb(self.root / image.file)
-        camera = _camera(self.root / image.file, image, rgb.shape[1], rgb.shape[0])
+        image_file, scan_file = self.files(i)
+        rgb = read_rgb(image_file)
+        camera = _camera(image_file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = read_scan(self.root / scan.file)
+        points = read_scan(scan_file)
         xyz_m = (T_camera_global * T_global_lidar).apply(points[:, :3])
         cloud = visible_cloud(camera, xyz_m, np.clip(points[:, 3] / MOST_INTENSITY, 0, 1), rgb)
         if len(cloud) == 0:
             raise FrameError(
-                self.root / scan.file,
+                scan_file,
                 f"none of its points lies in the image {image.file} ({len(points)} in all), so the cloud is empty",
                 "check the poses of both in calibrated_sensor.json and ego_pose.json",
             )
@@ -134,7 +141,7 @@ class NuScenes(KeyedFrames):
         self.key(i)
         image, scan = self.moments[i]
         T_camera_global, T_global_lidar = self._poses(image, scan)
-        points = read_scan(self.root / scan.file)
+        points = read_scan(self.files(i)[-1])
         R_lidar_global = T_global_lidar.rotation.inv()
         if self.camera:
             ahead = R_lidar_global.apply(T_camera_global.rotation.inv().apply(FORWARD))

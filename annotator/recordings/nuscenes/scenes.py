@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import posix_path
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
@@ -26,7 +27,7 @@ from annotator.nuscenes_tables import (
 from annotator.types.errors import RecordingError
 
 LIDAR = "LIDAR_TOP"
-REMEDY = "copy the table again from the data set"
+REMEDY = "correct the table, or copy it again from the data set"
 
 Row = TypeVar("Row", bound=Record)
 
@@ -156,12 +157,12 @@ def _inside(tables: Path, token: str, name: str) -> str:
     Raises:
         RecordingError: it is one.
     """
-    path = PurePosixPath(name)
+    path = PurePosixPath(posix_path(name))
     if path.is_absolute() or ".." in path.parts or "\0" in name:
         raise RecordingError(
             f"{tables / 'sample_data.json'}: row {token}: filename: {name!r} must be a path in the dataset; {REMEDY}"
         )
-    return name
+    return str(path)
 
 
 def _folder(shot: Shot) -> str:

@@ -25,7 +25,6 @@ from scipy.spatial.transform import Rotation
 from annotator.frame_limits import require_pixels
 from annotator.geometry.projection import resized
 from annotator.image_bytes import decode_image
-from annotator.recordings.frame_times import MOST_NS
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
@@ -36,6 +35,8 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side, pinhole
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
+from annotator.types.times import LATEST_NS
+from annotator.types.validation import first_problem
 
 LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
 SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"
@@ -196,7 +197,7 @@ class Record3D(KeyedFrames):
         if place is not None:
             return round(times[place] * S_TO_NS)
         time_ns = None if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
-        return None if time_ns is None or time_ns > MOST_NS else time_ns
+        return None if time_ns is None or time_ns > LATEST_NS else time_ns
 
     @cached_property
     def _knows_gravity(self) -> bool:
@@ -250,8 +251,6 @@ def _metadata(path: Path, entries: Entries) -> Metadata:
     try:
         return Metadata.model_validate_json(read_entry(path, METADATA, entries[METADATA]))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise RecordingError(f"{path}/{METADATA}: {where} {first['msg']}".rstrip() + f"; {REMEDY}") from error
+        raise RecordingError(f"{path}/{METADATA}: {first_problem(error)}; {REMEDY}") from error
     except ValueError as error:
         raise RecordingError(f"{path}/{METADATA}: {error}; {REMEDY}") from error

@@ -34,6 +34,7 @@ from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import pinhole
 from annotator.recordings.video_file import VideoFile, open_video
+from annotator.text import to_number
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
 
@@ -146,9 +147,11 @@ class StrayScanner(KeyedFrames):
 
     def _numbers(self, i: int, columns: Sequence[str]) -> list[float]:
         try:
-            numbers = [float(self.rows[i][name]) for name in columns]
-        except (KeyError, ValueError):
+            numbers = [to_number(self.rows[i][name]) for name in columns]
+        except KeyError:
             self._raise(i, f"{' '.join(columns)} must be numbers")
+        except ValueError as error:
+            self._raise(i, f"{' '.join(columns)}: {error}")
         return numbers if are_plausible(np.array(numbers)) else self._raise(i, f"{' '.join(columns)} is implausible")
 
     def _raise(self, i: int, problem: str) -> Never:
@@ -167,9 +170,15 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Not
     try:
         lines = csv.reader(io.StringIO(read_text_file(poses, TABLE_BYTES)), skipinitialspace=True)
         header = [name.strip() for name in next(lines, [])]
-        rows = tuple({name: text.strip() for name, text in zip(header, line, strict=False)} for line in lines if line)
+        values = [(lines.line_num, row) for row in lines if row]
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{poses}: not a table ({error}); copy the recording from the phone again") from error
+    for line, row in values:
+        if len(row) > len(header):
+            raise RecordingError(
+                f"{poses}:{line}: has {len(row)} values for {len(header)} columns; decimals need a point, not a comma"
+            )
+    rows = tuple({name: text.strip() for name, text in zip(header, row, strict=False)} for _, row in values)
     keys = tuple(row.get("frame", "") for row in rows)
     if not {"timestamp", "frame", *QUATERNION} <= {*header}:
         raise RecordingError(
@@ -178,11 +187,9 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Not
     if not rows:
         raise RecordingError(f"{poses}: no frames; record again, and stop the recording before leaving the app")
     seen: set[str] = set()
-    for number, key in enumerate(keys, 2):
+    for line, key in enumerate(keys, 2):
         if not (key.isascii() and key.isdecimal()) or key in seen:
-            raise RecordingError(
-                f"{poses}:{number}: frame {key[:40]!r} is not a number, or has a row already; {REMEDY}"
-            )
+            raise RecordingError(f"{poses}:{line}: frame {key[:40]!r} is not a number, or has a row already; {REMEDY}")
         seen.add(key)
     recording = StrayScanner(path, keys, rows, min_confidence=options.min_confidence)
     return replace(recording, turns=turns_to_upright(_some_ups(recording)))
@@ -215,7 +222,7 @@ def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
 
 def _matrix(path: Path) -> Float64[np.ndarray, "3 3"]:
     try:
-        numbers = [float(text) for line in read_text_file(path).splitlines() for text in line.split(",")]
+        numbers = [to_number(text) for line in read_text_file(path).splitlines() for text in line.split(",")]
     except (OSError, ValueError) as error:
         raise FrameError(path, f"cannot be read ({error})", REMEDY) from error
     if len(numbers) != 9 or not np.all(np.abs(numbers) <= LARGEST):

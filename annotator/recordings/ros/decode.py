@@ -19,11 +19,11 @@ import numpy as np
 
 from annotator.recordings.ros.bag import Channel, Topic, short_type
 from annotator.types.errors import MissingExtraError
+from annotator.types.times import LATEST_NS
 
 # Enough of a message for its time.
 HEAD_BYTES = 32
 SECOND = 10**9
-LATEST_NS = 2**63 - 1
 # What reading the fields of a message raises if they are missing, or of other types than usual.
 FIELD_ERRORS = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import read_text_file
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.text import to_number
 from annotator.types import Camera
 from annotator.types.errors import FrameError
 
@@ -102,9 +103,9 @@ def _nine(path: Path, text: str) -> np.ndarray:
 
 def _numbers(path: Path, text: str) -> np.ndarray:
     try:
-        values = np.array([float(word) for word in text.split()])
+        values = np.array([to_number(word) for word in text.split()])
     except ValueError as error:
-        raise FrameError(path, f"a value is not a number ({error})", REMEDY) from error
+        raise FrameError(path, str(error), REMEDY) from error
     if not are_plausible(values):
         raise FrameError(path, "a number is not finite or is too large", REMEDY)
     return values

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float32, Int32
 
+from annotator.file_names import spelled
 from annotator.files import open_file
 from annotator.frame_limits import VARIABLE, frame_memory
 from annotator.geometry.projection import project
@@ -21,7 +22,7 @@ from annotator.mat_file import MatFileError, MatSizeError, read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.image_file import read_rgb
-from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems, unread_note
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems, unread_note
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
 from annotator.types import Camera, Frame, PointCloud
@@ -53,6 +54,11 @@ class SunRgbdExtracted(KeyedFrames):
         note = unread_note(self.path, READ, "label/KEY.txt")
         return () if note is None else (note,)
 
+    def files(self, i: int) -> tuple[Path, Path]:
+        key, suffix = self.key(i), ".mat" if self.clouds.name == "depth" else ".npz"
+        image = frame_file(self.path / "image", key, IMAGE_SUFFIXES, f"{self.clouds.name}/{key}{suffix}")
+        return image, frame_file(self.clouds, key, (suffix,), f"image/{image.name}")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; labels are in upright depth (`T_camera_label`).
 
@@ -62,14 +68,11 @@ class SunRgbdExtracted(KeyedFrames):
             FrameError: a missing or broken file.
             IndexError: there is no such frame.
         """
-        key = self.key(i)
-        suffixes = (".mat",) if self.clouds.name == "depth" else (".npz",)
-        image_path = frame_file(self.path / "image", key, IMAGE_SUFFIXES, f"{self.clouds.name}/{key}{suffixes[0]}")
-        cloud_path = frame_file(self.clouds, key, suffixes, f"image/{image_path.name}")
-        calibration = read_extracted_calibration(self.path / "calib" / f"{key}.txt")
+        key, (image_path, cloud_path) = self.key(i), self.files(i)
+        calibration = read_extracted_calibration(spelled(self.path / "calib", f"{key}.txt"))
         rgb = read_rgb(image_path)
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
-        raw = _read_mat(cloud_path) if suffixes == (".mat",) else read_cloud(cloud_path)
+        raw = _read_mat(cloud_path) if cloud_path.suffix.lower() == ".mat" else read_cloud(cloud_path)
         xyz_m = calibration.T_camera_upright.apply(raw.xyz_m)
         cloud, depth_m = _organised(camera, xyz_m, raw, rgb)
         return Frame(key, i, camera, rgb, cloud, depth_m, calibration.up, calibration.T_camera_upright)
@@ -88,7 +91,7 @@ def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
         calibrated = stems(path / "calib", (".txt",)) if names else set()
         # a cloud folder with KITTI's calibration differs only in the content of calib/
         if names and calibrated and not _is_kitti(path / "calib" / f"{min(calibrated)}.txt"):
-            keys = names | stems(path / "image", IMAGE_SUFFIXES)
+            keys = joined(names, stems(path / "image", IMAGE_SUFFIXES))
             return SunRgbdExtracted(path, sorted_keys(path, keys, LOOKED_FOR), clouds)
     return NotFound(LOOKED_FOR)
 

@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from annotator.files import end_of_file, is_within, private_folder
+from annotator.file_names import is_within
+from annotator.files import end_of_file, private_folder
 from annotator.types.errors import ConfigError, InUseError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, require_own_files, write_journal
@@ -240,8 +241,8 @@ class JobRunner:
         if job.state is not JobState.DONE or name is None:
             return None
         # the journal may have come with projects of somebody else
-        folder = self.folder / job.id
-        return folder / Path(str(name)).name if is_within(folder, Path(str(name)).name) else None
+        file = self.folder / job.id / Path(str(name)).name
+        return file if is_within(file.parent, file) else None
 
     def close(self) -> None:
         """Ends the thread: stops the running job, and fails the waiting ones."""

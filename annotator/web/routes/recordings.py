@@ -62,11 +62,13 @@ class NewRecording(RecordingPath):
     Attributes:
         labels: also import the 3D boxes that it contains.
         as_new: add it even if it seems to be one of the project that has only moved.
+        leave_out_broken: leave out the frames that cannot be read.
         options: how it is read.
     """
 
     labels: bool = True
     as_new: bool = False
+    leave_out_broken: bool = False
     options: ReaderOptions = ReaderOptions()
 
 
@@ -89,6 +91,9 @@ class AddedRecording(BaseModel):
     Attributes:
         is_new: False for a recording that the project had already; it was scanned for new frames.
         notes: what the reader says about it; one sentence each.
+        broken: how many frames cannot be read, and why; one sentence each.
+        left_out: number of those that are no frames of the project.
+        can_leave_out: some of them are.
     """
 
     recording: RecordingInfo
@@ -96,6 +101,9 @@ class AddedRecording(BaseModel):
     new_frames: int
     missing_frames: int
     notes: list[str]
+    broken: list[str]
+    left_out: int
+    can_leave_out: bool
 
 
 class AddedRecordings(BaseModel):
@@ -137,7 +145,9 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
     """Add a recording below one of the server's folders to a project; its files are not copied."""
     opened, path = ctx.project(project), ctx.folders.find(body.path)
     try:
-        results = add_recordings(opened, [path], options=body.options, as_new=body.as_new)
+        results = add_recordings(
+            opened, [path], options=body.options, as_new=body.as_new, leave_out_broken=body.leave_out_broken
+        )
     except MovedError as error:
         message, moved = ctx.public_message(str(error)), {"id": error.recording_id, "name": error.name}
         return error_response(type(error).__name__, message, status_of(error), moved=moved)
@@ -149,6 +159,9 @@ def add(project: str, body: NewRecording, ctx: Ctx, operator: Operator) -> Added
             new_frames=result.new_frames,
             missing_frames=result.missing_frames,
             notes=list(result.notes),
+            broken=[ctx.public_message(text) for text in result.broken.sentences],
+            left_out=result.left_out,
+            can_leave_out=len(result.broken.errors) > result.left_out,
         )
         for result in results
     ]

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import normal
 from annotator.formats.boxes_json import each_entries, entry_truth
 from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
 from annotator.formats.sunrgbd.labels import extracted_truth
@@ -103,9 +104,9 @@ class RowFiles:
         return ()
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        keys = set(self.recording.keys)
+        keys = set(map(normal, self.recording.keys))
         for path in sorted(self.folder.glob("*.txt")):
-            if path.stem not in keys:
+            if normal(path.stem) not in keys:
                 yield path, None, path.stem
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from annotator.file_names import normal
 from annotator.formats.frames_csv import has_frames
 from annotator.formats.text_folder import text_rows
 from annotator.recordings import Recording
@@ -42,26 +43,26 @@ def stray_names(recording: Recording) -> Iterator[Stray]:
 
 
 def _calibrations(folder: Path, recording: Recording) -> Iterator[Stray]:
-    keys = set(recording.keys)
+    keys = set(map(normal, recording.keys))
     for file in sorted((folder / "calib").glob("*.txt")):
-        if file.stem not in keys:
+        if normal(file.stem) not in keys:
             yield file, None, file.stem
 
 
 def _image_sets(recording: KittiObject) -> Iterator[Stray]:
     # the recording may have been opened at training/ or at the folder above
     folders = [recording.root, *([recording.root.parent] if recording.root.name == "training" else [])]
-    keys = set(recording.keys)
+    keys = set(map(normal, recording.keys))
     for folder in folders:
         pictures = folder / TESTING / recording.images
-        testing = stems(pictures, IMAGE_SUFFIXES) if pictures.is_dir() else set()
+        testing = set(map(normal, stems(pictures, IMAGE_SUFFIXES))) if pictures.is_dir() else set()
         for file in sorted((folder / LISTS).glob("*.txt")):
             # without testing/, test.txt lists frames elsewhere, except in exports, which have them in training/
             if file.name == TEST_LIST and not testing and not has_frames(folder):
                 continue
             listed = keys | testing if file.name == TEST_LIST else keys
             for line, name in frame_names(file):
-                if name not in listed:
+                if normal(name) not in listed:
                     yield file, line, name
 
 

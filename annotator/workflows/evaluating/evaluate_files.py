@@ -16,6 +16,7 @@ from annotator.evaluation.kitti.protocol import NEIGHBOURS
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
 from annotator.evaluation.sunrgbd import evaluate_sunrgbd
+from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.formats.kitti.label_files import KittiLabel
@@ -68,10 +69,10 @@ def read_frame_names(path: Path) -> list[str]:
         FormatError: the file cannot be read, or contains no name.
     """
     try:
-        lines = read_text_file(path, TABLE_BYTES, "utf-8-sig").split("\n")
+        lines = read_text_file(path, TABLE_BYTES).split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise FormatError(path, f"the list of frames cannot be read ({error})") from error
-    names = [line.strip() for line in lines if line.strip()]
+    names = [normal(line.strip()) for line in lines if line.strip()]
     if not names:
         raise FormatError(path, "contains no frame name")
     return names

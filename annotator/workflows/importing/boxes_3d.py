@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from annotator.file_names import normal
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.completing import ValueReader
 from annotator.project.event_types import FrameAttributesSet
@@ -276,9 +277,9 @@ def found_frames(
     project: Project, names: Sequence[str], recording: str | None
 ) -> tuple[dict[str, list[StoredFrame]], FrameFinder]:
     """Returns the project's frames that each name fits, and what found them. Arguments as `match_frames`."""
-    keys = {frame.key for frame in project.frames.of()}
+    keys = {normal(frame.key) for frame in project.frames.of()}
     # a recording's name cannot contain "/", a key can
-    places = {name: (None, name) if name in keys or "/" not in name else _place(name) for name in names}
+    places = {name: (None, name) if normal(name) in keys or "/" not in name else _place(name) for name in names}
     finder = FrameFinder(project, recording, {place[0] for place in places.values() if place[0] is not None})
     return {name: finder.find(*place) for name, place in places.items()}, finder
 

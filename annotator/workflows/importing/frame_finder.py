@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
+from annotator.file_names import normal
 from annotator.project import Project, StoredFrame
 
 
@@ -37,8 +38,8 @@ class FrameFinder:
         self._by_key: dict[str, list[StoredFrame]] = {}
         self._by_place: dict[tuple[str, str], StoredFrame] = {}
         for frame in project.frames.of(chosen):
-            self._by_key.setdefault(frame.key, []).append(frame)
-            self._by_place[self._names[frame.recording_id], frame.key] = frame
+            self._by_key.setdefault(normal(frame.key), []).append(frame)
+            self._by_place[self._names[frame.recording_id], normal(frame.key)] = frame
         existing = {place[0] for place in self._by_place}
         self._unknown = next(iter(named)) if len(set(named)) == 1 and not existing & set(named) else None
 
@@ -49,8 +50,8 @@ class FrameFinder:
             recording: the recording's name in the dataset; None if the dataset has no names.
         """
         if recording is None or recording == self._unknown:
-            return self._by_key.get(key, [])
-        exact = self._by_place.get((recording, key))
+            return self._by_key.get(normal(key), [])
+        exact = self._by_place.get((recording, normal(key)))
         return [] if exact is None else [exact]
 
     def renamed(self, matched: Iterable[StoredFrame]) -> Renamed | None:

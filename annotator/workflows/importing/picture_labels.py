@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-from annotator.files import is_within
+from annotator.file_names import OutsideError, inside, normal, stem_of
 from annotator.formats.attributes import Values
 from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.yolo_read import YoloPicture, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
-
-# Characters of an invalid name that a message quotes.
-SHOWN = 60
 
 
 class FlatFormat(StrEnum):
@@ -52,8 +49,8 @@ class PictureLabels:
 
     @property
     def stem(self) -> str:
-        """The file's name without folder and suffix."""
-        return PurePosixPath(self.file_name).stem
+        """The file's `normal` name without folder and suffix."""
+        return normal(stem_of(self.file_name))
 
     def file(self, path: Path) -> Path | None:
         """Returns the image file; None if it does not exist.
@@ -64,12 +61,10 @@ class PictureLabels:
         Raises:
             FormatError: the name is invalid or leads out of its folder.
         """
-        file = self.folder / self.file_name
-        if not is_within(self.folder, self.file_name):
-            raise FormatError(
-                path,
-                f"{self.file_name[:SHOWN]!r} leads out of the image folder or is not a valid name; use names within it",
-            )
+        try:
+            file = inside(self.folder, self.file_name)
+        except OutsideError as error:
+            raise FormatError(path, str(error)) from error
         # labels without an image have the name of their label file, which may be in this folder
         return file if file.is_file() and file.suffix.lower() != ".txt" else None
 
@@ -125,7 +120,7 @@ def _of_yolo(picture: YoloPicture, folder: Path | None) -> PictureLabels:
     name = picture.file_name
     if folder is not None and picture.picture is None:
         # labels without an image belong to a pseudo-view, which is a PNG file
-        name = f"{PurePosixPath(name).stem}.png"
+        name = f"{stem_of(name)}.png"
     return PictureLabels(
         name,
         folder or picture.folder,

@@ -25,6 +25,7 @@ from annotator.formats.sunrgbd.labels import FIELDS as SUN_FIELDS
 from annotator.formats.text_folder import text_rows
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES
+from annotator.text import decoded
 from annotator.types.errors import FormatError
 from annotator.workflows.importing.picture_labels import FlatFormat
 from annotator.workflows.importing.table import BoxFormat
@@ -133,7 +134,7 @@ def _of_archive(file: Path) -> list[Format]:
     try:
         with open_file(file) as stream, open_archive(stream) as archive:
             for info in _text_members(archive):
-                first = archive.open(info).readline(1000).decode("utf-8-sig", "replace").split()
+                first = decoded(archive.open(info).readline(1000), "replace").split()
                 if first:
                     return _of_row(first)
     except ARCHIVE_ERRORS as error:

@@ -86,7 +86,7 @@ def import_own_labels(
     frames = [
         frame
         for frame in project.frames.of([recording_id])
-        if frame.key in indices and is_labelled(recording, frame.key)
+        if frame.index is not None and frame.key in indices and is_labelled(recording, frame.key)
     ]
     for number, stored in enumerate(frames, 1):
         if not stored.finalised and not project.labels.of_frame(stored.id):

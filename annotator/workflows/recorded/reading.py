@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.file_names import normal, spelled
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.frames_csv import read_frames
@@ -138,7 +139,7 @@ def label_file(recording: Recording, key: str) -> Path | None:
         if place.is_file() and not (isinstance(recording, NuScenes) and place.stat().st_size <= EMPTY_LIST_BYTES):
             return place
         if place.is_dir():
-            return place / f"{key}{_SUFFIXES.get(recording.format, '.txt')}"
+            return spelled(place, f"{key}{_SUFFIXES.get(recording.format, '.txt')}")
     return None
 
 
@@ -151,7 +152,7 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
     folder = mask_folder(recording)
     if folder is None:
         return None
-    path = folder / f"{frame.key}.png"
+    path = spelled(folder, f"{frame.key}.png")
     mask = read_mask(path)
     if mask.shape != frame.rgb.shape[:2]:
         raise FormatError(path, f"the mask is {mask.shape[::-1]} pixels, the image {frame.rgb.shape[1::-1]}")
@@ -174,7 +175,7 @@ def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | No
 
 
 def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return list(_boxes(path, *file_version(path)).get(key, ()))
+    return list(_boxes(path, *file_version(path)).get(normal(key), ()))
 
 
 def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -267,7 +268,7 @@ def file_version(path: Path) -> tuple[int, int]:
 @lru_cache(maxsize=4)
 def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
     """Reads the whole file; cached, so that it is not parsed again for every frame."""
-    return read_boxes(path)
+    return {normal(key): truths for key, truths in read_boxes(path).items()}
 
 
 @lru_cache(maxsize=4)

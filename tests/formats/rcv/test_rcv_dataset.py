@@ -288,7 +288,7 @@ def edit(path: Path, **changes: Any) -> None:
         ("labels/rec-000001.json", {"expected_iou_loss": -1}, "objects.0.expected_iou_loss"),
         ("labels/rec-000001.json", {"colour": "red"}, "objects.0.colour"),
         ("labels/rec-000001.json", {"objects": [], "id": "x"}, "has the id 'x'"),
-        ("labels/rec-000001.json", {"objects": [], "image": "../../secret.png"}, "is outside this dataset"),
+        ("labels/rec-000001.json", {"objects": [], "image": "../../secret.png"}, "leads out of the folder"),
         ("labels/rec-000001.json", {"objects": [], "points": 6}, "holds 5 points, but rec-000001.json says 6"),
         ("dataset.json", {"version": 2}, "version"),
         ("dataset.json", {"frames": []}, "frames must list 1 different ids"),

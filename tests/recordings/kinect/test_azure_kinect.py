@@ -217,7 +217,7 @@ REFUSED = [
     ),
     pytest.param(lambda p: made.write_recording(p, frames=2, without_depth=(0, 1)), "no frames", id="no-captures"),
     pytest.param(attaching(b"{]"), "its calibration cannot be used: .*JSON", id="no-json"),
-    pytest.param(attaching(b"{}"), "CalibrationInformation Field required", id="no-cameras"),
+    pytest.param(attaching(b"{}"), "CalibrationInformation: Field required", id="no-cameras"),
     pytest.param(changed(Purpose="other"), "there is no camera CALIBRATION_CameraPurposeDepth", id="no-depth-camera"),
     pytest.param(changed(Intrinsics={"ModelType": "x", "ModelParameters": made.LENS}), "lens model x", id="lens"),
     pytest.param(

@@ -140,7 +140,7 @@ EXTRACTED_DAMAGES = [
     (damage("calib/000001.txt", None), "the calibration is missing"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n"), "must have two lines"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0\n1 0 0 0 1 0 0 0 1"), "must have 9 numbers, not 8"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 x\n1 0 0 0 1 0 0 0 1"), "could not convert"),
+    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 x\n1 0 0 0 1 0 0 0 1"), "'x' is not a number"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 nan\n1 0 0 0 1 0 0 0 1"), "not finite"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 2\n1 0 0 0 1 0 0 0 1"), "the tilt is not a rotation"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n1 0 0 0 -1 0 0 0 1"), "not a pinhole camera"),

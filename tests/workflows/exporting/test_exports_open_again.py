@@ -173,11 +173,11 @@ def test_damaged_exports_are_errors(people: Project, tmp_path: Path) -> None:
     first = open_recording(rcv).keys[0]
     label = rcv / "labels" / f"{first}.json"
     for change, complaint in (
-        (lambda record: record.update(image="../secret.png"), "outside the dataset"),
-        (lambda record: record.update(image="/x"), rf"{re.escape(str(rcv))}: .* '/x', which is outside the dataset"),
+        (lambda record: record.update(image="../secret.png"), "file '../secret.png' leads out of the folder"),
+        (lambda record: record.update(image="/x"), rf"{re.escape(str(rcv))}: .* '/x' leads out of the folder"),
         (lambda record: record.update(cloud="labels/x.json"), "is none of"),
         (lambda record: record.update(up=[0, 0, 0]), "up has length 0"),
-        (lambda record: record.update(timestamp_ns=10**19), "timestamp_ns: Input should be less than"),
+        (lambda record: record.update(timestamp_ns=10**19), r"timestamp_ns: the time 1\d+ ns is beyond"),
         (lambda record: record["camera"].update(fx=-1), "camera.fx: Input should be greater"),
         (lambda record: record["camera"].update(width_px=7), "but its camera 7 x"),
     ):

@@ -67,11 +67,13 @@ export function addRecordings(app, project) {
  * @param {{ project: string, done: HTMLElement, labels: HTMLInputElement, cameras: HTMLSelectElement }} options
  * @param {Api.FolderEntry} entry
  * @param {HTMLButtonElement} button
- * @param {boolean} [isNew] although it seems to be one of the project that has moved.
+ * @param {{ options?: object, labels?: boolean, as_new?: boolean, leave_out_broken?: boolean }} [again] what differs
+ *   when it is added again.
  */
-async function add(app, { project, done, labels, cameras }, entry, button, isNew = false) {
+async function add(app, { project, done, labels, cameras }, entry, button, again = {}) {
   const isBag = entry.recording === "ros_bag";
-  const options = isBag ? await chooseTopics(app, entry) : CAMERAS[Number(cameras.value)].options;
+  const chosen = () => (isBag ? chooseTopics(app, entry) : CAMERAS[Number(cameras.value)].options);
+  const options = again.options ?? (await chosen());
   if (options === null) return;
   button.disabled = true;
   button.textContent = "Adding …";
@@ -80,24 +82,39 @@ async function add(app, { project, done, labels, cameras }, entry, button, isNew
     const { added, job, note } = await app.api.post(projectPath(project, "recordings"), {
       path: entry.path,
       labels: labels.checked,
-      as_new: isNew,
+      ...again,
       options,
     });
-    done.append(...added.map((one) => h("p", { "data-testid": "added-recording" }, glyph("check"), describe(one))));
+    done.append(
+      ...added.flatMap((one) => [
+        h("p", { "data-testid": "added-recording" }, glyph(one.broken.length ? "warning" : "check"), describe(one)),
+        ...one.broken.map((text) => h("p", { class: "help", "data-testid": "broken-frames" }, text)),
+      ]),
+    );
+    if (added.some((one) => one.can_leave_out)) {
+      const leaveOut = h("button", { type: "button", "data-testid": "leave-out-broken" }, "Leave these frames out");
+      leaveOut.addEventListener("click", () => {
+        leaveOut.remove();
+        const changed = { options, labels: false, leave_out_broken: true };
+        void add(app, { project, done, labels, cameras }, entry, button, changed);
+      });
+      done.append(leaveOut);
+    }
     const notes = new Set(added.flatMap((one) => one.notes));
     done.append(...[...notes].map((text) => h("p", { class: "help", "data-testid": "reader-note" }, text)));
     if (job) done.append(jobLine(app, job));
     if (note) done.append(h("p", { class: "error-box", role: "alert", "data-testid": "recording-note" }, note));
     // adding it again starts the job that could not be started, or adds other topics
-    const again = Boolean(note) || isBag;
-    button.textContent = again ? "Add" : "Added";
-    button.disabled = !again;
+    const isOpen = Boolean(note) || isBag;
+    button.textContent = isOpen ? "Add" : "Added";
+    button.disabled = !isOpen;
   } catch (error) {
     button.textContent = "Add";
     button.disabled = false;
     if (error instanceof ApiError && error.body.moved) {
       const choice = await askMoved(app, project, entry, error.body.moved);
-      if (choice === "new") await add(app, { project, done, labels, cameras }, entry, button, true);
+      const asNew = { ...again, options, as_new: true };
+      if (choice === "new") await add(app, { project, done, labels, cameras }, entry, button, asNew);
       if (choice !== "moved") return;
       const text = `${error.body.moved.name} is now at ${entry.path}, with its labels`;
       done.append(h("p", { "data-testid": "added-recording" }, glyph("check"), text));
@@ -155,10 +172,11 @@ function jobLine(app, job) {
 }
 
 /** @param {Api.AddedRecording} options */
-function describe({ recording, is_new, new_frames }) {
+function describe({ recording, is_new, new_frames, left_out }) {
+  const more = left_out ? `, ${left_out} left out` : "";
   return is_new
-    ? `${recording.name}: ${count(recording.frames, "frame")}`
-    : `${recording.name} was already in the project: ${count(new_frames, "new frame")}`;
+    ? `${recording.name}: ${count(recording.frames, "frame")}${more}`
+    : `${recording.name} was already in the project: ${count(new_frames, "new frame")}${more}`;
 }
 
 /**
