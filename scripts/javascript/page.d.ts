@@ -191,14 +191,17 @@ type EditorBox = Box2D & {
   color?: string;
 };
 
+/** An arrow in px of a picture; `sight`: cosine of the angle between it and the line of sight. */
+type Arrow = { from: Point; to: Point; sight: number };
+
 /** Lines over the picture. One with an `id` can be clicked; `tag` is a short text at its top corner. */
 type Overlay = {
   id?: string;
   segments: Line[];
+  heading?: Arrow | null;
   color: string;
   dash?: boolean;
   strong?: boolean;
-  width?: number;
   tag?: string;
 };
 

@@ -48,7 +48,7 @@ class OrthoIn(Schema):
 
 
 class OrthoView(ViewJson):
-    """A view along an axis of the box."""
+    """A view along an axis of the box: from above, from its front, or of its right side."""
 
     name: Literal["top", "front", "side"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import box_corners, heading_arrow
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
 from annotator.rcv.config import RcvConfig
@@ -28,17 +28,24 @@ def truth(generated: Path, frame: Frame) -> OrientedBox:
     return load_truth(open_recording(generated / "people"), 0, frame)[0].box
 
 
-def test_a_box_is_drawn_as_its_edges_and_a_line_to_its_front(truth: OrientedBox) -> None:
+def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(truth: OrientedBox) -> None:
     lines = placed_box_lines(truth)
-    assert lines.shape == (13, 2, 3)
+    assert lines.shape == (21, 2, 3)
     corners = box_corners(truth)
     ends = lines[:12].reshape(-1, 3)
     nearest = np.linalg.norm(ends[:, None] - corners, axis=2)
     assert nearest.min(axis=1).max() < 1e-5
     np.testing.assert_array_equal(np.bincount(nearest.argmin(axis=1)), np.full(8, 3))
-    nose = lines[12, 1] - lines[12, 0]
-    np.testing.assert_allclose(lines[12, 0], truth.center_m, atol=1e-5)
-    assert nose @ truth.rotation[:, 0] > truth.size_m[0] / 2
+    np.testing.assert_allclose(lines[12], heading_arrow(truth), atol=1e-5)
+    # the head, in the box's own axes: from the tip to a square on the front face, and its sides
+    front_m, head_m = truth.size_m[0] / 2, 0.2 * truth.size_m.mean()
+    head = (lines[13:] - truth.center_m) @ truth.rotation
+    tip, ends, sides = head[:4, 0], head[:4, 1], head[4:]
+    np.testing.assert_allclose(tip, [[front_m + head_m, 0, 0]] * 4, atol=1e-5)
+    np.testing.assert_allclose(ends[:, 0], front_m, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(ends[:, 1:], axis=1), 0.45 * head_m, atol=1e-5)
+    np.testing.assert_allclose(sides[:, 0], ends, atol=1e-5)
+    np.testing.assert_allclose(sides[:, 1], np.roll(ends, -1, axis=0), atol=1e-5)
 
 
 @pytest.mark.parametrize("distortion", [(), (0.08, -0.1, 0.001, -0.002, 0.02)])
