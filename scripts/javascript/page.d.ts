@@ -157,8 +157,8 @@ interface ModeApp extends App {
   viewport: Viewport;
 }
 
-/** Unsaved work, which would be lost. */
-type Unsaved = { text: string; retry: () => unknown; discard: () => void };
+/** Unsaved work, which would be lost. `retry` saves it; `action` names that, by default "Try again". */
+type Unsaved = { text: string; retry: () => unknown; action?: string; discard: () => void };
 
 /** A mounted mode. */
 interface Mounted {

@@ -113,15 +113,16 @@ export function toView(view, point) {
 }
 
 /**
- * The arrow of a box's heading on a view, px.
+ * The arrow of a box's heading on a view, px. It ends within the box, where no handle hides it.
  *
  * @param {Plane} view
  * @param {Box3D} box
  * @returns {Arrow}
  */
 export function viewHeading(view, box) {
-  const [from, to] = headingArrow(box).map((point) => toView(view, point));
-  return { from, to, sight: dot(view.axes[2], boxAxis(box, 0)) };
+  const x = boxAxis(box, 0);
+  const [from, to] = [0, 0.4].map((share) => toView(view, add(box.center, scale(x, share * box.size[0]))));
+  return { from, to, sight: dot(view.axes[2], x) };
 }
 
 /**

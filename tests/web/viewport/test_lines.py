@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.geometry.oriented_box import box_corners, heading_arrow
+from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
 from annotator.rcv.config import RcvConfig
@@ -36,16 +36,16 @@ def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(truth: Orien
     nearest = np.linalg.norm(ends[:, None] - corners, axis=2)
     assert nearest.min(axis=1).max() < 1e-5
     np.testing.assert_array_equal(np.bincount(nearest.argmin(axis=1)), np.full(8, 3))
-    np.testing.assert_allclose(lines[12], heading_arrow(truth), atol=1e-5)
-    # the head, in the box's own axes: from the tip to a square on the front face, and its sides
-    front_m, head_m = truth.size_m[0] / 2, 0.2 * truth.size_m.mean()
-    head = (lines[13:] - truth.center_m) @ truth.rotation
-    tip, ends, sides = head[:4, 0], head[:4, 1], head[4:]
-    np.testing.assert_allclose(tip, [[front_m + head_m, 0, 0]] * 4, atol=1e-5)
-    np.testing.assert_allclose(ends[:, 0], front_m, atol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(ends[:, 1:], axis=1), 0.45 * head_m, atol=1e-5)
-    np.testing.assert_allclose(sides[:, 0], ends, atol=1e-5)
-    np.testing.assert_allclose(sides[:, 1], np.roll(ends, -1, axis=0), atol=1e-5)
+    # in the box's own axes: from the middle of the top; the head begins in front of the front face
+    shaft, head = ((part - truth.center_m) @ truth.rotation for part in (lines[12], lines[13:]))
+    mean_m, top_m, front_m = truth.size_m.mean(), truth.size_m[2] / 2, truth.size_m[0] / 2
+    tip = [front_m + 0.4 * mean_m, 0, top_m]
+    np.testing.assert_allclose(shaft, [[0, 0, top_m], tip], atol=1e-5)
+    np.testing.assert_allclose(head[:4, 0], [tip] * 4, atol=1e-5)
+    corners = head[:4, 1]
+    np.testing.assert_allclose(corners[:, 0], front_m + 0.08 * mean_m, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(corners[:, 1:] - [0, top_m], axis=1), 0.13 * mean_m, atol=1e-5)
+    np.testing.assert_allclose(head[4:], np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("distortion", [(), (0.08, -0.1, 0.001, -0.002, 0.02)])
