@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from annotator.geometry.oriented_box import EDGES, corners
+from annotator.geometry.oriented_box import EDGES, corners, heading_arrow
 from annotator.geometry.outline import field_of_view
 from annotator.geometry.projection import camera_key, project
 from annotator.types import Camera, OrientedBox
@@ -19,7 +19,33 @@ from annotator.types import Camera, OrientedBox
 # Pieces per edge on a distorted image.
 PIECES_DISTORTED = 8
 
+# An arrow that ends farther from the image than so many times its longer side is not drawn.
+FARTHEST_SIZES = 4
+# Angle between an arrow's shaft and the lines of its head.
+HEAD_RAD = np.pi / 6
+
 _ENDS = np.array(EDGES)
+
+
+def heading_px(camera: Camera, box: OrientedBox, head_px: float) -> Float64[np.ndarray, "k 2 2"]:
+    """The arrow of a box's heading on the image, not clipped to it.
+
+    Args:
+        box: in the camera frame.
+        head_px: length of the two lines of its head.
+
+    Returns:
+        (3, 2, 2) pixels, both ends (u, v) of the shaft and of the head's lines; (0, 2, 2) if it reaches behind the
+        camera or far from the image.
+    """
+    shaft = project(camera, heading_arrow(box))
+    if not (np.abs(shaft) < FARTHEST_SIZES * max(camera.width_px, camera.height_px)).all():
+        return np.zeros((0, 2, 2))
+    tip = shaft[1]
+    back = (shaft[0] - tip) / max(float(np.linalg.norm(shaft[0] - tip)), 1e-9)
+    aside = np.array([-back[1], back[0]])
+    ends = [tip + head_px * (np.cos(HEAD_RAD) * back + side * np.sin(HEAD_RAD) * aside) for side in (-1, 1)]
+    return np.stack([shaft, *(np.stack([tip, end]) for end in ends)])
 
 
 def visible_edges(camera: Camera, boxes: Sequence[OrientedBox]) -> list[Float64[np.ndarray, "k 2 2"]]:

@@ -22,6 +22,9 @@ CORNER_SIGNS.flags.writeable = False
 # The 12 edges as pairs of corner indices: around the bottom, around the top, and the four vertical ones.
 EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
+# The arrow of the heading ends so far in front of the box, share of its mean side. As in web_assets/js/box3d.js.
+ARROW_BEYOND = 0.2
+
 
 def corners(
     center: Float[np.ndarray, "*n 3"], rotation: Float[np.ndarray, "*n 3 3"], size: Float[np.ndarray, "*n 3"]
@@ -44,6 +47,12 @@ def corners(
 def box_corners(box: OrientedBox) -> Float64[np.ndarray, "8 3"]:
     """The corners of one box in the camera frame, metres, in the order of `CORNER_SIGNS`."""
     return corners(box.center_m, box.rotation, box.size_m)
+
+
+def heading_arrow(box: OrientedBox) -> Float64[np.ndarray, "2 3"]:
+    """The arrow that shows a box's heading: from its centre through its front (+x) face; camera frame, metres."""
+    reach_m = 0.5 * box.size_m[0] + ARROW_BEYOND * box.size_m.mean()
+    return np.stack([box.center_m, box.center_m + reach_m * box.rotation[:, 0]])
 
 
 def contains_parts(

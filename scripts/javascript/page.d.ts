@@ -157,8 +157,8 @@ interface ModeApp extends App {
   viewport: Viewport;
 }
 
-/** Unsaved work, which would be lost. */
-type Unsaved = { text: string; retry: () => unknown; discard: () => void };
+/** Unsaved work, which would be lost. `retry` saves it; `action` names that, by default "Try again". */
+type Unsaved = { text: string; retry: () => unknown; action?: string; discard: () => void };
 
 /** A mounted mode. */
 interface Mounted {
@@ -191,14 +191,17 @@ type EditorBox = Box2D & {
   color?: string;
 };
 
+/** An arrow in px of a picture; `sight`: cosine of the angle between it and the line of sight. */
+type Arrow = { from: Point; to: Point; sight: number };
+
 /** Lines over the picture. One with an `id` can be clicked; `tag` is a short text at its top corner. */
 type Overlay = {
   id?: string;
   segments: Line[];
+  heading?: Arrow | null;
   color: string;
   dash?: boolean;
   strong?: boolean;
-  width?: number;
   tag?: string;
 };
 

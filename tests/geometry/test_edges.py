@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.edges import PIECES_DISTORTED, cut_segments, visible_edges
+from annotator.geometry.edges import PIECES_DISTORTED, cut_segments, heading_px, visible_edges
 from annotator.geometry.oriented_box import EDGES, box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
@@ -70,3 +70,34 @@ def test_a_segment_is_cut_to_the_part_inside_all_planes() -> None:
     for n in np.flatnonzero(kept.sum(axis=0) > 1):
         points = along[kept[:, n], n]
         assert np.allclose(cut[n], points[[0, -1]], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "tip_px", "along"),
+    [
+        # the box is 4 m away, 2 x 1 x 0.6 m: the arrow reaches 1 + 0.2 * 1.2 = 1.24 m from its centre
+        (0.0, (500 * 1.24 / 4 + 320, 235), (1, 0)),
+        (180.0, (-500 * 1.24 / 4 + 320, 235), (-1, 0)),
+        (45.0, (500 * 0.8768 / (4 - 0.8768) + 320, 235), (1, 0)),
+    ],
+)
+def test_the_heading_is_an_arrow_with_a_head_of_its_own_size(
+    yaw_deg: float, tip_px: tuple[float, float], along: tuple[int, int]
+) -> None:
+    turn = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 4.0]), turn, np.array([2.0, 1.0, 0.6]))
+    shaft, *head = heading_px(CAMERA, box, 10.0)
+    np.testing.assert_allclose(shaft, [(320, 235), tip_px], atol=0.02)
+    for line, side in zip(head, (-1, 1), strict=True):
+        np.testing.assert_allclose(line[0], shaft[1], atol=1e-9)
+        back = line[1] - line[0]
+        assert np.linalg.norm(back) == pytest.approx(10)
+        assert back @ np.array(along) == pytest.approx(-10 * np.cos(np.pi / 6))
+        assert np.sign(back[1]) == -side * along[0]
+
+
+def test_a_heading_that_reaches_behind_the_camera_has_no_arrow() -> None:
+    to_camera = Rotation.from_euler("y", 90, degrees=True).as_matrix()
+    near = OrientedBox.from_parts(np.array([0.0, 0.0, 0.5]), to_camera, np.ones(3))
+    np.testing.assert_allclose(near.rotation[:, 0], [0, 0, -1], atol=1e-12)
+    assert heading_px(CAMERA, near, 10.0).shape == (0, 2, 2)

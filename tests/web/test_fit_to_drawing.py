@@ -76,18 +76,25 @@ def test_a_drawn_box_is_fitted_and_its_label_counts_as_drawn(taught: Live, scene
 
 
 @pytest.mark.parametrize(
-    ("box", "label", "reason"),
+    ("box", "label", "reason", "is_sparse"),
     [
-        ((0.0, 0.0, 3.0, 3.0), "person", "points lie in this box"),
-        ((60.0, 2.0, 110.0, 40.0), "person", "found no object"),
-        ((60.0, 2.0, 110.0, 40.0), "chair", "was not trained on chair"),
+        ((0.0, 0.0, 3.0, 3.0), "person", "fewer than 5 points lie in this box", True),
+        ((0.0, 0.0, 3.0, 3.0), "chair", "fewer than 5 points lie in this box", True),
+        ((60.0, 2.0, 110.0, 40.0), "person", "found no object", False),
+        ((60.0, 2.0, 110.0, 40.0), "chair", "was not trained on chair", False),
     ],
 )
-def test_without_an_object_there_is_a_reason(taught: Live, box: tuple[float, ...], label: str, reason: str) -> None:
+def test_without_an_object_there_is_a_reason(
+    taught: Live, box: tuple[float, ...], label: str, reason: str, is_sparse: bool
+) -> None:
     found = fit(taught, {"label": label, **dict(zip(("x_min", "y_min", "x_max", "y_max"), box, strict=True))})
     assert found["box"] is None and found["outline"] == []
     assert reason in found["note"]
+    assert found["too_few_points"] is is_sparse, "whether there are views to draw on"
 
 
 def test_without_a_detector_the_answer_says_so(live: Live, scene: Scene) -> None:
-    assert fit(live, scene.image_box(0))["note"] == "there is no pseudo-view detector yet"
+    found = fit(live, scene.image_box(0))
+    assert (found["note"], found["too_few_points"]) == ("there is no pseudo-view detector yet", False)
+    corner = fit(live, {"label": "person", "x_min": 0.0, "y_min": 0.0, "x_max": 3.0, "y_max": 3.0})
+    assert (corner["note"], corner["too_few_points"]) == ("fewer than 5 points lie in this box", True)

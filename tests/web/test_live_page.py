@@ -79,7 +79,7 @@ def test_the_page_shows_each_frame_and_its_button_pauses(generated: Path, tmp_pa
         page.show(Detected(frame, detections(frame, box), time.perf_counter(), {}))
         scene = page._server.scene
         assert len(scene.get_handle_by_name("/cloud").points) == 40_000
-        assert len(scene.get_handle_by_name("/boxes").points) == 13
+        assert len(scene.get_handle_by_name("/boxes").points) == 21, "edges, shaft and head of the heading"
         assert page._image is not None
         assert page._image.image.shape == (240, 320, 3)
         assert "| backend | none |" in page._text.content

@@ -18,6 +18,8 @@ import {
 
 /** Minimum length of a box's sides, metres. */
 export const MIN_SIZE_M = 0.01;
+/** The arrow of the heading ends so far in front of the box, share of its mean side, as in geometry/oriented_box.py. */
+const ARROW_BEYOND = 0.2;
 
 // the same order as the server: --- +-- ++- -+- --+ +-+ +++ -++
 const SIGNS = [
@@ -75,13 +77,13 @@ export function corners(box) {
 }
 
 /**
- * The heading: from the middle of the box through the middle of its front (the +x face).
+ * The arrow that shows the heading: from the middle of the box through its front (the +x face).
  *
  * @param {Box3D} box
  */
-export function headingLine(box) {
-  const x = boxAxis(box, 0);
-  return [box.center, add(box.center, scale(x, box.size[0] * 0.65))];
+export function headingArrow(box) {
+  const mean = (box.size[0] + box.size[1] + box.size[2]) / 3;
+  return [box.center, add(box.center, scale(boxAxis(box, 0), box.size[0] / 2 + ARROW_BEYOND * mean))];
 }
 
 /**
@@ -108,6 +110,19 @@ export function sameBox(a, b, toleranceM = 1e-6) {
  */
 export function toView(view, point) {
   return [0, 1].map((i) => (dot(view.axes[i], point) - view.origin_m[i]) / view.metres_per_px);
+}
+
+/**
+ * The arrow of a box's heading on a view, px. It ends within the box, where no handle hides it.
+ *
+ * @param {Plane} view
+ * @param {Box3D} box
+ * @returns {Arrow}
+ */
+export function viewHeading(view, box) {
+  const x = boxAxis(box, 0);
+  const [from, to] = [0, 0.4].map((share) => toView(view, add(box.center, scale(x, share * box.size[0]))));
+  return { from, to, sight: dot(view.axes[2], x) };
 }
 
 /**

@@ -1,12 +1,28 @@
 // Projection onto the camera's picture, and the outline of a box on it, by OpenCV's camera model. The distortion has
 // 0, 4, 5, 8, 12 or 14 coefficients.
 
-import { EDGES, corners } from "./box3d.js";
+import { EDGES, boxAxis, corners, headingArrow } from "./box3d.js";
+import { dot, unit } from "./rotation.js";
 
 /** The near plane: nearer points are not drawn, metres. */
 const NEAR_M = 0.1;
 /** Number of segments of an edge that lens distortion bends. */
 const STEPS = 16;
+
+/** @type {WeakMap<Api.ImageJson, Camera>} */
+const cameras = new WeakMap();
+
+/**
+ * The camera with its picture's size: one object per picture, because the range of its lens is kept by object.
+ *
+ * @param {Api.ImageJson} image
+ */
+export function cameraOf(image) {
+  const { width, height } = image;
+  const camera = cameras.get(image) ?? { ...image.camera, width, height };
+  cameras.set(image, camera);
+  return camera;
+}
 
 /**
  * A point's pixel coordinates; null if it is behind the camera or outside the range of the lens model.
@@ -36,6 +52,20 @@ const isBent = (camera) => camera.distortion.some((value) => value !== 0);
 export function outline(camera, box) {
   const points = corners(box);
   return EDGES.flatMap(([a, b]) => line(camera, points[a], points[b]));
+}
+
+/**
+ * The arrow of a box's heading as far as it is on the picture; null if nothing of it is.
+ *
+ * @param {Camera} camera
+ * @param {Box3D} box
+ * @returns {Arrow | null}
+ */
+export function imageHeading(camera, box) {
+  const [middle, front] = headingArrow(box);
+  const px = line(camera, middle, front).flat();
+  const [from, to] = [px[0], px.at(-1)];
+  return from && to ? { from, to, sight: dot(unit(box.center), boxAxis(box, 0)) } : null;
 }
 
 /**

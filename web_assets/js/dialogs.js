@@ -97,7 +97,7 @@ export async function confirm(title, text, action, kind = "primary") {
 }
 
 /**
- * Asks about something that cannot be saved: the operator can stay, try again, or discard it.
+ * Asks about something that is not saved: the operator can stay, save it, or discard it.
  *
  * @param {Unsaved} unsaved
  * @param {() => Unsaved | null} look returns what is still unsaved.
@@ -111,7 +111,7 @@ export async function askUnsaved(unsaved, look) {
     actions: [
       { label: "Discard and continue", value: "discard", kind: "danger" },
       { label: "Stay here", value: "stay", kind: "" },
-      { label: "Try again", value: "retry" },
+      { label: unsaved.action ?? "Try again", value: "retry" },
     ],
     async submit(value) {
       if (value === "discard") unsaved.discard();

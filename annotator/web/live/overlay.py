@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from annotator.geometry.edges import heading_px
 from annotator.geometry.oriented_box import EDGES, box_corners
 from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
@@ -14,6 +15,8 @@ from annotator.types import Box2D, Camera, Frame, OrientedBox
 # About the width of the panel beside the 3D view, pixels.
 WIDTH_PX = 640
 BOX_COLOR, SOLID_COLOR, LOST_COLOR = (255, 214, 10), (240, 120, 40), (154, 161, 173)
+# Length of the head of a heading's arrow, pixels of the drawn image.
+HEAD_PX = 10
 # Number of segments per box edge on a distorted image, where edges are curved.
 STEPS_DISTORTED = 6
 FONT, FONT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
@@ -22,7 +25,7 @@ SHIFT = 4
 
 
 def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WIDTH_PX) -> UInt8[np.ndarray, "h w 3"]:
-    """The image, at most `width_px` wide, with the boxes of the image detector and the projected 3D boxes.
+    """The image, at most `width_px` wide, with the image detector's boxes, and the 3D boxes with their headings.
 
     Image boxes without a 3D box are grey.
     """
@@ -33,7 +36,7 @@ def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WI
         _draw_rectangle(image, lost.image_box, scale, LOST_COLOR, lost.label)
     for proposal in detections.proposals:
         _draw_rectangle(image, proposal.image_box, scale, BOX_COLOR, f"{proposal.label} {proposal.score:.2f}")
-        for line in edges_px(frame.camera, proposal.box):
+        for line in (*edges_px(frame.camera, proposal.box), *heading_px(frame.camera, proposal.box, HEAD_PX / scale)):
             points = _fixed_point(_scaled(line, scale))
             cv2.polylines(image, [points], False, SOLID_COLOR, 2, cv2.LINE_AA, SHIFT)
     return image

@@ -48,7 +48,7 @@ class OrthoIn(Schema):
 
 
 class OrthoView(ViewJson):
-    """A view along an axis of the box."""
+    """A view along an axis of the box: from above, from its front, or of its right side."""
 
     name: Literal["top", "front", "side"]
 
@@ -86,7 +86,8 @@ class FitIn(Schema):
 class FitOut(Schema):
     """The object in an image box; if none was found, `box` is null and `note` is the reason.
 
-    `measured_by` names the detector that looked for it; `suggestion` is what a label made from it records.
+    `measured_by` names the detector that looked for it; `suggestion` is what a label made from it records. With
+    `too_few_points`, it cannot be drawn by hand on views either.
     """
 
     box: Box3DOut | None
@@ -97,6 +98,7 @@ class FitOut(Schema):
     measured_by: str | None
     suggestion: SuggestionJson | None
     note: str | None
+    too_few_points: bool
 
 
 class CopyIn(Schema):
@@ -145,6 +147,7 @@ def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FitIn) -
         measured_by=None if ready.detector is None else ready.detector.title,
         suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
         note=None if fitted.note is None else ctx.public_message(fitted.note),
+        too_few_points=fitted.too_few_points,
     )
 
 

@@ -35,7 +35,7 @@ Entry = TypeVar("Entry")
 
 
 class TileJson(Schema):
-    """A picture: top, front and side view of a box, as a PNG file in base64; or why it cannot be drawn."""
+    """A picture: top, front and right side of a box, as a PNG file in base64; or why it cannot be drawn."""
 
     uid: str
     png: str | None = None

@@ -22,6 +22,9 @@ FAR_PERCENT, EMPTY_FAR_M = 99.0, 5.0
 GAP = 0.15
 # An arrow's head: length and radius as shares of the arrow, and number of lines of its cone.
 HEAD_LENGTH, HEAD_RADIUS, HEAD_LINES = 0.12, 0.045, 16
+# The head of a box's heading begins and ends in front of the box, where no edge hides it: distances from the front and
+# radius, shares of the box's mean side.
+HEADING_FROM, HEADING_TO, HEADING_RADIUS = 0.08, 0.4, 0.13
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +47,21 @@ class ViewPlacement:
 
 
 def box_lines(size_m: Float64[np.ndarray, "3"]) -> Segments:
-    """Edges of a box in its own axes, and a line from its centre through its front (+x), which shows its heading."""
+    """Edges of a box in its own axes, and an arrow from the middle of its top to beyond its front (+x): its heading.
+
+    At the top, the object's own points do not hide it. Its head is four lines from the tip to the corners of a square,
+    and the square: seen from anywhere, some of them are beside the shaft.
+    """
     corners = 0.5 * CORNER_SIGNS * size_m
-    heading = np.array([[[0.0, 0.0, 0.0], [0.5 * size_m[0] + 0.15 * size_m.max(), 0.0, 0.0]]])
-    return np.concatenate([corners[np.array(EDGES)], heading]).astype(np.float32)
+    (length_m, _, height_m), mean_m = size_m, size_m.mean()
+    middle, ahead = np.array([0.0, 0.0, 0.5 * height_m]), np.array([1.0, 0.0, 0.0])
+    tip = middle + (0.5 * length_m + HEADING_TO * mean_m) * ahead
+    around = np.array([[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]])
+    square = middle + (0.5 * length_m + HEADING_FROM * mean_m) * ahead + HEADING_RADIUS * mean_m * around
+    shaft = np.stack([middle, tip])
+    head = np.stack([np.broadcast_to(tip, square.shape), square], axis=1)
+    rim = np.stack([square, np.roll(square, -1, axis=0)], axis=1)
+    return np.concatenate([corners[np.array(EDGES)], shaft[None], head, rim]).astype(np.float32)
 
 
 def placed_box_lines(box: OrientedBox) -> Segments:

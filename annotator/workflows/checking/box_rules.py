@@ -83,10 +83,17 @@ def odd_sizes(boxes: Boxes, usual: Mapping[str, UsualSize]) -> Iterator[BoxBreac
 
 
 def odd_size_message(label: str, size_m: Float64[np.ndarray, "3"], usual: UsualSize) -> str:
-    return f"{label} of {size_text(size_m)}; the median is {size_text(usual.median_m)}"
+    longer, shorter, height = usual.median_m
+    # side by side with those of the box, which may be wider than long
+    median_m = (longer, shorter, height) if size_m[0] >= size_m[1] else (shorter, longer, height)
+    return f"{size_message(label, size_m)}; the median is {_size_text(median_m)}"
 
 
-def size_text(size_m: Float64[np.ndarray, "3"]) -> str:
+def size_message(label: str, size_m: Float64[np.ndarray, "3"]) -> str:
+    return f"{label} of {_size_text(size_m)} (length x width x height)"
+
+
+def _size_text(size_m: Iterable[float]) -> str:
     return " x ".join(f"{side:.2f}" for side in size_m) + " m"
 
 

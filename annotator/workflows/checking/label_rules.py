@@ -13,7 +13,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.point_index import PointIndex
 from annotator.types import Frame
-from annotator.workflows.checking.box_rules import LEAST_POINTS, OVERLAP_IOU, few_points_message, overlaps, size_text
+from annotator.workflows.checking.box_rules import LEAST_POINTS, OVERLAP_IOU, few_points_message, overlaps, size_message
 from annotator.workflows.checking.label_files import FoundLabel
 from annotator.workflows.checking.rules import (
     ALPHA_OFF,
@@ -52,7 +52,7 @@ def rules_of_labels(labels: Sequence[FoundLabel]) -> Iterator[Breach]:
     for number, entry in enumerate(labels):
         size_m = entry.truth.box.size_m
         if size_m.min() < SHORTEST_M or size_m.max() > LONGEST_M:
-            yield IMPOSSIBLE_SIZE, number, f"{entry.truth.label} of {size_text(size_m)}"
+            yield IMPOSSIBLE_SIZE, number, size_message(entry.truth.label, size_m)
         if np.abs(entry.truth.box.center_m).max() > FARTHEST_M:
             yield IMPOSSIBLE_PLACE, number, f"the centre of this {entry.truth.label} is more than 10 km away"
         if entry.row is not None:

@@ -18,12 +18,12 @@ from annotator.workflows.workbench.ortho_views import shown_volume, views_of_poi
 
 # Side of each of the three views, and their distance, pixels; points that they are drawn from, at most.
 VIEW_PX, GAP_PX, MOST_POINTS = 96, 2, 8_000
-# Colours of the gap, of the box, and of the side that it heads to.
+# Colours of the gap, of the box, and of its front.
 GAP, LINE, FRONT = (24, 26, 30), (255, 209, 71), (255, 120, 60)
 
 
 def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
-    """The top, front and side view of a box beside each other, with its outline, (96, 292, 3)."""
+    """Top, front and right side of a box beside each other, with its outline and its front marked, (96, 292, 3)."""
     strip = np.full((VIEW_PX, 3 * VIEW_PX + 2 * GAP_PX, 3), GAP, np.uint8)
     # an index of all points takes longer than the views
     near = np.flatnonzero(contains(shown_volume(box), frame.cloud.xyz_m))
@@ -39,8 +39,9 @@ def picture(frame: Frame, box: OrientedBox) -> UInt8[np.ndarray, "h w 3"]:
         (x0, y0), (x1, y1) = np.clip(ends, 0, VIEW_PX - 1).tolist()
         part[y0 : y1 + 1, [x0, x1]] = part[[y0, y1], x0 : x1 + 1] = LINE
         if item.name == "top":
-            # the heading is up
             part[y0 : y0 + 2, x0 : x1 + 1] = FRONT
+        elif item.name == "side":
+            part[y0 : y1 + 1, x1 - 1 : x1 + 1] = FRONT
     return strip
 
 

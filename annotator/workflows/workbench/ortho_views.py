@@ -1,6 +1,7 @@
-"""Top, front and side view of a 3D box along its own axes, in which the operator moves its edges and turns it.
+"""Top, front and right side of a 3D box, seen along its own axes; the operator moves its edges and turns it in them.
 
-Points outside the box are dimmed.
+The object is seen from above, from its front, and from its right: a view shows the nearest points of the side that it
+is named after. Points outside the box are dimmed.
 """
 
 from __future__ import annotations
@@ -37,17 +38,19 @@ class Axis:
     depth: tuple[int, int]
 
 
-# x length, y width, z height: heading up in the top view, height up in the others
+# x length (its positive end is the front), y width (positive: left), z height. In the top view, the heading is up. In
+# the others, height is up: in the front view, the object's left is on the right, as of a person who faces you; in the
+# side view, which shows the right side, the heading is on the right.
 AXES = (
     Axis("top", (1, -1), (0, -1), (2, -1)),
-    Axis("front", (1, -1), (2, -1), (0, 1)),
+    Axis("front", (1, 1), (2, -1), (0, -1)),
     Axis("side", (0, 1), (2, -1), (1, 1)),
 )
 
 
 @dataclass(frozen=True, eq=False)
 class OrthoView:
-    """A view and its name: top, front or side."""
+    """A view and its name: top, front or side (the right one)."""
 
     name: str
     view: PseudoView

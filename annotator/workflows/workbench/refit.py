@@ -119,6 +119,7 @@ class FoundBox:
         points: number of points in the box.
         score, quality: of the recursion; None if the object was not found.
         note: why the object was not found, or None.
+        too_few_points: no box can be measured, nor views be drawn on: too few points lie in the box on the image.
     """
 
     box: OrientedBox | None
@@ -127,6 +128,7 @@ class FoundBox:
     score: float | None
     quality: Quality | None
     note: str | None
+    too_few_points: bool = False
 
 
 def find_box(
@@ -146,6 +148,8 @@ def find_box(
         problem: why the detector could not be loaded, if it could not.
         known: the axes of views, and what the boxes drawn on them span.
     """
+    if _has_too_few(opened.frame, image_box, config):
+        return not_found(f"fewer than {config.min_points} points lie in this box", too_few_points=True)
     reason = _why_no_detector(detector, image_box.label, config, problem)
     if reason is not None or detector is None:
         return not_found(reason or "")
@@ -170,8 +174,8 @@ def _found(
     drawn = replace(image_box, score=1.0)
     (result,) = propose_from_boxes([frame], [[drawn]], detector, strict)
     if not result.proposals:
-        too_few = in_frustum(frame.camera, frame.cloud.xyz_m, image_box).sum() < config.min_points
-        return not_found(f"fewer than {config.min_points} points lie in this box" if too_few else NOT_DETECTED)
+        too_few = _has_too_few(frame, image_box, config)
+        return not_found(f"fewer than {config.min_points} points lie in these boxes" if too_few else NOT_DETECTED)
     best = max(result.proposals, key=_agreement)
     box = best.box
     if known and config.box_kind is BoxKind.BOX:
@@ -220,9 +224,13 @@ def _agreement(proposal: Proposal) -> float:
     return proposal.score * (proposal.quality.image_agreement or 0.0)
 
 
-def not_found(reason: str) -> FoundBox:
+def _has_too_few(frame: Frame, image_box: Box2D, config: RcvConfig) -> bool:
+    return int(in_frustum(frame.camera, frame.cloud.xyz_m, image_box).sum()) < config.min_points
+
+
+def not_found(reason: str, *, too_few_points: bool = False) -> FoundBox:
     """Returns no box, with the reason."""
-    return FoundBox(None, np.zeros((0, 2, 2)), 0, None, None, reason)
+    return FoundBox(None, np.zeros((0, 2, 2)), 0, None, None, reason, too_few_points)
 
 
 def _why_no_detector(detector: Detector | None, label: str, config: RcvConfig, problem: str | None) -> str | None:

@@ -65,6 +65,46 @@ def test_changes_can_be_discarded_and_are_not_lost_unasked(aligned: Page) -> Non
     expect(page.get_by_test_id("statistics")).to_be_visible()
 
 
+def test_a_page_that_is_left_keeps_what_was_set_or_says_why_not(aligned: Page, room: Project) -> None:
+    page, dialog = aligned, aligned.get_by_test_id("unsaved-dialog")
+    page.get_by_test_id("turn-x-field").fill("2")
+    page.get_by_test_id("roll-field").fill("7")
+    page.get_by_test_id("mode-statistics").click()
+    expect(dialog).to_contain_text("not kept yet")
+    refused = {"error": {"kind": "ProjectError", "message": "the disk is full"}}
+    page.route("**/correction", lambda route: route.fulfill(status=507, json=refused))
+    keep = page.get_by_test_id("dialog-retry")
+    expect(keep).to_have_text("Keep and continue")
+    keep.click()
+    expect(dialog).to_contain_text("the disk is full")
+    page.unroute("**/correction")
+    keep.click()
+    expect(page.get_by_test_id("statistics")).to_be_visible()
+    stored = room.recordings.all()[0]
+    assert stored.correction.turn_rad[0] == pytest.approx(0.0349, abs=1e-4)
+    assert stored.up is not None and stored.up[0] == pytest.approx(0.12, abs=0.02)
+
+
+def test_a_level_of_zero_degrees_is_kept_where_none_is_known(aligned: Page, room: Project) -> None:
+    page, keep = aligned, aligned.get_by_test_id("keep-up")
+    expect(keep).to_be_disabled()  # known from the files, and shown as it is
+
+    def unknown(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json={**answer.json(), "up": None, "up_source": "unknown"})
+
+    page.route("**/frames/*/alignment", unknown)
+    page.reload()
+    expect(page.get_by_test_id("up-source")).to_contain_text("Not known")
+    expect(page.get_by_test_id("roll-field")).to_have_value("0.0")
+    page.get_by_test_id("mode-statistics").click()  # nothing was set, so that nothing is asked
+    expect(page.get_by_test_id("statistics")).to_be_visible()
+    page.go_back()
+    keep.click()
+    expect(page.get_by_test_id("up-source")).to_have_text("Set in this project.")
+    assert room.recordings.all()[0].up == pytest.approx((0.0, -1.0, 0.0))
+
+
 def test_a_level_is_proposed_turned_kept_and_cleared(aligned: Page, room: Project) -> None:
     page, source = aligned, aligned.get_by_test_id("up-source")
     expect(source).to_have_text("Known from the recording's files.")

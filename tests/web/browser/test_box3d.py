@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from annotator.geometry.edges import heading_px
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
-from annotator.types import Camera, OrientedBox
+from annotator.types import Camera, OrientedBox, PointCloud
+from annotator.workflows.workbench.ortho_views import views_of_points
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Route
@@ -168,6 +170,81 @@ def test_a_rotation_in_a_view_is_clockwise_on_the_screen(call: Call) -> None:
     heading = axes @ turned.rotation[:, 0]  # in the view: x right, y down
     np.testing.assert_allclose(heading, [np.cos(np.pi / 6), np.sin(np.pi / 6), 0], atol=1e-9)
     np.testing.assert_allclose(turned.center_m, box.center_m, atol=1e-12)
+
+
+# Of each of Review's views, the box axes that point right, down and into it, with their signs; and how an edge pulled
+# by 10 px (0.1 m) to the right or down changes length, width and height, and the centre along these, m.
+GESTURES = {
+    ("top", "x_max"): ((0, 0.1, 0), (0, -0.05, 0)),  # the right edge is the right side
+    ("top", "y_min"): ((-0.1, 0, 0), (-0.05, 0, 0)),  # the upper edge is the front
+    ("front", "x_max"): ((0, 0.1, 0), (0, 0.05, 0)),  # the right edge is the left side: it faces you
+    ("front", "x_min"): ((0, -0.1, 0), (0, 0.05, 0)),
+    ("front", "y_max"): ((0, 0, 0.1), (0, 0, -0.05)),
+    ("side", "x_max"): ((0.1, 0, 0), (0.05, 0, 0)),  # the right edge is the front
+    ("side", "x_min"): ((-0.1, 0, 0), (0.05, 0, 0)),
+}
+# A turn of the handle by 10 degrees clockwise: about which axis of the box, and in which sense.
+TURNS = {"top": (2, -1), "front": (0, -1), "side": (1, 1)}
+
+
+def view_of(name: str, box: OrientedBox) -> dict[str, object]:
+    """A view as the server draws it, with 1 cm per pixel."""
+    cloud = PointCloud(np.zeros((0, 3), np.float32), None, None)
+    size_px = 1.7 * box.size_m.max() / 0.01
+    (view,) = [
+        item.view for item in views_of_points(cloud, np.zeros(0, np.int64), box, round(size_px)) if item.name == name
+    ]
+    return {"axes": view.axes.tolist(), "metres_per_px": view.metres_per_px, "origin_m": view.origin_m.tolist()}
+
+
+@pytest.mark.parametrize(("name", "edge"), GESTURES)
+def test_an_edge_of_a_view_moves_the_face_that_it_shows(call: Call, name: str, edge: str) -> None:
+    size, shift = GESTURES[name, edge]
+    for box in random_boxes(3):
+        view = view_of(name, box)
+        rect = call("box3d.viewRect", view, as_json(box))
+        rect[edge] += 0.1 / view["metres_per_px"]
+        after = from_json(call("box3d.withViewRect", view, as_json(box), rect))
+        np.testing.assert_allclose(after.size_m - box.size_m, size, atol=1e-9)
+        np.testing.assert_allclose(box.rotation.T @ (after.center_m - box.center_m), shift, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", TURNS)
+def test_the_handle_of_a_view_turns_the_box_as_the_view_shows_it(call: Call, name: str) -> None:
+    axis, sign = TURNS[name]
+    for box in random_boxes(3):
+        after = from_json(call("box3d.turnedInView", view_of(name, box), as_json(box), np.radians(10)))
+        turn = Rotation.from_matrix(box.rotation.T @ after.rotation).as_rotvec(degrees=True)
+        np.testing.assert_allclose(turn, np.eye(3)[axis] * sign * 10, atol=1e-6)
+
+
+def test_the_heading_is_up_in_the_top_view_comes_nearer_in_the_front_view_and_is_right_of_the_right_side(
+    call: Call,
+) -> None:
+    box = random_boxes(1)[0]
+    for name, along, sight in (("top", [0, -1], 0), ("front", [0, 0], -1), ("side", [1, 0], 0)):
+        view = view_of(name, box)
+        arrow = call("box3d.viewHeading", view, as_json(box))
+        reach_px = np.array(along) * 0.4 * box.size_m[0] / view["metres_per_px"]
+        np.testing.assert_allclose(np.subtract(arrow["to"], arrow["from"]), reach_px, atol=1e-6)
+        assert arrow["sight"] == pytest.approx(sight, abs=1e-9)
+
+
+def test_the_heading_on_the_image_agrees_with_the_package_and_ends_at_the_border(call: Call) -> None:
+    camera = Camera(640, 480, 500.0, 510.0, 321.5, 240.5)
+    data = {"fx": 500, "fy": 510, "cx": 321.5, "cy": 240.5, "distortion": [], "width": 640, "height": 480}
+    for box in random_boxes(4):
+        arrow = call("camera.imageHeading", data, as_json(box))
+        middle, tip = heading_px(camera, box, 10.0)[0]
+        np.testing.assert_allclose(arrow["from"], middle, atol=1e-6)
+        inside = bool((tip >= -0.5).all() and (tip <= [639.5, 479.5]).all())
+        if inside:
+            np.testing.assert_allclose(arrow["to"], tip, atol=1e-6)
+    right = {"center": [2.4, 0, 4], "size": [2, 1, 1], "rotation": np.eye(3).tolist()}
+    arrow = call("camera.imageHeading", data, right)
+    np.testing.assert_allclose(arrow["to"], [639.5, 240.5], atol=1e-6)
+    assert arrow["sight"] == pytest.approx(2.4 / np.hypot(2.4, 4))
+    assert call("camera.imageHeading", data, {**right, "center": [8, 0, 4]}) is None
 
 
 def test_turning_the_heading_keeps_the_corners(call: Call) -> None:

@@ -126,6 +126,29 @@ def test_a_digit_during_the_drag_chooses_the_class_and_a_short_drag_draws_nothin
     page.unroute("**/fit")
 
 
+def test_an_object_with_too_few_points_is_not_sent_to_views_that_do_not_exist(desk: Desk) -> None:
+    sparse = {
+        "box": None,
+        "outline": [],
+        "points": 0,
+        "score": None,
+        "quality": None,
+        "measured_by": "the base detector",
+        "suggestion": None,
+        "note": "fewer than 5 points lie in this box",
+        "too_few_points": True,
+    }
+    desk.page.route("**/fit", lambda route: route.fulfill(json=sparse))
+    x, y = middle(desk.page.get_by_test_id("review-image").locator("img.picture"))
+    drag(desk.page, (x, y), (x + 30, y + 40))
+    toast = desk.page.get_by_test_id("toast-warn").last
+    expect(toast).to_contain_text("Fewer than 5 points lie in this box, too few for a 3D box")
+    expect(toast).to_contain_text("copy its box here")
+    expect(desk.page.get_by_test_id("image-note")).to_have_text("")
+    assert f"/review/{desk.frame}" in desk.page.url
+    desk.page.unroute("**/fit")
+
+
 def test_a_new_box_is_drawn_on_the_image(
     desk: Desk, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch, wait_for
 ) -> None:

@@ -29,6 +29,94 @@ def test_the_whole_queue_can_be_accepted_with_one_key_per_proposal(desk: Desk, w
     assert statistics["accepted_untouched"] == 1, "a share"
 
 
+def visit(desk: Desk, place: int) -> int:
+    """Opens a frame by its address, as keys and links do; returns its id."""
+    frame = desk.project.frames.of()[place].id
+    desk.page.goto(f"/#/{desk.name}/review/{frame}")
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text(f"{place + 1} / 5")
+    desk.settled()
+    return frame
+
+
+@pytest.mark.parametrize("key", ["Space", "x"])
+def test_a_frame_that_was_opened_by_itself_is_left_only_when_asked(desk: Desk, wait_for, key: str) -> None:
+    place = next(place for place, stored in enumerate(desk.project.frames.of()) if stored.id != desk.frame)
+    frame = visit(desk, place)
+    boxes = len(desk.project.labels.of_frame(frame))
+    for left in range(boxes - 1, -1, -1):
+        desk.press(key)
+        expect(desk.page.locator('[data-testid="frame-box"][data-state="proposed"]')).to_have_count(left)
+        expect(desk.page.get_by_test_id("saving")).to_have_text("")
+        assert desk.frame == frame
+    wait_for(lambda: ReviewState.PROPOSED not in {label.state for label in desk.project.labels.of_frame(frame)})
+    # now the same key that accepts goes on: to the queue, where each decision does
+    expect(desk.page.get_by_test_id("act-accept")).to_contain_text("Next")
+    for decided in range(3):
+        desk.press("Space")
+        expect(desk.page.get_by_test_id("frame-position")).not_to_have_text(f"{place + 1} / 5")
+        desk.settled()
+        assert desk.frame != frame
+        assert desk.label.state is ReviewState.PROPOSED
+        items = desk.page.get_by_test_id("queue-item").count()
+        assert items == len(desk.project.labels.select(states=[ReviewState.PROPOSED])) > decided
+
+
+def test_all_of_a_frame_that_was_opened_by_itself_are_accepted_in_it(desk: Desk, wait_for) -> None:
+    frame = visit(desk, 1)
+    desk.press("Shift+Space")
+    wait_for(lambda: {label.state for label in desk.project.labels.of_frame(frame)} == {ReviewState.ACCEPTED})
+    expect(desk.page.get_by_test_id("saving")).to_have_text("")
+    assert desk.frame == frame
+    desk.press("Shift+Space")
+    expect(desk.page.get_by_test_id("frame-position")).not_to_have_text("2 / 5")
+
+
+def test_a_deletion_stays_in_the_frame_and_the_queue_goes_on_with_a_key(desk: Desk, wait_for) -> None:
+    frame = desk.frame
+    for left in range(len(desk.project.labels.of_frame(frame)) - 1, -1, -1):
+        desk.press("Delete")
+        wait_for(lambda left=left: len(desk.project.labels.of_frame(frame)) == left)
+        expect(desk.page.get_by_test_id("frame-box")).to_have_count(left)
+        expect(desk.page.get_by_test_id("saving")).to_have_text("")
+        assert desk.frame == frame
+    # nothing is selected any more
+    expect(desk.page.get_by_test_id("act-reject")).to_be_disabled()
+    accept = desk.page.get_by_test_id("act-accept")
+    expect(accept).to_be_enabled()
+    accept.click()
+    desk.settled()
+    assert desk.frame != frame and desk.label.state is ReviewState.PROPOSED
+
+
+# Reports five changes while the queue waits to be read again; returns the waiting and the cancelled timers, and after
+# the first one has fired, the requests, the number of proposals, and the waiting timers after one more change.
+READ_AGAIN = """async () => {
+  const { createQueue } = await import("/assets/js/review/queue.js");
+  const [timers, cancelled, asked] = [[], [], []];
+  const [wait, cancel] = [window.setTimeout, window.clearTimeout];
+  const get = async (url) => (asked.push(url), { items: [], remaining: 37 });
+  const app = { api: { get }, path: (...parts) => parts.join("/"), toast() {} };
+  try {
+    window.setTimeout = (fn) => timers.push(fn);
+    window.clearTimeout = (timer) => timer && cancelled.push(timer);
+    const queue = createQueue(app, () => {});
+    for (let i = 0; i < 5; i += 1) queue.reloadSoon();
+    const before = [timers.length, cancelled.length];
+    timers[0]();
+    await new Promise((resolve) => wait(resolve));
+    queue.reloadSoon();
+    return [before, asked.filter((url) => !url.includes("sources")).length, queue.remaining, timers.length];
+  } finally {
+    [window.setTimeout, window.clearTimeout] = [wait, cancel];
+  }
+}"""
+
+
+def test_the_queue_is_read_again_while_changes_keep_coming(desk: Desk) -> None:
+    """As when an object is followed: a frame changes several times a second."""
+    assert desk.page.evaluate(READ_AGAIN) == [[1, 0], 1, 37, 2]
+
+
 def test_an_edit_can_be_undone_and_redone(desk: Desk, wait_for) -> None:
     before, uid = desk.label.box, desk.uid
     desk.press("f")

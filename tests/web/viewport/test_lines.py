@@ -28,17 +28,24 @@ def truth(generated: Path, frame: Frame) -> OrientedBox:
     return load_truth(open_recording(generated / "people"), 0, frame)[0].box
 
 
-def test_a_box_is_drawn_as_its_edges_and_a_line_to_its_front(truth: OrientedBox) -> None:
+def test_a_box_is_drawn_as_its_edges_and_an_arrow_through_its_front(truth: OrientedBox) -> None:
     lines = placed_box_lines(truth)
-    assert lines.shape == (13, 2, 3)
+    assert lines.shape == (21, 2, 3)
     corners = box_corners(truth)
     ends = lines[:12].reshape(-1, 3)
     nearest = np.linalg.norm(ends[:, None] - corners, axis=2)
     assert nearest.min(axis=1).max() < 1e-5
     np.testing.assert_array_equal(np.bincount(nearest.argmin(axis=1)), np.full(8, 3))
-    nose = lines[12, 1] - lines[12, 0]
-    np.testing.assert_allclose(lines[12, 0], truth.center_m, atol=1e-5)
-    assert nose @ truth.rotation[:, 0] > truth.size_m[0] / 2
+    # in the box's own axes: from the middle of the top; the head begins in front of the front face
+    shaft, head = ((part - truth.center_m) @ truth.rotation for part in (lines[12], lines[13:]))
+    mean_m, top_m, front_m = truth.size_m.mean(), truth.size_m[2] / 2, truth.size_m[0] / 2
+    tip = [front_m + 0.4 * mean_m, 0, top_m]
+    np.testing.assert_allclose(shaft, [[0, 0, top_m], tip], atol=1e-5)
+    np.testing.assert_allclose(head[:4, 0], [tip] * 4, atol=1e-5)
+    corners = head[:4, 1]
+    np.testing.assert_allclose(corners[:, 0], front_m + 0.08 * mean_m, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(corners[:, 1:] - [0, top_m], axis=1), 0.13 * mean_m, atol=1e-5)
+    np.testing.assert_allclose(head[4:], np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("distortion", [(), (0.08, -0.1, 0.001, -0.002, 0.02)])

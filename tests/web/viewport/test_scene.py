@@ -18,11 +18,14 @@ from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
-from annotator.web.viewport.lines import arrow_lines
+from annotator.web.viewport.lines import arrow_lines, box_lines
 from annotator.web.viewport.viewports import Viewport
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.drawing_steps import label_steps
 from annotator.workflows.workbench.open_frame import OpenFrame
+
+# Lines of one box.
+LINES = len(box_lines(np.ones(3)))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +93,7 @@ def test_boxes_are_lines_in_the_colour_of_their_state(
 ) -> None:
     viewport.show(SceneContent(("room", 1), frames[0], boxes))
     lines = node(viewport, "/boxes")
-    assert lines.points.shape == (13 * len(boxes), 2, 3)
+    assert lines.points.shape == (LINES * len(boxes), 2, 3)
     colors = lines.colors.reshape(len(boxes), -1, 3)
     assert len(np.unique(colors[:, 0], axis=0)) == len(boxes)
     viewport.show(SceneContent(("room", 1), frames[0], ()))
@@ -106,7 +109,7 @@ def test_the_selected_box_is_attached_to_the_gizmo(
     np.testing.assert_allclose(gizmo.position, selected.center_m)
     turned = Rotation.from_quat(gizmo.wxyz, scalar_first=True).as_matrix()
     np.testing.assert_allclose(turned, selected.rotation, atol=1e-9)
-    assert len(node(viewport, "/boxes").points) == 13 * (len(boxes) - 1)
+    assert len(node(viewport, "/boxes").points) == LINES * (len(boxes) - 1)
     assert node(viewport, "/selected/lines").thickness > node(viewport, "/boxes").thickness
     assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, False, True)
     viewport.show(replace(content, gizmo=Gizmo.ROTATE))
@@ -115,7 +118,7 @@ def test_the_selected_box_is_attached_to_the_gizmo(
     assert (gizmo.visible, gizmo.disable_axes, gizmo.disable_rotations) == (True, True, True)
     viewport.show(replace(content, selected=None))
     assert not gizmo.visible
-    assert len(node(viewport, "/boxes").points) == 13 * len(boxes)
+    assert len(node(viewport, "/boxes").points) == LINES * len(boxes)
 
 
 def test_the_same_scene_sends_nothing_and_a_selection_sends_no_points(

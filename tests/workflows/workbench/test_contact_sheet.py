@@ -14,7 +14,16 @@ from annotator.types import Box2D, Frame, OrientedBox, Proposal, Quality, Review
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.workbench.contact_sheet import GAP, GAP_PX, LINE, VIEW_PX, SeenBox, accept_boxes, picture
+from annotator.workflows.workbench.contact_sheet import (
+    FRONT,
+    GAP,
+    GAP_PX,
+    LINE,
+    VIEW_PX,
+    SeenBox,
+    accept_boxes,
+    picture,
+)
 from annotator.workflows.workbench.frame_cache import FrameCache
 from annotator.workflows.workbench.sheet_pictures import SheetPictures
 
@@ -60,6 +69,14 @@ def test_a_picture_shows_three_views_and_the_box_on_them(generated: Path) -> Non
     assert np.ptp(columns) == pytest.approx(scale * box.size_m[1], abs=1.5)
     assert np.ptp(rows) == pytest.approx(scale * box.size_m[2], abs=1.5)
     assert rows.min() + rows.max() == pytest.approx(VIEW_PX - 1, abs=2)
+    # the front is up in the top view, on the right in that of the right side
+    top, side = strip[:, :VIEW_PX], strip[:, 2 * (VIEW_PX + GAP_PX) :]
+    for part, axis, (marked, others) in ((top, 0, (0, 95)), (side, 1, (95, 0))):
+        edge, outline = (np.nonzero((part == color).all(axis=2))[axis] for color in (FRONT, LINE))
+        assert np.ptp(edge) == 1 and len(edge) > 20
+        assert abs(edge.mean() - marked) < abs(edge.mean() - others)
+        assert abs(outline.mean() - others) < abs(edge.mean() - others)
+    assert not (front == FRONT).all(axis=2).any()
     moved = OrientedBox.from_parts(box.center_m + np.array([0, 0, 40.0]), box.rotation, box.size_m)
     assert (picture(frame, moved) == LINE).all(axis=2).any(), "a box without points has a picture, too"
 

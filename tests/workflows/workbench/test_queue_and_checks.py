@@ -19,6 +19,7 @@ from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.event_types import LinkedLabel, TracksLinked
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import NotFoundError
+from annotator.workflows.checking.box_rules import UsualSize, odd_size_message
 from annotator.workflows.checking.point_counts import PointCounts
 from annotator.workflows.checking.project_labels import Kind, check, check_project
 from annotator.workflows.recorded.own_labels import import_own_labels
@@ -197,7 +198,21 @@ def test_unusual_sizes_are_found(people: Project) -> None:
     people.labels.create(second.id, [label(turned), label(box_at(9.0, size=(1.8, 0.5, 1.7)))], WriteContext(0, "ann"))
     assert warned(people) == [(Kind.SIZE, 1)]
     (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
-    assert message == "person of 1.80 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
+    assert message == "person of 1.80 x 0.50 x 1.70 m (length x width x height); the median is 0.80 x 0.50 x 1.70 m"
+
+
+@pytest.mark.parametrize(
+    ("size_m", "text"),
+    [
+        ((1.8, 0.5, 1.7), "1.80 x 0.50 x 1.70 m (length x width x height); the median is 0.80 x 0.50 x 1.75 m"),
+        ((0.5, 1.8, 1.7), "0.50 x 1.80 x 1.70 m (length x width x height); the median is 0.50 x 0.80 x 1.75 m"),
+        ((0.6, 0.6, 4.0), "0.60 x 0.60 x 4.00 m (length x width x height); the median is 0.80 x 0.50 x 1.75 m"),
+    ],
+)
+def test_a_size_and_its_median_name_their_sides_in_the_same_order(size_m: tuple[float, ...], text: str) -> None:
+    usual = UsualSize(np.array([0.8, 0.5, 1.75]), np.full(3, 1.6))
+    assert usual.odd(np.array(size_m))
+    assert odd_size_message("person", np.array(size_m), usual) == f"person of {text}"
 
 
 def test_unusual_sizes_and_repeated_boxes_in_a_track_are_found(people: Project) -> None:
@@ -210,7 +225,8 @@ def test_unusual_sizes_and_repeated_boxes_in_a_track_are_found(people: Project) 
         people.labels.create(frame.id, [label(box_at(0.0, size=size), track=1), *others], WriteContext(0, "ann"))
     assert warned(people) == [(Kind.SIZE, 4)]
     (message,) = [warning.message for warning in check(people, lambda frame, boxes: None)]
-    assert message == "track 1: person of 1.20 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
+    sizes = "1.20 x 0.50 x 1.70 m (length x width x height); the median is 0.80 x 0.50 x 1.70 m"
+    assert message == f"track 1: person of {sizes}"
     more = [label(box_at(5.0), track=1), label(box_at(20.0), "dog", track=10)]
     people.labels.create(frames[2].id, more, WriteContext(people.frames.get(frames[2].id).revision, "ann"))
     reported = [(w.kind, w.message) for w in check(people, lambda frame, boxes: None, frames[2].id)]

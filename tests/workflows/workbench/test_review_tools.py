@@ -18,14 +18,14 @@ from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.drawing import BACKGROUND
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, Frame, OrientedBox, Truth
+from annotator.types import BoxKind, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench import refit as refit_module
 from annotator.workflows.workbench.copy_boxes import copy_boxes
 from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.ortho_views import ortho_views
+from annotator.workflows.workbench.ortho_views import ortho_views, views_of_points
 from annotator.workflows.workbench.refit import POINTS, RCV, find_box, refit
 
 
@@ -53,9 +53,37 @@ def test_each_view_shows_its_plane_of_the_box(opened: OpenFrame, truths: list[Tr
         px = (box_corners(box) @ view.axes[:2].T - view.origin_m) / view.metres_per_px
         assert np.allclose((px.min(axis=0) + px.max(axis=0)) / 2, 99.5), "the box is in the middle"
         assert (px > 20).all() and (px < 180).all(), "with room around it"
-    # up is up in the front view; the heading points up in the top view
-    assert views[1].view.axes[1] @ box.rotation[:, 2] == pytest.approx(-1)
-    assert views[0].view.axes[1] @ box.rotation[:, 0] == pytest.approx(-1)
+
+
+# What is on the right, above and nearest in each view: an axis of the box (length, width, height), and its end. The
+# positive ends are front, left and top.
+SEEN = {
+    "top": ((1, -1), (0, 1), (2, 1)),
+    "front": ((1, 1), (2, 1), (0, 1)),
+    "side": ((0, 1), (2, 1), (1, -1)),
+}
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_a_view_shows_the_side_that_it_is_named_after(name: str) -> None:
+    """Each side of a box of points has its own colour, also in a box with any rotation."""
+    rotation = Rotation.from_euler("xyz", [0.3, -0.8, 2.1]).as_matrix()
+    box = OrientedBox.from_parts(np.array([0.4, -0.2, 5.0]), rotation, np.array([4.0, 2.0, 1.5]))
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 90)] * 2), axis=-1).reshape(-1, 2)
+    xyz, rgb, colors = [], [], dict[tuple[int, int], np.ndarray]()
+    for axis in range(3):
+        for end in (-1, 1):
+            colors[axis, end] = np.full(3, 40 + 30 * (2 * axis + (end > 0)), np.uint8)
+            xyz.append(np.insert(grid, axis, 0.5 * end, axis=1) * box.size_m)
+            rgb.append(np.tile(colors[axis, end], (len(grid), 1)))
+    cloud = PointCloud((np.concatenate(xyz) @ rotation.T + box.center_m).astype(np.float32), np.concatenate(rgb))
+    larger = OrientedBox(box.pose, box.size_m * 1.001)
+    (view,) = [item.view for item in views_of_points(cloud, np.arange(len(cloud)), larger, 200) if item.name == name]
+    right, above, nearest = SEEN[name]
+    np.testing.assert_allclose(view.axes[0], right[1] * rotation[:, right[0]], atol=1e-12)
+    np.testing.assert_allclose(view.axes[1], -above[1] * rotation[:, above[0]], atol=1e-12)
+    np.testing.assert_allclose(view.axes[2], -nearest[1] * rotation[:, nearest[0]], atol=1e-12)
+    assert (view.rgb[100, 100] == colors[nearest]).all(), "the nearest side hides the others"
 
 
 def test_points_around_the_box_are_dimmed(opened: OpenFrame, truths: list[Truth]) -> None:

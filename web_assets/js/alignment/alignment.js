@@ -13,7 +13,7 @@ import { createLevelPanel } from "./level_panel.js";
 import { moved } from "./picture.js";
 import { createPicturePanel } from "./picture_panel.js";
 
-const NOT_KEPT = "The correction or the level was not kept.";
+const NOT_KEPT = "The correction or the level is not kept yet.";
 
 /**
  * @param {HTMLElement} root
@@ -34,14 +34,14 @@ export function mount(root, app) {
 
   const correction = createCorrectionPanel({
     onChange: show,
-    onKeep: (value) => save("correction", { correction: value }),
+    onKeep: (value) => keep("correction", { correction: value }),
     onDiscard: discard,
   });
   const level = createLevelPanel({
     rotation: () => app.state.project.settings.rotation,
     onChange: show,
     onPropose: () => void estimateUp(),
-    onKeep: (up) => save("up", { up }),
+    onKeep: (up) => keep("up", { up }),
     onDiscard: discard,
   });
   const picture = createPicturePanel(app.state.project.recordings, {
@@ -69,7 +69,7 @@ export function mount(root, app) {
       camera: { ...camera, width, height },
       points: moved(points, value),
       up: level.turned(value),
-      isFirm: !level.isChanged(),
+      isFirm: level.isKept(),
     });
     const isOff = isBusy || isBroken;
     correction.show(isOff);
@@ -186,7 +186,7 @@ export function mount(root, app) {
   }
 
   /**
-   * Keeps the level or the correction; the other one stays as it is shown.
+   * Keeps the level or the correction; the other one stays as it is shown. Throws the reason why it cannot be kept.
    *
    * @param {"up" | "correction"} what
    * @param {{ up?: Vector | null, correction?: Api.CorrectionJson }} content
@@ -210,13 +210,24 @@ export function mount(root, app) {
       putBack(sliders, up, proposed);
       if (own === frame) await app.loadFrame(own);
       else await load();
-    } catch (error) {
-      fail(error);
     } finally {
       isBusy = false;
       show();
     }
   }
+
+  /** Keeps what is not kept yet; throws the reason why it cannot be kept. */
+  async function keepAll() {
+    if (correction.isChanged()) await save("correction", { correction: correction.value() });
+    if (level.isUnsaved()) await save("up", { up: level.changed() });
+  }
+
+  /**
+   * As `save`, but shows the reason.
+   *
+   * @param {Parameters<typeof save>} what
+   */
+  const keep = (...what) => save(...what).catch(fail);
 
   async function estimateUp() {
     if (known === null || isBusy) return;
@@ -270,7 +281,7 @@ export function mount(root, app) {
       frame = route.frame;
       void load();
     },
-    unsaved: () => (hasUnsaved() ? { text: NOT_KEPT, retry: () => {}, discard } : null),
+    unsaved: () => (hasUnsaved() ? { text: NOT_KEPT, retry: keepAll, action: "Keep and continue", discard } : null),
     unmount() {
       ended = true;
       for (const stop of stops) stop();

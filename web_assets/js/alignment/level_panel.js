@@ -7,6 +7,9 @@ import { button, panel, SAME } from "./panel.js";
 import { rotationOf } from "./picture.js";
 import { createSlider } from "./sliders.js";
 
+/** The up direction of a camera that is level, which is shown while none is known. */
+const LEVEL = upOf({ roll: 0, pitch: 0 });
+
 /**
  * @param {{ rotation: () => unknown, onChange: () => void, onPropose: () => unknown, onDiscard: () => void,
  *     onKeep: (up: Vector | null) => unknown }} options `rotation`: the project's setting.
@@ -27,7 +30,7 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
   const pitch = createSlider({ label: "Pitch", testid: "pitch", most: 90, step: 0.1, unit: "°", onChange: turn });
   const source = h("p", { role: "status", "data-testid": "up-source" });
   const propose = button("Propose", "estimate-up", onPropose);
-  const accept = button("Keep this level", "keep-up", () => onKeep(up));
+  const accept = button("Keep this level", "keep-up", () => onKeep(up ?? LEVEL));
   const refuse = button("Refuse", "refuse-up", onDiscard);
   const unknown = button("Clear", "clear-up", () => onKeep(null));
   unknown.title = "Take it from the recording's files again; if they do not tell, it is unknown";
@@ -42,7 +45,7 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
   /** @param {Vector | null} next */
   function set(next) {
     up = next;
-    const { roll: rolled, pitch: pitched } = anglesOf(next ?? [0, -1, 0]);
+    const { roll: rolled, pitch: pitched } = anglesOf(next ?? LEVEL);
     roll.set(rolled);
     pitch.set(pitched);
   }
@@ -65,7 +68,9 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
     }
     if (isChanged()) return "Turned by hand, not kept yet (dashed).";
     const words = {
-      unknown: "Not known: boxes may have any rotation. Propose a level, or turn one by hand.",
+      unknown:
+        "Not known: boxes may have any rotation. Propose a level, turn one by hand, or keep that of a level camera " +
+        "(dashed).",
       files: "Known from the recording's files.",
       project: "Set in this project.",
     };
@@ -75,6 +80,8 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
   return {
     root: panel("Which way is up", [source, roll.root, pitch.root], [propose, accept, refuse, unknown], follows),
     isChanged,
+    /** The shown level is the stored one. */
+    isKept: () => known !== null && known.up !== null && !isChanged(),
     /** Turned by hand and not kept. */
     isUnsaved: () => estimate === null && isChanged(),
     /** The shown level if it is not the stored one, otherwise null. */
@@ -88,9 +95,9 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
      * @param {Api.CorrectionJson} after
      */
     turned(after) {
-      if (known === null || up === null) return null;
+      if (known === null) return null;
       const change = multiply(rotationOf(after.turn_deg), transpose(rotationOf(known.correction.turn_deg)));
-      const shown = up;
+      const shown = up ?? LEVEL;
       return change.map((row) => dot(row, shown));
     },
     /**
@@ -122,7 +129,8 @@ export function createLevelPanel({ rotation, onChange, onPropose, onDiscard, onK
      * @param {boolean} isBusy
      */
     show(isOff, isBusy) {
-      accept.disabled = isOff || !isChanged();
+      // an unknown level can be kept as it is shown: there may be nothing to turn
+      accept.disabled = isOff || known === null || !(isChanged() || known.up === null);
       refuse.disabled = isOff || (estimate === null && !isChanged());
       unknown.disabled = isOff || known?.up_source !== "project";
       propose.disabled = isBusy;

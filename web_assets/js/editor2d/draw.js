@@ -5,6 +5,10 @@ import { s } from "../dom.js";
 import { heightOf, widthOf } from "./geometry.js";
 
 export const ROTATE_ARM = 26;
+/** The arrow of a heading: its length at least, and the lengths between which its head is. */
+const ARROW = { least: 14, head: [6, 13] };
+/** Seen within about 15 degrees of its direction, an arrow is a ring of this radius: with a dot if it comes nearer. */
+const END_ON = { sight: Math.cos((15 * Math.PI) / 180), radius: 6 };
 
 /** @param {number} value */
 const round = (value) => Math.round(value * 100) / 100;
@@ -138,10 +142,55 @@ function drawOverlay(overlay, view) {
     s("path", {
       d,
       stroke: overlay.color,
-      "stroke-width": overlay.width ?? (overlay.strong ? 2.2 : 1.4),
+      "stroke-width": overlay.strong ? 2.2 : 1.4,
       "stroke-dasharray": overlay.dash ? "5 4" : null,
     }),
   );
+  if (overlay.heading) group.append(drawHeading(overlay.heading, overlay, view));
+  return group;
+}
+
+/**
+ * An arrow that is never too small to be seen. End on, it is a ring with its point (a dot), or with its tail (a cross).
+ *
+ * @param {Arrow} arrow
+ * @param {Overlay} overlay
+ * @param {View} view
+ */
+function drawHeading(arrow, { color, strong }, view) {
+  const [from, end] = [view.toWindow(arrow.from), view.toWindow(arrow.to)];
+  const reach = Math.hypot(end[0] - from[0], end[1] - from[1]);
+  const group = s("g", { class: "heading", "data-testid": "heading" });
+  /** @param {string} d */
+  const stroke = (d) => {
+    group.append(s("path", { class: "halo", d }), s("path", { d, stroke: color, "stroke-width": strong ? 2.2 : 1.6 }));
+  };
+  if (reach < 1 || Math.abs(arrow.sight) > END_ON.sight) {
+    const [x, y] = end.map(round);
+    const r = END_ON.radius;
+    const k = round(r * Math.SQRT1_2);
+    const ring = `M${x - r} ${y}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0`;
+    group.dataset.end = arrow.sight < 0 ? "nearer" : "farther";
+    stroke(
+      arrow.sight < 0 ? ring : `${ring}M${x - k} ${y - k}l${2 * k} ${2 * k}M${x - k} ${y + k}l${2 * k} ${-2 * k}`,
+    );
+    if (arrow.sight < 0) group.append(s("circle", { class: "head", cx: x, cy: y, r: 2.2, fill: color }));
+    return group;
+  }
+  const along = [(end[0] - from[0]) / reach, (end[1] - from[1]) / reach];
+  const long = Math.max(reach, ARROW.least);
+  const head = Math.min(Math.max(long / 3, ARROW.head[0]), ARROW.head[1]);
+  /**
+   * @param {number} ahead
+   * @param {number} aside
+   */
+  const at = (ahead, aside) =>
+    [from[0] + ahead * along[0] - aside * along[1], from[1] + ahead * along[1] + aside * along[0]]
+      .map(round)
+      .join(" ");
+  stroke(`M${at(0, 0)}L${at(long - head, 0)}`);
+  const d = `M${at(long, 0)}L${at(long - head, head / 2)}L${at(long - head, -head / 2)}Z`;
+  group.append(s("path", { class: "head", d, fill: color }));
   return group;
 }
 

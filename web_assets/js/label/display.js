@@ -1,5 +1,6 @@
 /** Shows Label mode's state in all its panels: image, views, list, bar, hint and 3D view. */
 
+import { cameraOf, imageHeading } from "../camera.js";
 import { filledBoxes } from "./draft.js";
 import { hintFor } from "./hints.js";
 import { plainBox, secondAxes } from "./items.js";
@@ -119,9 +120,10 @@ export function createDisplay(app, work, parts) {
     const { draft } = work;
     const shown = state.labels.filter(({ state: review }) => review !== "rejected");
     /** @type {Overlay[]} */
-    const lines = shown.map(({ uid, state: review, outline }) => ({
+    const lines = shown.map(({ uid, state: review, outline, box }) => ({
       id: uid,
       segments: outline,
+      heading: imageHeading(cameraOf(state.image), box),
       color: STATE_COLOR[review],
       strong: uid === draft?.item.uid,
     }));
@@ -130,7 +132,14 @@ export function createDisplay(app, work, parts) {
       lines.push({ segments: draft.outline, color: PREVIEW_COLOR, dash: true, strong: true });
     const offered = whole.offered();
     if (offered)
-      lines.push({ segments: offered.outline, color: PREVIEW_COLOR, dash: true, strong: true, id: "whole" });
+      lines.push({
+        segments: offered.outline,
+        heading: imageHeading(cameraOf(state.image), offered.box),
+        color: PREVIEW_COLOR,
+        dash: true,
+        strong: true,
+        id: "whole",
+      });
     return lines.filter(({ segments }) => segments?.length);
   }
 

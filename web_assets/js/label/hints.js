@@ -24,7 +24,8 @@ export function hintFor({ draft, isReadonly, label, hasItems, guesses, notSaved,
   }
   if (draft.item.uid && draft.item.boxes.every(Boolean))
     return `The ${name} is finished. Draw a box around the next one, or press N for the next frame.`;
-  if (draft.stop) return "Change its box on the image, or delete it.";
+  if (draft.stop)
+    return "Change its box on the image, or delete it. In Review, C copies boxes from the previous frame.";
   if (draft.isLoading) return `Looking for the ${name} …`;
   if (!draft.steps.length) return "";
   if (hasSuggestions(draft)) return "Enter accepts the dashed boxes. Or drag an edge.";

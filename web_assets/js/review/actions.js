@@ -78,12 +78,18 @@ export function createActions(host, act) {
   return {
     /**
      * @param {{ label: PageLabel | null, frame: FrameState | null, gizmoMode: Api.Gizmo, busy: boolean,
-     *     isDrawing: boolean }} shown
+     *     isDrawing: boolean, isMoreOpen: boolean }} shown isMoreOpen: there are proposals, here or elsewhere.
      */
-    show({ label, frame, gizmoMode, busy, isDrawing }) {
-      for (const one of [accept, reject, refit, flip, remove]) one.disabled = !label || busy;
+    show({ label, frame, gizmoMode, busy, isDrawing, isMoreOpen }) {
+      for (const one of [reject, refit, flip, remove]) one.disabled = !label || busy;
       const isReviewed = label?.state === "accepted" || label?.state === "edited";
-      if (accept.firstChild) accept.firstChild.textContent = isReviewed ? "Next" : "Accept";
+      accept.disabled = busy || !(label || isMoreOpen);
+      const [text, title] =
+        isReviewed || !label
+          ? ["Next", "Next open box of this frame, or of the queue (Space)"]
+          : ["Accept", "Accept (Space)"];
+      if (accept.firstChild) accept.firstChild.textContent = text;
+      accept.title = title;
       copy.disabled = !frame || frame.frame.previous === null || busy;
       follow.disabled = !frame || frame.frame.next === null || !(isReviewed || label?.isNew) || busy;
       follow.title =

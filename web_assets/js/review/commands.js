@@ -6,6 +6,7 @@ import { count } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
+import { mostDoubtful } from "./opening.js";
 
 /**
  * @param {ModeApp} app
@@ -30,6 +31,30 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   }
 
   /**
+   * What is reviewed after a decision. In the queue, its next item; but a deletion never leaves the frame. Otherwise
+   * the most doubtful open box of the frame; only what is reviewed already lets the operator go on to the queue.
+   *
+   * @param {"accept" | "reject" | "delete"} kind
+   * @param {PageLabel} label
+   * @returns {Target | null}
+   */
+  function nextAfter(kind, label) {
+    const { id: frame } = currentFrame(app).frame;
+    const next = queue.after(label.uid);
+    if (opening.inQueue && (kind !== "delete" || next?.frame === frame)) return next;
+    const open = mostDoubtful(desk.labels().filter((one) => isOpen(one) && one.uid !== label.uid));
+    if (open) return { frame, uid: open.uid };
+    return kind === "accept" && isReviewed(label) ? next : null;
+  }
+
+  /** Selects the most doubtful open box of the frame if nothing is selected, or else goes on to the queue. */
+  function begin() {
+    const next = queue.after("");
+    if (desk.labels().some(isOpen)) opening.pick(null);
+    else if (next) void opening.go(next, true);
+  }
+
+  /**
    * Accepts, rejects or deletes the selected box, and goes to the next one. Saving a draft counts as accepting. A new
    * box stays selected when it is accepted, since the next step is often to follow it.
    *
@@ -37,11 +62,12 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
    */
   async function decide(kind) {
     const label = desk.shown;
-    if (!label || opening.loading) return;
+    if (opening.loading || !app.state.frame) return;
+    if (!label) return kind === "accept" ? begin() : undefined;
     const { id: frame } = currentFrame(app).frame;
     const before = opening.openings;
+    const next = kind === "accept" && label.isNew ? null : nextAfter(kind, label);
     const saved = save(kind, label);
-    const next = kind === "accept" && label.isNew ? null : queue.after(label.uid);
     // a box of the same frame is selected at once; another frame is opened after saving
     if (next?.frame === frame) desk.select(next.uid);
     else if (next) opening.setLoading(true);
@@ -53,8 +79,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       if (app.state.frame?.frame.id === frame) desk.select(label.uid);
       return;
     }
-    if (next && next.frame !== frame) await opening.go(next);
-    else if (!next && kind === "delete") opening.pick(null);
+    if (next && next.frame !== frame) await opening.go(next, true);
+    else if (!next && kind !== "accept") opening.pick(null);
   }
 
   /** @param {PageLabel} label */
@@ -76,16 +102,17 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     return desk.decide(kind, label.uid);
   }
 
-  /** Accepts the frame's proposals, whose small pictures are in its list, and goes to the next frame of the queue. */
+  /** Accepts the frame's proposals, whose small pictures are in its list; in the queue, goes to its next frame. */
   async function acceptAll() {
     const label = desk.shown;
     if (!label) return;
+    const goesOn = opening.inQueue || !desk.labels().some(isOpen);
     const before = opening.openings;
     if (!(await desk.commit()) || !(await desk.acceptAll()) || before !== opening.openings) return;
     const left = desk.labels().find(isOpen);
     const next = queue.after(label.uid);
     if (left) desk.select(left.uid);
-    else if (next) await opening.go(next);
+    else if (next && goesOn) await opening.go(next, true);
   }
 
   async function refit() {
@@ -134,7 +161,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   const canDraw = () => app.state.frame !== null && !opening.loading && !app.state.frame.frame.finalised;
 
   /**
-   * A box was drawn on the image. If no object is found in it, it becomes the first of the five drags in Label.
+   * A box was drawn on the image. If no object is found in it, it becomes the first of the five drags in Label, unless
+   * it has too few points for views to draw on.
    *
    * @param {Box2D} box
    */
@@ -142,16 +170,29 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
     const { id } = currentFrame(app).frame;
     try {
       /** @type {Api.FitOut} */
-      const { note, box: fitted, ...facts } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
+      const {
+        note,
+        box: fitted,
+        too_few_points,
+        ...facts
+      } = await app.api.post(app.path("frames", id, "fit"), { image_box: box });
       if (app.state.frame?.frame.id !== id || !root.isConnected) return;
       if (fitted) {
         desk.add({ ...facts, box: fitted, label: box.label, image_box: box });
-      } else {
-        const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
-        const who = facts.measured_by ? ` (${facts.measured_by})` : "";
-        app.toast(`${why}${who}. To finish it by hand, draw boxes on the four views of the image box.`, "warn");
-        app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
+        return;
       }
+      const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
+      if (too_few_points) {
+        app.toast(
+          `${why}, too few for a 3D box. Label the object in a frame that shows more of it; then copy its box here (C: ` +
+            "from the previous frame), or fill the frames between two reviewed boxes of its track (I).",
+          "warn",
+        );
+        return;
+      }
+      const who = facts.measured_by ? ` (${facts.measured_by})` : "";
+      app.toast(`${why}${who}. To finish it by hand, draw boxes on the four views of the image box.`, "warn");
+      app.go(makeHash(project, "label", id), { project, frame: id, image_box: box });
     } catch (error) {
       app.toast(error);
     }

@@ -1,7 +1,6 @@
-/** How a 3D box is drawn: its colour, its outline on the image, and its heading in a view. */
+/** How a 3D box is drawn on the image: its colour, its outline, its heading, and a text. */
 
-import { headingLine, toView } from "../box3d.js";
-import { line, outline } from "../camera.js";
+import { imageHeading, outline } from "../camera.js";
 
 /**
  * Colours by state: visible on dark and light pictures, and the same as in the 3D view.
@@ -35,49 +34,16 @@ function selectedTag(label, values) {
 }
 
 /**
- * Lines of a label on the camera image. `box` replaces the stored box, `color` the colour of the state.
+ * A label on the camera image. `box` replaces the stored box, `color` the colour of the state.
  *
  * @param {Camera} camera
  * @param {PageLabel} label
  * @param {{ selected: boolean, box: Box3D | null, color?: string, values?: string }} shown values: of its attributes.
- * @returns {Overlay[]}
+ * @returns {Overlay}
  */
-export function imageOverlays(camera, label, { selected, box, color = STATE_COLORS[label.state], values = "" }) {
+export function imageOverlay(camera, label, { selected, box, color = STATE_COLORS[label.state], values = "" }) {
   const segments = box ? outline(camera, box) : label.outline;
   const tag = selected ? selectedTag(label, values) : shortName(label);
-  const body = { id: label.uid, segments, color, dash: label.state === "rejected", strong: selected, tag };
-  if (!selected) return [body];
-  const [middle, front] = headingLine(box ?? label.box);
-  // it has no id, so that it cannot be clicked
-  return [body, { segments: line(camera, middle, front), color, strong: true }];
-}
-
-/**
- * An arrow from the middle of the box along its heading, in px of a view; none if the view looks along the heading.
- *
- * @param {Plane} view
- * @param {Box3D} box
- * @param {string} color
- * @returns {Overlay[]}
- */
-export function viewHeading(view, box, color) {
-  const [from, to] = headingLine(box).map((point) => toView(view, point));
-  const along = [to[0] - from[0], to[1] - from[1]];
-  const reach = Math.hypot(...along);
-  if (reach < 3) return [];
-  const [x, y] = along.map((value) => value / reach);
-  const barb = Math.min(reach / 3, 9);
-  /** @param {number} side */
-  const tip = (side) => [to[0] - barb * x - side * barb * 0.6 * y, to[1] - barb * y + side * barb * 0.6 * x];
-  return [
-    {
-      segments: [
-        [from, to],
-        [tip(1), to, tip(-1)],
-      ],
-      color,
-      strong: true,
-      width: 1.6,
-    },
-  ];
+  const heading = imageHeading(camera, box ?? label.box);
+  return { id: label.uid, segments, heading, color, dash: label.state === "rejected", strong: selected, tag };
 }

@@ -1,10 +1,11 @@
 /** The camera image with all boxes of the frame: a click selects a box, and a drag draws a new one. */
 
 import { valuesText } from "../attributes.js";
+import { cameraOf } from "../camera.js";
 import { classColor, trackColor } from "../colors.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
-import { imageOverlays } from "./drawing.js";
+import { imageOverlay } from "./drawing.js";
 import { otherOverlays } from "../rig.js";
 
 /** A shorter drag draws no box, CSS pixels. */
@@ -68,20 +69,6 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
   });
   editor.setHandles({ edges: false, corners: false });
 
-  /** @type {{ image: Api.ImageJson, camera: Camera } | null} */
-  let known = null;
-
-  /**
-   * The camera with its picture's size. One object per picture, because camera.js caches the lens's range by object.
-   *
-   * @param {Api.ImageJson} image
-   */
-  function cameraOf(image) {
-    const { width, height } = image;
-    if (known?.image !== image) known = { image, camera: { ...image.camera, width, height } };
-    return known.camera;
-  }
-
   function colorAnew() {
     localStorage.setItem("color-by-track", String(byTrack.checked));
     show();
@@ -107,8 +94,8 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
     const others = desk
       .labels()
       .filter((label) => label.uid !== selected?.uid && (withRejected.checked || label.state !== "rejected"));
-    const overlays = others.flatMap((label) =>
-      imageOverlays(camera, label, {
+    const overlays = others.map((label) =>
+      imageOverlay(camera, label, {
         selected: false,
         box: label.isNew || desk.isDraft(label.uid) ? desk.seen(label).box : null,
         ...colorOf(label),
@@ -118,7 +105,7 @@ export function createImagePanel(host, app, desk, { onDrawn, onMode, canDraw }) 
     if (selected) {
       const values = valuesText(app, selected);
       overlays.push(
-        ...imageOverlays(camera, selected, { selected: true, box: selected.box, values, ...colorOf(selected) }),
+        imageOverlay(camera, selected, { selected: true, box: selected.box, values, ...colorOf(selected) }),
       );
     }
     editor.setOverlays(overlays);

@@ -32,6 +32,8 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
    */
   let broken = null;
   let seenQueue = false;
+  /** The operator works through the queue: what is open was taken from it, not chosen by frame. */
+  let inQueue = false;
 
   /**
    * Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet.
@@ -107,8 +109,10 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
    * Opens a box, and puts its frame into the address.
    *
    * @param {Target} options
+   * @param {boolean} [isFromQueue] what is reviewed next comes from the queue, too.
    */
-  async function go({ frame, uid }) {
+  async function go({ frame, uid }, isFromQueue = false) {
+    inQueue = isFromQueue;
     if (frame === opened && desk.stored(uid)) desk.select(uid);
     else if (!(await open(frame, uid))) return;
     app.go(makeHash(project, "review", frame));
@@ -122,6 +126,17 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     else app.go(makeHash(project, "review", next));
   }
 
+  /**
+   * Opens the frame that the address names: the operator has chosen it, and stays in it.
+   *
+   * @param {number} id
+   * @param {string | null} uid
+   */
+  function visit(id, uid) {
+    inQueue = false;
+    return open(id, uid);
+  }
+
   /** Opens the frame of the page's URL, or else the first one of the queue. */
   async function begin() {
     const { frame, query } = app.state.route;
@@ -133,8 +148,8 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
       app.toast(error);
     }
     if (frame !== null)
-      return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
-    if (queue.items[0]) return go(queue.items[0]);
+      return visit(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
+    if (queue.items[0]) return go(queue.items[0], true);
     /** @type {Api.FrameListJson} */
     const { frames } = await app.api.get(`${app.path("frames")}?limit=1`);
     return go({ frame: frames[0].id, uid: null });
@@ -148,6 +163,9 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     get seenQueue() {
       return seenQueue;
     },
+    get inQueue() {
+      return inQueue;
+    },
     /** Changes with each frame that the operator opens. */
     get openings() {
       return openings;
@@ -160,6 +178,7 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     },
     setLoading,
     open,
+    visit,
     go,
     pick,
     step,
@@ -168,4 +187,4 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
 }
 
 /** @param {PageLabel[]} labels */
-const mostDoubtful = (labels) => labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];
+export const mostDoubtful = (labels) => labels.toSorted((a, b) => (b.doubt ?? 0) - (a.doubt ?? 0))[0];

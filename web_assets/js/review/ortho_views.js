@@ -4,15 +4,30 @@
  * box is saved, and new pictures along its new axes are fetched.
  */
 
-import { boxAxis, copyBox, sameBox, turnedInView, viewOutline, viewRect, withViewRect } from "../box3d.js";
+import {
+  boxAxis,
+  copyBox,
+  sameBox,
+  turnedInView,
+  viewHeading,
+  viewOutline,
+  viewRect,
+  withViewRect,
+} from "../box3d.js";
 import { h } from "../dom.js";
 import { createEditor } from "../editor2d/editor.js";
 import { isAborted, messageOf } from "../errors.js";
 import { dot } from "../rotation.js";
-import { STATE_COLORS, viewHeading } from "./drawing.js";
+import { STATE_COLORS } from "./drawing.js";
 
 export const SIZE_PX = 320;
-const TITLES = { top: "Top", front: "Front", side: "Side" };
+const TITLES = { top: "Top", front: "Front", side: "Right side" };
+/** From where each view is seen; the heading's arrow shows it, too. */
+const SEEN = {
+  top: "Seen from above: the front is up, the left side on the left.",
+  front: "Seen from the front, against the heading: the left side is on the right.",
+  side: "Seen from its right: the front is on the right.",
+};
 /** @typedef {keyof typeof TITLES} Name */
 
 /** @type {Name[]} */
@@ -130,7 +145,7 @@ function createPanel(name, desk) {
   const root = h(
     "section",
     { class: "panel ortho", "data-testid": `ortho-${name}`, "aria-label": `${TITLES[name]} view` },
-    h("header", {}, h("h3", {}, TITLES[name]), h("span", { class: "grow" }), scale),
+    h("header", {}, h("h3", { title: SEEN[name] }, TITLES[name]), h("span", { class: "grow" }), scale),
     body,
   );
   /** @type {Api.OrthoView | null} */
@@ -199,6 +214,13 @@ function createPanel(name, desk) {
     start = null;
   }
 
+  /**
+   * @param {Plane} plane
+   * @param {Box3D} box
+   * @returns {Overlay}
+   */
+  const heading = (plane, box) => ({ segments: [], heading: viewHeading(plane, box), color: color(), strong: true });
+
   function follow() {
     const box = desk.shown?.box;
     root.classList.toggle("idle", !box);
@@ -207,13 +229,13 @@ function createPanel(name, desk) {
       editor.setOverlays([]);
     } else if (start) {
       // the editor draws the rectangle itself
-      editor.setOverlays(viewHeading(view, box, color()));
+      editor.setOverlays([heading(view, box)]);
     } else if (isAligned(view, box)) {
       editor.setBoxes([{ ...viewRect(view, box), label: "", caption: "" }], 0);
-      editor.setOverlays(viewHeading(view, box, color()));
+      editor.setOverlays([heading(view, box)]);
     } else {
       editor.setBoxes([]);
-      editor.setOverlays([{ segments: viewOutline(view, box), color: color() }, ...viewHeading(view, box, color())]);
+      editor.setOverlays([{ ...heading(view, box), segments: viewOutline(view, box), strong: false }]);
     }
   }
 

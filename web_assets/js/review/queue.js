@@ -10,7 +10,7 @@ export const ORDERS = [
 /** The source of our own proposals. */
 export const OWN = "annotator";
 
-/** The queue is read again this long after a change by others. */
+/** The queue is read again this long after a change by others, also while more of them come. */
 const CALM_MS = 1500;
 /** The server sends a few hundred items; more are read when fewer than these are left. */
 const FEW = 100;
@@ -141,8 +141,11 @@ export function createQueue(app, onChange) {
     },
 
     reloadSoon() {
-      clearTimeout(timer);
-      timer = setTimeout(() => load().catch(app.toast), CALM_MS);
+      if (timer || ended) return;
+      timer = setTimeout(() => {
+        timer = 0;
+        load().catch(app.toast);
+      }, CALM_MS);
     },
 
     end() {

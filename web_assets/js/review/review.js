@@ -58,10 +58,18 @@ export function mount(root, app) {
     },
   });
   const { go } = opening;
-  const queueList = createQueueList(parts.queue, app, queue, { open: go });
+  /** @param {Target} target */
+  const goInQueue = (target) => go(target, true);
+  const queueList = createQueueList(parts.queue, app, queue, { open: goInQueue });
   const boxList = createBoxList(parts.boxes, app, desk);
   const preload = createPreload(app, desk, queue);
-  const sheet = createSheet(app, { desk, queue, preload, open: go, isFollowed: (track) => follow.isFollowed(track) });
+  const sheet = createSheet(app, {
+    desk,
+    queue,
+    preload,
+    open: goInQueue,
+    isFollowed: (track) => follow.isFollowed(track),
+  });
   const tracks = createTracks(parts.boxes, app, desk, {
     open: go,
     sheet: () => commands.whenCalm(sheet.show),
@@ -77,7 +85,7 @@ export function mount(root, app) {
       if (sheet.again()) return;
       // what is open here comes first
       if (desk.labels().some(isOpen)) opening.pick(null);
-      else void go(target);
+      else void goInQueue(target);
     },
     onProgress: () => tracks.refresh(),
   });
@@ -121,6 +129,7 @@ export function mount(root, app) {
   // -- showing
 
   function showQueue() {
+    showActions();
     queueList.show(desk.uid);
     parts.done.hidden = queue.items.length > 0 || queue.isFiltered || opening.loading || !opening.seenQueue;
   }
@@ -132,6 +141,7 @@ export function mount(root, app) {
       gizmoMode: scene.gizmo,
       busy: opening.loading,
       isDrawing: image.isDrawing,
+      isMoreOpen: queue.items.length > 0 || desk.labels().some(isOpen),
     });
   }
 
@@ -153,7 +163,6 @@ export function mount(root, app) {
     fields.show();
     attributes.show();
     void tracks.show();
-    showActions();
     showQueue();
     // not the old frame again while the next one is being opened
     if (!opening.loading) scene.show();
@@ -227,7 +236,7 @@ export function mount(root, app) {
       const uid = query.get("uid");
       if (frame === null) void opening.begin().catch(app.toast);
       else if (frame !== opening.opened && frame !== opening.broken)
-        void opening.open(frame, uid).then((isOpen) => {
+        void opening.visit(frame, uid).then((isOpen) => {
           if (isOpen === false && opening.opened !== null) app.stay(opening.opened);
         });
       else if (uid) desk.select(uid);

@@ -12,8 +12,8 @@ import { isAborted } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 
 const HELP =
-  "Top, front and side of each box. Click on the wrong ones; they stay proposals. Ctrl+click on the first wrong one " +
-  "accepts those before it, and opens it.";
+  "Top, front and right side of each box; the front is orange. Click on the wrong ones; they stay proposals. " +
+  "Ctrl+click on the first wrong one accepts those before it, and opens it.";
 
 /** The size of a picture, px. */
 const WIDTH = 292;

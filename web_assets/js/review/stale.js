@@ -1,6 +1,6 @@
 /** If others have changed the frame in the meantime, the operator chooses between the two versions. */
 
-import { outline } from "../camera.js";
+import { cameraOf, outline } from "../camera.js";
 import { isStale } from "../errors.js";
 import { askVersion } from "../stale.js";
 
@@ -77,8 +77,7 @@ const asNew = ({ label, box, track_id }) => ({ kind: "create", label, box, track
  */
 function shown(theirs, changes) {
   const labels = new Map(theirs.labels.map((label) => [label.uid, label]));
-  const { width, height } = theirs.image;
-  const camera = { ...theirs.image.camera, width, height };
+  const camera = cameraOf(theirs.image);
   const boxes = changes.flatMap(({ box, uid }) => box ?? labels.get(uid ?? "")?.box ?? []);
   const text = changes.map(({ kind, uid, label }) =>
     [label ?? labels.get(uid ?? "")?.label, VERBS[kind] ?? kind].filter(Boolean).join(": "),
