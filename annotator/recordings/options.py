@@ -54,6 +54,10 @@ class ReaderOptions(BaseModel):
         """The options that are set, by name."""
         return self.model_dump(exclude_none=True)
 
+    def may_be(self, stored: ReaderOptions) -> bool:
+        """True if a recording that is stored with other options is read with these: an origin may have been found."""
+        return self == (stored.model_copy(update={"origin": None}) if self.origin is None else stored)
+
     def stored(self) -> str:
         """The options as a project stores them: JSON, or "" if none is set."""
         return self.model_dump_json(exclude_none=True) if self.given() else ""
