@@ -11,7 +11,7 @@ from jaxtyping import Float64, UInt8
 from annotator.files import is_within
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
-from annotator.formats.rcv.convert import camera_from, label_from
+from annotator.formats.rcv.convert import camera_from, label_from, pose_from
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.model import RcvLabels, RcvManifest, Values
 from annotator.image_bytes import read_image
@@ -151,6 +151,7 @@ def _frame(path: Path, record: RcvLabels, rgb: np.ndarray, cloud: PointCloud) ->
             cloud=cloud,
             up=_direction(record.up),
             timestamp_ns=record.timestamp_ns,
+            T_world_camera=None if record.world is None else pose_from(record.world),
         )
     except ValueError as error:
         raise FormatError(path, str(error)) from error

@@ -15,6 +15,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import read_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
@@ -56,6 +57,18 @@ class CameraRecord(_Record):
     distortion: tuple[Number, ...] = ()
 
 
+class PoseRecord(_Record):
+    """The camera's pose in map coordinates; quaternion w x y z."""
+
+    translation: Vector
+    quaternion: tuple[Number, Number, Number, Number]
+
+    def transform(self) -> RigidTransform:
+        """Raises ValueError for a quaternion of length zero."""
+        rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+        return RigidTransform.from_components(np.array(self.translation), rotation)
+
+
 class FrameFile(_Record):
     """What a frame needs of `labels/ID.json`."""
 
@@ -63,6 +76,7 @@ class FrameFile(_Record):
     cloud: str
     camera: CameraRecord
     up: Vector | None = None
+    world: PoseRecord | None = None
     timestamp_ns: Annotated[int, Field(ge=-MOST_NS, le=MOST_NS)] | None = None
 
 
@@ -85,6 +99,7 @@ class RcvFolder(KeyedFrames):
         try:
             record = FrameFile.model_validate_json(read_file(path))
             camera = Camera(**record.camera.model_dump())
+            world = None if record.world is None else record.world.transform()
         except OSError as error:
             raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
         except ValueError as error:  # pydantic's errors, too
@@ -95,7 +110,8 @@ class RcvFolder(KeyedFrames):
             if length < LEAST_LENGTH:
                 raise FrameError(path, "up has length 0", REMEDY)
             up = up / length
-        return exported_frame(key, i, self.path, (record.image, record.cloud), camera, up, record.timestamp_ns)
+        files = (record.image, record.cloud)
+        return exported_frame(key, i, self.path, files, camera, up, record.timestamp_ns, world)
 
 
 def open_rcv(path: Path) -> RcvFolder | NotFound:
