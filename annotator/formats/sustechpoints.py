@@ -97,6 +97,12 @@ class _Labels(RootModel[tuple[_Object, ...]]):
         return content["objs"] if isinstance(content, dict) and "objs" in content else content
 
 
+class _EgoPose(_Axes):
+    azimuth: Bounded
+    pitch: Bounded
+    roll: Bounded
+
+
 class _Calibration(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -130,11 +136,13 @@ class SustechFrame:
         objects: in the cloud's frame.
         cameras: those of the scene.
         is_export: True if annotator wrote it: the only camera is that of the frame.
+        T_world_cloud: pose of the cloud in map coordinates, from an export of a recording in such.
     """
 
     objects: tuple[Truth, ...]
     cameras: tuple[SceneCamera, ...]
     is_export: bool
+    T_world_cloud: RigidTransform | None = None
 
 
 def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
@@ -160,7 +168,10 @@ def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
     tracks = _Tracks(each.obj_id for labels in files.values() for each in labels.objects)
     return {
         name: SustechFrame(
-            tuple(_truth(each, labels.file, tracks) for each in labels.objects), labels.cameras, labels.is_export
+            tuple(_truth(each, labels.file, tracks) for each in labels.objects),
+            labels.cameras,
+            labels.is_export,
+            _place(labels.file) if labels.is_export else None,
         )
         for name, labels in files.items()
     }
@@ -223,6 +234,16 @@ def _camera(file: Path) -> SceneCamera:
     if np.abs(R.T @ R - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
         raise FormatError(file, "extrinsic is not a rotation and translation")
     return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
+
+
+def _place(label_file: Path) -> RigidTransform | None:
+    """Returns the pose of a cloud in map coordinates; None without a file of it."""
+    file = label_file.parent.parent / POSES / label_file.name
+    if not file.is_file():
+        return None
+    pose = read_model(file, _EgoPose)
+    turn = Rotation.from_euler("ZXY", [-pose.azimuth, pose.pitch, pose.roll], degrees=True)
+    return RigidTransform.from_components([pose.x, pose.y, pose.z], turn) * EGO_CLOUD
 
 
 def write_sustechpoints(
