@@ -48,6 +48,8 @@ def _rows(report: RecordingReport) -> Iterator[tuple[str, object]]:
     yield "frames", f"{report.frames} ({report.first_key} to {report.last_key}), {order}"
     for note in report.notes:
         yield "note", note
+    if report.origin is not None:
+        yield "origin", f"{_metres(report.origin)} m in the map coordinates of the clouds (--origin sets another place)"
     yield from _topic_rows(report.topics)
     for key, problem in report.broken.items():
         yield f"frame {key}", f"cannot be read: {problem}"
@@ -73,6 +75,8 @@ def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     yield "first frame", frame.key
     yield "image", f"{frame.width_px} x {frame.height_px} px" + (", with depth image" if frame.has_depth_image else "")
     yield "camera", f"fx {frame.fx:g}, fy {frame.fy:g}, cx {frame.cx:g}, cy {frame.cy:g} px"
+    if frame.place is not None:
+        yield "camera at", f"{_metres(frame.place)} m in the map coordinates of the clouds"
     yield "distortion", " ".join(f"{k:g}" for k in frame.distortion) if any(frame.distortion) else "none"
     extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
     yield "points", f"{frame.points} with {' and '.join(extras) or 'coordinates only'}"
@@ -90,3 +94,7 @@ def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     else:
         yield "labels", ", ".join(f"{count} {name}" for name, count in frame.objects.items()) or "no objects"
     yield "mask", "yes" if frame.has_mask else "none"
+
+
+def _metres(place: Sequence[float]) -> str:
+    return " ".join(f"{value:.10g}" for value in place)

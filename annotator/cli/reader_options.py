@@ -26,6 +26,7 @@ class ReadAs:
     scene: Annotated[tuple[str, ...], option("scene", "NAME ...")] = ()
     camera: Annotated[tuple[str, ...], option("camera", "NAME ...")] = ()
     look_around: Annotated[Literal[4, 6, 8] | None, option("look_around")] = None
+    origin: Annotated[tuple[float, float, float] | None, option("origin", "X Y Z")] = None
     image: Annotated[str | None, option("image", "TOPIC")] = None
     points: Annotated[str | None, option("points", "TOPIC")] = None
     depth: Annotated[str | None, option("depth", "TOPIC")] = None

@@ -37,6 +37,7 @@ class Lost(StrEnum):
     CUT: points of a scan outside the camera's view.
     ATTRIBUTE: values of attributes.
     SAID: what sources of boxes, such as detectors, said of objects before the review.
+    ORIGIN: places of cameras in map coordinates; boxes and points were written relative to the camera.
     UNREADABLE: frames whose files cannot be read, left out on request.
     """
 
@@ -60,6 +61,7 @@ class Lost(StrEnum):
     CUT = "cut"
     ATTRIBUTE = "attribute"
     SAID = "said"
+    ORIGIN = "origin"
     UNREADABLE = "unreadable"
 
 
@@ -110,6 +112,7 @@ _WORDS = {
     Lost.CUT: ("frame has", "frames have", "a scan with points outside the camera's view, which were left out"),
     Lost.ATTRIBUTE: ("attribute value", "attribute values", "cannot be stored in this format"),
     Lost.SAID: ("box was", "boxes were", "proposed by other software; this format cannot store which one"),
+    Lost.ORIGIN: ("frame is", "frames are", "in map coordinates; boxes and points were written relative to the camera"),
     Lost.UNREADABLE: ("frame cannot be read and was", "frames cannot be read and were", "left out"),
 }
 
@@ -194,6 +197,7 @@ def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> No
         Lost.DEPTH_COLOR: frame.cloud.rgb is not None,
         Lost.REFLECTANCE: frame.cloud.reflectance is not None,
         Lost.TIME: frame.timestamp_ns is not None,
+        Lost.ORIGIN: frame.T_world_camera is not None,
         Lost.GRAVITY: frame.up is not None and float(np.linalg.norm(frame.up - IMAGE_UP)) > LEAST_TILT_RAD,
         Lost.SCORE: sum(label.score is not None for label in item.labels),
         Lost.TRACK: sum(label.track_id is not None for label in item.labels),

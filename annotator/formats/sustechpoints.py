@@ -4,12 +4,16 @@
     [PART/]SCENE/camera/front/ID.png          images (or .jpg), and calib/camera/front.json, one for the scene
     [PART/]SCENE/label/ID.json                the boxes: a list of {"obj_id", "obj_type", "psr", "obj_attr"}, or an
                                               object with this list as `objs`
+    [PART/]SCENE/ego_pose/ID.json             where the frame is in the recording's map coordinates, if it has such
     frames.csv                                the origin of each frame
 
 In `psr`, `position` is the centre, `scale` the full length, width and height, and `rotation` the angles in radians with
 R = Rx Ry Rz (`euler_angle_to_rotate_matrix` in its `util.js`), all in the cloud's frame. `obj_attr` is a text, to which
 its page adds the attributes that it offers, separated by commas; values are written as `pose.sitting`. A calibration
 holds `extrinsic`, the 4 x 4 transform from the cloud to the camera, and `intrinsic`, the 3 x 3 matrix, both row by row.
+
+An ego pose holds `x`, `y`, `z` in metres and `azimuth` (clockwise from y), `pitch` and `roll` in degrees; the page puts
+the cloud at `EGO_CLOUD` in the ego frame (`calcTransformMatrix` in its `world.js`).
 
 A scene has one calibration. So its clouds are in the level frame of its first frame (x ahead, y left, z against
 gravity), and a recording whose camera changes becomes several scenes.
@@ -44,7 +48,9 @@ from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
 
 CLOUDS, LABELS, IMAGES, CALIBRATIONS = "lidar", "label", "camera/front", "calib/camera"
-CAMERA = "front.json"
+CAMERA, POSES = "front.json", "ego_pose"
+# The ego frame has x right and y ahead; its origin is below the LiDAR, which looks back.
+EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler("z", np.pi))
 NOT_HELD = (Lost.SCORE, Lost.STATE, Lost.SAID, Lost.LENS, Lost.TIME)
 # Tolerance for R^T R = identity; matrices in files are rounded.
 MOST_OFF_ROTATION = 1e-2
@@ -92,6 +98,12 @@ class _Labels(RootModel[tuple[_Object, ...]]):
         return content["objs"] if isinstance(content, dict) and "objs" in content else content
 
 
+class _EgoPose(_Axes):
+    azimuth: Bounded
+    pitch: Bounded
+    roll: Bounded
+
+
 class _Calibration(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -125,11 +137,13 @@ class SustechFrame:
         objects: in the cloud's frame.
         cameras: those of the scene.
         is_export: True if annotator wrote it: the only camera is that of the frame.
+        T_world_cloud: pose of the cloud in map coordinates, from an export of a recording in such.
     """
 
     objects: tuple[Truth, ...]
     cameras: tuple[SceneCamera, ...]
     is_export: bool
+    T_world_cloud: RigidTransform | None = None
 
 
 def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
@@ -156,7 +170,10 @@ def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
     tracks = _Tracks(each.obj_id for labels in files.values() for each in labels.objects)
     return {
         name: SustechFrame(
-            tuple(_truth(each, labels.file, tracks) for each in labels.objects), labels.cameras, labels.is_export
+            tuple(_truth(each, labels.file, tracks) for each in labels.objects),
+            labels.cameras,
+            labels.is_export,
+            _place(labels.file) if labels.is_export else None,
         )
         for name, labels in files.items()
     }
@@ -219,6 +236,16 @@ def _camera(file: Path) -> SceneCamera:
     if np.abs(R.T @ R - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
         raise FormatError(file, "extrinsic is not a rotation and translation")
     return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
+
+
+def _place(label_file: Path) -> RigidTransform | None:
+    """Returns the pose of a cloud in map coordinates; None without a file of it."""
+    file = label_file.parent.parent / POSES / label_file.name
+    if not file.is_file():
+        return None
+    pose = read_model(file, _EgoPose)
+    turn = Rotation.from_euler("ZXY", [-pose.azimuth, pose.pitch, pose.roll], degrees=True)
+    return RigidTransform.from_components([pose.x, pose.y, pose.z], turn) * EGO_CLOUD
 
 
 def write_sustechpoints(
@@ -289,8 +316,18 @@ class _Scenes:
             (scene / CALIBRATIONS / CAMERA).write_text(json.dumps(calibration) + "\n", encoding="utf-8")
         (scene / IMAGES / f"{frame_id}.{image_format}").write_bytes(encoded_image(rgb, image_format))
         (scene / CLOUDS / f"{frame_id}.pcd").write_bytes(_pcd(item.frame.cloud, T_scene_camera))
+        if item.frame.T_world_camera is not None:
+            (scene / POSES).mkdir(exist_ok=True)
+            pose = json.dumps(_ego_pose(item.frame.T_world_camera * T_scene_camera.inv()))
+            (scene / POSES / f"{frame_id}.json").write_text(pose + "\n", encoding="utf-8")
         boxes = [_entry(label, label.box.transformed(T_scene_camera)) for label in item.labels]
         (scene / LABELS / f"{frame_id}.json").write_text(json.dumps(boxes, indent=1) + "\n", encoding="utf-8")
+
+
+def _ego_pose(T_world_cloud: RigidTransform) -> dict[str, float]:
+    T = T_world_cloud * EGO_CLOUD.inv()
+    turn, pitch, roll = T.rotation.as_euler("ZXY", degrees=True).tolist()
+    return _axes(T.translation) | {"azimuth": -turn, "pitch": pitch, "roll": roll}
 
 
 def _entry(label: Label, box: OrientedBox) -> dict[str, object]:

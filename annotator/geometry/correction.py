@@ -31,7 +31,18 @@ def corrected(frame: Frame, correction: Correction) -> Frame:
     )
     label = T if frame.T_camera_label is None else T * frame.T_camera_label
     up = None if frame.up is None else np.asarray(T.rotation.apply(frame.up))
-    return _coloured(replace(frame, cloud=moved, depth_m=None, up=up, T_camera_label=label, T_camera_recorded=T))
+    world = None if frame.T_world_camera is None else frame.T_world_camera * T.inv()
+    return _coloured(
+        replace(
+            frame,
+            cloud=moved,
+            depth_m=None,
+            up=up,
+            T_camera_label=label,
+            T_camera_recorded=T,
+            T_world_camera=world,
+        )
+    )
 
 
 def with_image(frame: Frame, rgb: UInt8[np.ndarray, "h w 3"]) -> Frame:

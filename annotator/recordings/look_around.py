@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings.clouds.virtual_image import virtual_image
-from annotator.recordings.options import ReaderOptions
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.options import Place, ReaderOptions
+from annotator.recordings.recording import KeyedFrames, origin_of
 from annotator.recordings.rig import Scan, Scanned
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError
@@ -57,6 +57,10 @@ class LookAround(KeyedFrames):
     @property
     def name(self) -> str:
         return f"{self.base.name.partition('@')[0]}@{self.camera}"
+
+    @property
+    def origin(self) -> Place | None:
+        return origin_of(self.base)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -142,4 +146,5 @@ def virtual_frame(scan: Scan, key: str, index: int, camera: Camera, R_camera_lev
         up=R_camera_level.apply([0.0, 0.0, 1.0]) if scan.knows_up else None,
         T_camera_label=T_camera_scan * scan.T_scan_label,
         timestamp_ns=scan.timestamp_ns,
+        T_world_camera=None if scan.T_world_scan is None else scan.T_world_scan * T_camera_scan.inv(),
     )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import ConfigError
+
+Place = tuple[Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)], ...]
 
 
 class ReaderOptions(BaseModel):
@@ -22,6 +25,12 @@ class ReaderOptions(BaseModel):
     camera: str | None = Field(None, min_length=1, description="cameras of a rig; all = all of them")
     look_around: Literal[4, 6, 8] | None = Field(
         None, description="number of virtual cameras around a LiDAR, to label all that it sees"
+    )
+    origin: Place | None = Field(
+        None,
+        min_length=3,
+        max_length=3,
+        description="place of the virtual camera in clouds with map coordinates, metres; by default their middle",
     )
     image: str | None = Field(None, min_length=1, description="topic of the camera images in a bag")
     points: str | None = Field(None, min_length=1, description="topic of the point clouds in a bag")
@@ -44,6 +53,10 @@ class ReaderOptions(BaseModel):
     def given(self) -> dict[str, Any]:
         """The options that are set, by name."""
         return self.model_dump(exclude_none=True)
+
+    def may_be(self, stored: ReaderOptions) -> bool:
+        """True if a recording that is stored with other options is read with these: an origin may have been found."""
+        return self == (stored.model_copy(update={"origin": None}) if self.origin is None else stored)
 
     def stored(self) -> str:
         """The options as a project stores them: JSON, or "" if none is set."""

@@ -1,8 +1,9 @@
-"""Plausibility limits for calibrations; larger numbers are not physical, and their products overflow."""
+"""Plausibility limits for points and calibrations; larger numbers are not physical, and their products overflow."""
 
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Bool, Num
 
 # Limit for all numbers, metres or pixels.
 LARGEST = 1e9
@@ -14,6 +15,16 @@ LARGEST_SIDE_PX = 1 << 16
 def are_plausible(values: np.ndarray) -> bool:
     """True if all numbers are finite and within `LARGEST`."""
     return bool((np.abs(values) <= LARGEST).all())
+
+
+def are_returns(xyz: Num[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+    """True for points that were measured.
+
+    Drivers write NaN, or exactly (0, 0, 0), where a beam did not return: in a sensor's own coordinates, that is the
+    sensor itself, and in those of a map, it is far from all points.
+    """
+    # comparisons with NaN are false
+    return (np.abs(xyz) < LARGEST).all(axis=1) & xyz.any(axis=1)
 
 
 def is_pinhole(K: np.ndarray) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
+from annotator.recordings.options import Place
 from annotator.types import Frame
 
 
@@ -92,6 +93,11 @@ class KeyedFrames:
     def notes(self) -> tuple[str, ...]:
         return ()
 
+    @property
+    def origin(self) -> Place | None:
+        """The origin in map coordinates (`clouds.origin`); None in a sensor's coordinates, or with a real camera."""
+        return None
+
     def __len__(self) -> int:
         return len(self.keys)
 
@@ -119,3 +125,8 @@ class KeyedFrames:
 def is_parallel(recording: Recording) -> bool:
     """True if several threads may read frames of a recording at the same time."""
     return isinstance(recording, KeyedFrames) and recording.is_parallel
+
+
+def origin_of(recording: Recording) -> Place | None:
+    """Returns the origin of a recording in map coordinates, `KeyedFrames.origin`. It may read a cloud."""
+    return recording.origin if isinstance(recording, KeyedFrames) else None

@@ -79,6 +79,7 @@ class Scan:
         T_scan_label: from the frame of the recording's label files, as `Frame.T_camera_label`.
         knows_up: False if gravity is unknown, so that the scan's own axes are used.
         timestamp_ns: None if unknown.
+        T_world_scan: pose of the scan's frame, as `Frame.T_world_camera`.
     """
 
     xyz_m: Float64[np.ndarray, "n 3"]
@@ -89,6 +90,7 @@ class Scan:
     T_scan_label: RigidTransform
     knows_up: bool = True
     timestamp_ns: int | None = None
+    T_world_scan: RigidTransform | None = None
 
 
 @runtime_checkable

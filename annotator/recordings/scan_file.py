@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from annotator.frame_limits import read_frame_file
-from annotator.recordings.clouds.columns import REFLECTANCE_SCALES, RawCloud, fractions
+from annotator.recordings.clouds.columns import NO_RETURN, REFLECTANCE_SCALES, RawCloud, fractions
 from annotator.recordings.clouds.common_scale import CommonScale, files_like
-from annotator.recordings.plausible import LARGEST
+from annotator.recordings.plausible import LARGEST, are_returns
 from annotator.recordings.scan_columns import BYTES_PER_VALUE, FEWEST, MOST, Evidence, weigh_columns
 from annotator.types.errors import FrameError, UnclearError
 
@@ -48,8 +48,7 @@ class Scans:
     def read(self, path: Path) -> RawCloud:
         """Returns the valid points of a scan.
 
-        Points with a coordinate that is NaN, infinite or beyond `LARGEST` are left out, and those whose reflectance is
-        not finite.
+        Points that are no returns (`are_returns`) are left out, and those whose reflectance is not finite.
 
         Raises:
             UnclearError: the number of values per point is not certain.
@@ -136,15 +135,15 @@ def read_rows(path: Path, data: bytes, columns: int) -> Float32[np.ndarray, "n c
 
 
 def valid_rows(path: Path, rows: Float32[np.ndarray, "n c"], checked: int) -> Float32[np.ndarray, "m c"]:
-    """Returns the points of which the first `checked` values are plausible numbers.
+    """Returns the points that are returns, and of which the first `checked` values are plausible numbers.
 
     Raises:
         FrameError: there are none.
     """
     # false also for infinity and NaN
-    valid = (np.abs(rows[:, :checked]) < LARGEST).all(axis=1)
+    valid = are_returns(rows[:, :3]) & (np.abs(rows[:, 3:checked]) < LARGEST).all(axis=1)
     if not valid.any():
-        raise FrameError(path, "every point is NaN or infinite", REMEDY)
+        raise FrameError(path, NO_RETURN, REMEDY)
     return rows[valid]
 
 

@@ -27,11 +27,13 @@ READERS: dict[str, str] = {
 
 # The options (`ReaderOptions`) that readers take. Such a reader is called with the path and the options.
 OPTIONS: dict[str, tuple[str, ...]] = {
-    "ros_bag": ("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s"),
+    "ros_bag": (
+        *("image", "points", "depth", "camera_info", "depth_info", "tf_frame", "no_motion", "tolerance_s", "origin"),
+    ),
     "kitti_object": ("columns",),
     "kitti_tracking": ("columns", "scene"),
     "kitti_raw": ("columns",),
-    "cloud_folder": ("columns",),
+    "cloud_folder": ("columns", "origin"),
     "stray_scanner": ("min_confidence",),
     "record3d": ("min_confidence",),
     "tum_rgbd": ("tolerance_s",),

@@ -31,6 +31,8 @@ class Frame:
         timestamp_ns: capture time; None if unknown.
         T_camera_recorded: from the camera frame as the recording's files give it, to the corrected one; None if the
             project does not correct the calibration.
+        T_world_camera: pose of the camera in the map coordinates of the recording's clouds; None if they have none, or
+            no reader knows it.
     """
 
     key: str
@@ -43,6 +45,7 @@ class Frame:
     T_camera_label: RigidTransform | None = None
     timestamp_ns: int | None = None
     T_camera_recorded: RigidTransform | None = None
+    T_world_camera: RigidTransform | None = None
 
     def __post_init__(self) -> None:
         size = (self.camera.height_px, self.camera.width_px)

@@ -10,6 +10,7 @@ import numpy as np
 
 from annotator.project import BoxRotation, Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
+from annotator.recordings.recording import origin_of
 from annotator.recordings.rig import RigCamera, Scenes
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
@@ -88,21 +89,29 @@ def add_recordings(
     opened = [each for path in paths for each in _chosen(path, options, tuple(scenes), tuple(cameras))]
     if name is not None and len(opened) > 1:
         raise ConfigError(f"{len(opened)} recordings cannot all be called {name!r}; add them one by one")
-    frames = []
+    ready = []
     for recording, options in opened:
-        frames.append(_require_readable(recording, len(recording) if leave_out_broken else FRAMES_TRIED))
         known = _known(project, recording, options)
+        if known is not None and known.options != options.stored():
+            # with the origin that was found when it was added
+            options = stored_options(known.options)
+            recording = open_recording(recording.path, options)
+        frame = _require_readable(recording, len(recording) if leave_out_broken else FRAMES_TRIED)
         _require_unchanged(project.path.name, known, name, up)
-        if known is None and not as_new:
-            require_not_moved(project, recording, options.stored())
+        if known is None:
+            if frame.T_world_camera is not None:
+                options = options.model_copy(update={"origin": origin_of(recording)})
+            if not as_new:
+                require_not_moved(project, recording, options)
+        ready.append((recording, options, frame))
     added = []
-    for (recording, options), frame in zip(opened, frames, strict=True):
+    for recording, options, frame in ready:
         left_out = _left_out(project, _known(project, recording, options))
-        broken = broken_frames(recording, left_out, SECONDS / len(opened))
+        broken = broken_frames(recording, left_out, SECONDS / len(ready))
         left_out = frozenset(broken.errors) if leave_out_broken else left_out & broken.errors.keys()
         one = _add(project, recording, name, up, options, fingerprint_of(frame), left_out)
         added.append(replace(one, broken=broken))
-    return [_with_up_note(project, *each) for each in zip(added, frames, strict=True)]
+    return [_with_up_note(project, one, frame) for one, (*_, frame) in zip(added, ready, strict=True)]
 
 
 def _check_name(name: str) -> None:
@@ -271,9 +280,9 @@ def _with_up_note(project: Project, added: Added, frame: Frame) -> Added:
 
 
 def _known(project: Project, recording: Recording, options: ReaderOptions) -> StoredRecording | None:
-    path, read = recording.path.resolve(), options.stored()
-    every = (*project.recordings.all(), *project.recordings.removed())
-    return next((known for known in every if known.path == path and known.options == read), None)
+    path = recording.path.resolve()
+    here = [each for each in (*project.recordings.all(), *project.recordings.removed()) if each.path == path]
+    return next((known for known in here if options.may_be(stored_options(known.options))), None)
 
 
 def _require_unchanged(

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.listing import path_errors
+from annotator.recordings.recording import origin_of
 from annotator.recordings.rig import Scanned
 from annotator.recordings.ros.topics import TopicReport, list_topics
 from annotator.types import Frame
@@ -21,6 +22,7 @@ class FrameReport(BaseModel):
 
     Attributes:
         scanned, seen: points of the LiDAR's whole scan, and how many of them the image shows; None without a LiDAR.
+        place: where the camera stands in the map coordinates of the clouds; None if they have none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -42,6 +44,7 @@ class FrameReport(BaseModel):
     nearest_m: float
     farthest_m: float
     up: tuple[float, float, float] | None
+    place: tuple[float, float, float] | None
     timestamp_ns: int | None
     objects: dict[str, int] | None
     objects_problem: str | None
@@ -56,6 +59,7 @@ class RecordingReport(BaseModel):
         frame: the first readable frame.
         broken: the errors of the frames before it, by key.
         notes: what the reader says about it.
+        origin: of clouds in map coordinates without a camera (`annotator.recordings.clouds.origin`); None for others.
         topics: of a bag; empty for other formats.
     """
 
@@ -72,6 +76,7 @@ class RecordingReport(BaseModel):
     frame: FrameReport | None
     broken: dict[str, str]
     notes: tuple[str, ...]
+    origin: tuple[float, float, float] | None
     topics: tuple[TopicReport, ...]
 
 
@@ -104,6 +109,7 @@ def inspect_recording(path: Path, options: ReaderOptions = NO_OPTIONS) -> Record
         frame=None if frame is None else _report(recording, index, frame),
         broken=broken,
         notes=recording.notes,
+        origin=None if frame is None or frame.T_world_camera is None else origin_of(recording),
         topics=bag_topics(path, options),
     )
 
@@ -152,6 +158,7 @@ def _report(recording: Recording, index: int, frame: Frame) -> FrameReport:
         nearest_m=float(cloud.xyz_m[:, 2].min()),
         farthest_m=float(cloud.xyz_m[:, 2].max()),
         up=None if frame.up is None else tuple(frame.up.tolist()),
+        place=None if frame.T_world_camera is None else tuple(frame.T_world_camera.translation.tolist()),
         timestamp_ns=frame.timestamp_ns,
         objects=objects,
         objects_problem=problem,

@@ -207,7 +207,7 @@ def test_the_option_is_stored_with_the_recording(
     assert main(["add", "cars", "take"]) == 2
     assert "give --columns N" in capsys.readouterr().err.replace("\n", " ")
     assert main(["add", "cars", "take", "--columns", "3"]) == 0
-    with pytest.raises(ConfigError, match="takes --columns, not --camera"):
+    with pytest.raises(ConfigError, match="takes --columns, --origin, not --camera"):
         open_recording(tmp_path / "take", ReaderOptions(camera="left"))
 
 

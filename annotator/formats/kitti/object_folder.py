@@ -43,7 +43,17 @@ TRAINING, IMAGE_SETS = "training", "ImageSets"
 # KITTI's names of the parts; trainval.txt lists train and val.
 SPLITS = ("train", "val", "test")
 TEST = SPLITS[-1]
-NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.SAID, Lost.LENS, Lost.DEPTH_COLOR, Lost.TIME, Lost.GRAVITY)
+NOT_HELD = (
+    Lost.SCORE,
+    Lost.TRACK,
+    Lost.STATE,
+    Lost.SAID,
+    Lost.LENS,
+    Lost.DEPTH_COLOR,
+    Lost.TIME,
+    Lost.GRAVITY,
+    Lost.ORIGIN,
+)
 # Rectified camera 0 <- LiDAR: x right = -y left, y down = -z up, z forward = x.
 CAMERA_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 

@@ -42,7 +42,7 @@ from annotator.types import Frame, PointCloud
 from annotator.types.errors import FormatError
 
 CLOUDS, LABELS, CALIBRATIONS = "pointclouds", "labels", "calib"
-NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.ATTRIBUTE, Lost.SAID, Lost.LENS, Lost.TIME)
+NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.ATTRIBUTE, Lost.SAID, Lost.LENS, Lost.TIME, Lost.ORIGIN)
 LEVEL_FRAME = "level frame at the camera: x ahead, y left, z up, metres"
 # Golden ratio: hues that differ by this fraction of the circle stay distinct for any number of classes.
 GOLDEN = 0.618034

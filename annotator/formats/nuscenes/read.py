@@ -82,6 +82,27 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
     return frames
 
 
+def read_world_poses(path: Path) -> dict[str, RigidTransform]:
+    """Returns `T_world_camera` of the frames of an export, by name, if their recordings have map coordinates.
+
+    Raises:
+        FormatError: as `read_nuscenes`.
+    """
+    folder = _table_folder(path)
+    origins = read_frames(folder.parent)
+    if not origins:
+        return {}
+    labels = _Labels(folder)
+    stems = ((PurePosixPath(row.filename).stem, index, row) for index, row in enumerate(labels.data.values()))
+    poses = {
+        origins[stem].name: labels.T_global_camera(index, row)
+        for stem, index, row in stems
+        if stem in origins and labels.sensor(index, row).modality == "camera"
+    }
+    # without map coordinates, the camera is the origin
+    return {name: pose for name, pose in poses.items() if pose.translation.any()}
+
+
 def _table_folder(path: Path) -> Path:
     folders = [path] if (path / "sample_data.json").is_file() else sorted(path.glob("v1.0-*/"))
     if len(folders) != 1:
@@ -114,13 +135,18 @@ class _Labels:
         calibrated = self._row("sample_data", index, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
         return self._row("sample_data", index, self._sensors, "sensor", calibrated.sensor_token)
 
+    def T_global_camera(self, index: int, row: SampleData) -> RigidTransform:
+        """Returns the pose of the camera of an image; call `sensor` before."""
+        ego = self._row("sample_data", index, self._poses, "ego_pose", row.ego_pose_token)
+        calibrated = self._calibrated[row.calibrated_sensor_token]
+        return self._pose("ego_pose", ego) * self._pose("calibrated_sensor", calibrated)
+
     def boxes(
         self, index: int, row: SampleData, origins: Mapping[str, FrameOrigin], on_fault: OnFault
     ) -> Iterator[NuScenesBox]:
         """Yields the boxes in a camera's image; with `origins` (an export, one camera) all boxes of the sample."""
         calibrated = self._calibrated[row.calibrated_sensor_token]
-        ego = self._row("sample_data", index, self._poses, "ego_pose", row.ego_pose_token)
-        T_camera_global = (self._pose("ego_pose", ego) * self._pose("calibrated_sensor", calibrated)).inv()
+        T_camera_global = self.T_global_camera(index, row).inv()
         for number, annotation in self._of_sample.get(row.sample_token, ()):
             try:
                 box = box_from(annotation.translation, annotation.rotation, annotation.size).transformed(

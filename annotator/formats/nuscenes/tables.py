@@ -64,7 +64,7 @@ class Tables:
 
         Args:
             camera: an ideal camera.
-            T_level_camera: from the camera to the level frame, which is also the ego frame and the global frame.
+            T_level_camera: from the camera to the level frame, which is also the ego frame.
             files: camera and LiDAR file by channel, relative to the dataset's root.
         """
         frame, key = item.frame, (item.recording, item.split)
@@ -74,10 +74,17 @@ class Tables:
             token=token("sample", item.recording, frame.key), timestamp=time_us, scene_token=token("scene", *key)
         )
         self._samples.setdefault(key, []).append(sample)
+        world = frame.T_world_camera
+        ego = RigidTransform.identity() if world is None else world * T_level_camera.inv()
         for channel, T in ((CAMERA, T_level_camera), (LIDAR, RigidTransform.identity())):
             data = token("data", channel, item.recording, frame.key)
             self._poses.append(
-                EgoPose(token=data, timestamp=time_us, rotation=(1.0, 0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0))
+                EgoPose(
+                    token=data,
+                    timestamp=time_us,
+                    rotation=quaternion(ego.rotation),
+                    translation=vector(ego.translation),
+                )
             )
             size = (camera.width_px, camera.height_px) if channel == CAMERA else (0, 0)
             row = SampleData(
@@ -93,7 +100,7 @@ class Tables:
                 filename=files[channel],
             )
             self._data.setdefault((key, channel), []).append(row)
-        self._annotate(item, sample, T_level_camera)
+        self._annotate(item, sample, T_level_camera if world is None else world)
 
     def finish(self) -> dict[str, Sequence[Record]]:
         """Returns the rows of every table, by the table's name."""
@@ -152,7 +159,7 @@ class Tables:
         self._calibrations[row.token] = row
         return row.token
 
-    def _annotate(self, item: DatasetItem, sample: Sample, T_level_camera: RigidTransform) -> None:
+    def _annotate(self, item: DatasetItem, sample: Sample, T_global_camera: RigidTransform) -> None:
         xyz = item.frame.cloud.xyz_m
         index, sight = PointIndex.of(xyz), Sight(xyz)
         seen: Counter[tuple[object, ...]] = Counter()
@@ -163,7 +170,7 @@ class Tables:
             occurrence = seen[label.label, *identity]
             instance = token("instance", item.recording, item.split, label.label, *identity, occurrence)
             self._instances.setdefault(instance, (label.label, label.track_id))
-            box = label.box.transformed(T_level_camera)
+            box = label.box.transformed(T_global_camera)
             visibility = LEVELS.get(str(label.attributes.get(VISIBLE))) or _visibility(sight, label)
             # with a given level, too, so that an import can tell it from a measured one
             names = dotted(label.attributes)

@@ -6,8 +6,9 @@
     maps/none.png                    the map that the tables require: one black pixel
     frames.csv                       the origin of each frame
 
-Scenes are recordings, instances are tracks. Global, ego and LiDAR frame are the same: the level frame at the camera
-(x ahead, y left, z against gravity), because the camera's motion is unknown.
+Scenes are recordings, instances are tracks. Ego and LiDAR frame are the same: the level frame at the camera (x ahead, y
+left, z against gravity). The global frame is that of the recording's map coordinates; without such, it is the ego
+frame, because the camera's motion is unknown.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from scipy.spatial.transform import RigidTransform
+
 from annotator.file_names import normal, stem_of
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model, unique_keys
@@ -13,6 +15,7 @@ from annotator.formats.openlabel.coordinates import Coordinates
 from annotator.formats.openlabel.model import Attributes, Content, Cuboid, Document, Frame, FrameProperties, Object
 from annotator.formats.openlabel.named_values import values_of
 from annotator.formats.openlabel.said_text import SAID_BY, said_from
+from annotator.formats.openlabel.scene import PLACE, WORLD
 from annotator.formats.openlabel.shapes import box_from
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
@@ -53,12 +56,14 @@ class OpenLabelFrame:
         boxes: in the sensor's coordinates.
         of_camera: True if the sensor is a camera; False: the document has no camera, the sensor is its LiDAR.
         attributes: of the frame, from contexts.
+        T_world_sensor: pose of the sensor in map coordinates, from annotator's own documents of recordings in such.
     """
 
     name: str
     boxes: tuple[OpenLabelBox, ...]
     of_camera: bool
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    T_world_sensor: RigidTransform | None = None
 
 
 def read_openlabel(path: Path) -> dict[str, OpenLabelFrame]:
@@ -116,7 +121,9 @@ def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) ->
             )
             contexts = (frame.contexts or {}).values()
             values = {key: value for each in contexts for key, value in values_of(each.context_data).items()}
-            yield OpenLabelFrame(name, boxes, of_camera, values)
+            is_placed = stem in origins and PLACE in (properties.transforms or {})
+            world = coordinates.transform(WORLD, sensor) if is_placed else None
+            yield OpenLabelFrame(name, boxes, of_camera, values, world)
 
 
 def _documents(path: Path) -> list[Path]:

@@ -34,18 +34,22 @@ from annotator.formats.openlabel.model import (
     Stream,
     StreamProperties,
     Sync,
+    Transform,
 )
 from annotator.formats.openlabel.named_values import FRAME_CONTEXT, attributes_of, key_of
 from annotator.formats.openlabel.said_text import SAID_BY, said_text
 from annotator.formats.openlabel.shapes import cuboid_values, pinhole_of, transform_values
 from annotator.types import BoxKind, Label
+from annotator.types import Frame as RecordedFrame
 from annotator.types.label import AttributeValue
 
-BASE, CAMERA, CLOUD = "base", "camera", "cloud"
-# Axes of the root system (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
+WORLD, BASE, CAMERA, CLOUD = "world", "base", "camera", "cloud"
+# Axes of the base (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
 T_BASE_CAMERA = RigidTransform.from_rotation(
     Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 )
+# Name of the transform of a frame, as the standard proposes: source, "to", destination.
+PLACE = f"{BASE}_to_{WORLD}"
 # Namespace of the UUIDs of objects and boxes: the same project gives the same file.
 NAMESPACE = uuid.UUID("6f0d2c1e-2f0b-5d1c-9c53-0d2a5c7b1f4e")
 
@@ -93,7 +97,7 @@ class Scene:
             CLOUD: FrameStream(uri=cloud, stream_properties=StreamProperties(sync=sync)),
         }
         self._frames[number] = Frame(
-            frame_properties=FrameProperties(timestamp=time, streams=streams),
+            frame_properties=FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
             objects=self._objects(number, item.labels) or None,
             contexts={self._context: FrameContext(context_data=attributes_of(item.attributes))}
             if item.attributes
@@ -104,6 +108,8 @@ class Scene:
         """Returns the document, frames in the order of their numbers."""
         numbers = sorted(self._frames)
         pose = transform_values(T_BASE_CAMERA)
+        is_placed = any(frame.frame_properties and frame.frame_properties.transforms for frame in self._frames.values())
+        world = {WORLD: CoordinateSystem(type="scene", parent="", children=(BASE,))} if is_placed else {}
         # some readers require children, even if there are none
         sensor = CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
         return Document(
@@ -115,7 +121,8 @@ class Scene:
                     comment=self.comment,
                 ),
                 coordinate_systems={
-                    BASE: CoordinateSystem(type="local", parent="", children=(CAMERA, CLOUD)),
+                    **world,
+                    BASE: CoordinateSystem(type="local", parent=WORLD if world else "", children=(CAMERA, CLOUD)),
                     CAMERA: sensor,
                     CLOUD: sensor,
                 },
@@ -157,6 +164,14 @@ class Scene:
             self._tracks[uid].frames.append(number)
             self._tracks[uid].attributes |= _kinds(cuboid)
         return objects
+
+
+def _transforms(frame: RecordedFrame) -> dict[str, Transform] | None:
+    """Returns the pose of the base in map coordinates; None if a frame has none."""
+    if frame.T_world_camera is None:
+        return None
+    T_world_base = frame.T_world_camera * T_BASE_CAMERA.inv()
+    return {PLACE: Transform(src=BASE, dst=WORLD, transform_src_to_dst=transform_values(T_world_base))}
 
 
 def _uuid(*parts: str) -> str:

@@ -7,7 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.rcv.model import FRAME_OF_REFERENCE, Matrix3, RcvCamera, RcvLabels, RcvObject, RcvSaid, Vector3
+from annotator.formats.rcv.model import (
+    FRAME_OF_REFERENCE,
+    Matrix3,
+    RcvCamera,
+    RcvLabels,
+    RcvObject,
+    RcvPose,
+    RcvSaid,
+    Vector3,
+)
 from annotator.geometry.transforms import corners_4x8
 from annotator.types import Camera, Frame, Label, OrientedBox
 from annotator.types.label import AttributeValue, Said
@@ -56,6 +65,7 @@ def labels_record(
         frame_of_reference=FRAME_OF_REFERENCE,
         up=None if frame.up is None else _vector(frame.up),
         camera=camera_record(frame.camera),
+        world=None if frame.T_world_camera is None else _pose(frame.T_world_camera),
         attributes=dict(attributes),
         objects=tuple(object_record(label) for label in labels),
     )
@@ -80,7 +90,7 @@ def object_record(label: Label) -> RcvObject:
         center=_vector(box.center_m),
         size=_vector(box.size_m),
         rotation=_matrix(box.rotation),
-        quaternion=_quaternion(box),
+        quaternion=_quaternion(box.T_camera_box),
         corners=tuple(tuple(row) for row in corners_4x8(box).tolist()),
     )
 
@@ -128,7 +138,7 @@ def _said_record(said: Said) -> RcvSaid:
         box_kind=said.box_kind,
         center=_vector(said.box.center_m),
         size=_vector(said.box.size_m),
-        quaternion=_quaternion(said.box),
+        quaternion=_quaternion(said.box.T_camera_box),
     )
 
 
@@ -138,8 +148,18 @@ def _said(record: RcvSaid) -> Said:
     return Said(record.source, record.label, box, record.score, record.track_id, record.box_kind)
 
 
-def _quaternion(box: OrientedBox) -> tuple[float, float, float, float]:
-    w, x, y, z = box.T_camera_box.rotation.as_quat(canonical=True, scalar_first=True).tolist()
+def _pose(T: RigidTransform) -> RcvPose:
+    return RcvPose(translation=_vector(T.translation), quaternion=_quaternion(T))
+
+
+def pose_from(record: RcvPose) -> RigidTransform:
+    """Returns the transform of a record; raises ValueError for a quaternion of length zero."""
+    rotation = Rotation.from_quat(record.quaternion, scalar_first=True)
+    return RigidTransform.from_components(np.array(record.translation), rotation)
+
+
+def _quaternion(T: RigidTransform) -> tuple[float, float, float, float]:
+    w, x, y, z = T.rotation.as_quat(canonical=True, scalar_first=True).tolist()
     return (w, x, y, z)
 
 

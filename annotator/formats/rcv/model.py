@@ -83,11 +83,19 @@ class RcvObject(_Record):
     corners: tuple[Row8, Row8, Row8, Row8]
 
 
+class RcvPose(_Record):
+    """A pose: it maps coordinates p of the camera to `rotation(quaternion) p + translation`."""
+
+    translation: Vector3
+    quaternion: tuple[Number, Number, Number, Number]
+
+
 class RcvLabels(_Record):
     """`labels/ID.json`: one frame.
 
     `key`, `index` and `recording` are the frame's origin; `up` is the unit vector against gravity in the camera frame,
-    None if unknown. `attributes` are values of the frame itself.
+    None if unknown. `attributes` are values of the frame itself. `world` is the camera's pose in the map coordinates of
+    the recording, None without such.
     """
 
     id: str
@@ -101,6 +109,7 @@ class RcvLabels(_Record):
     frame_of_reference: str
     up: Vector3 | None
     camera: RcvCamera
+    world: RcvPose | None = None
     attributes: Values = Field(default_factory=dict)
     objects: tuple[RcvObject, ...]
 

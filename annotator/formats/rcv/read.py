@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, UInt8
+from scipy.spatial.transform import RigidTransform
 
 from annotator.file_names import OutsideError, inside
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
-from annotator.formats.rcv.convert import camera_from, label_from
+from annotator.formats.rcv.convert import camera_from, label_from, pose_from
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.model import RcvLabels, RcvManifest, Values
 from annotator.image_bytes import read_image
@@ -56,10 +57,14 @@ class RcvDataset:
         """
         return _labels(*self._record(i))
 
-    def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values]:
-        """Returns the name `RECORDING/KEY` of frame `i`, its labels, and its own attributes; errors as `labels`."""
+    def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values, RigidTransform | None]:
+        """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`.
+
+        Raises:
+            FormatError: as `labels`.
+        """
         path, record = self._record(i)
-        return f"{record.recording}/{record.key}", _labels(path, record), record.attributes
+        return f"{record.recording}/{record.key}", _labels(path, record), record.attributes, _pose(path, record)
 
     def frame(self, i: int) -> RcvFrame:
         """Reads frame `i` with its labels.
@@ -155,9 +160,17 @@ def _frame(path: Path, record: RcvLabels, rgb: np.ndarray, cloud: PointCloud) ->
             cloud=cloud,
             up=_direction(record.up),
             timestamp_ns=record.timestamp_ns,
+            T_world_camera=_pose(path, record),
         )
     except ValueError as error:
         raise FormatError(path, str(error)) from error
+
+
+def _pose(path: Path, record: RcvLabels) -> RigidTransform | None:
+    try:
+        return None if record.world is None else pose_from(record.world)
+    except ValueError as error:
+        raise FormatError(path, f"world: {error}") from error
 
 
 def _direction(up: tuple[float, float, float] | None) -> Float64[np.ndarray, "3"] | None:

@@ -33,7 +33,9 @@ Image and cloud are registered: with the label file's `camera`, a point falls on
 
 with OpenCV's distortion (`k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; an empty list is an ideal pinhole).
 Pixels are continuous and the centre of the first pixel is (0, 0). `up` is the unit vector against gravity, or null
-if unknown. `timestamp_ns` is the capture time in nanoseconds, or null.
+if unknown. `timestamp_ns` is the capture time in nanoseconds, or null. `world` is the camera's pose in
+the map coordinates of the recording, or null without such: they are `rotation(quaternion) @ p + translation` for a
+point p, `quaternion` being w x y z. Compute them with 64-bit floats.
 
 ## Objects
 

@@ -37,7 +37,17 @@ from annotator.types.errors import FormatError
 
 PARTS = ("image", "calib", "depth", "label")
 INDEX = "{}_data_idx.txt"
-NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.ATTRIBUTE, Lost.SAID, Lost.LENS, Lost.REFLECTANCE, Lost.TIME)
+NOT_HELD = (
+    Lost.SCORE,
+    Lost.TRACK,
+    Lost.STATE,
+    Lost.ATTRIBUTE,
+    Lost.SAID,
+    Lost.LENS,
+    Lost.REFLECTANCE,
+    Lost.TIME,
+    Lost.ORIGIN,
+)
 UP = np.array([0.0, 0.0, 1.0])
 # Minimum side of a 2D box, pixels; objects that are narrower on the image are left out.
 LEAST_SIDE_PX = 0.01

@@ -29,7 +29,7 @@ from annotator.recordings.kitti.frame import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
 from annotator.recordings.options import ReaderOptions
-from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
+from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
 from annotator.types import Camera, Frame
@@ -153,7 +153,7 @@ class ArgoverseLog(KeyedFrames):
         path = self._sweep_file(key)
         columns = _table(path, {"x": "float", "y": "float", "z": "float", "intensity": "int"})
         xyz_m = np.stack([columns[name] for name in "xyz"], axis=1)
-        valid = (np.abs(xyz_m) < LARGEST).all(axis=1)
+        valid = are_returns(xyz_m)
         if not valid.any():
             raise FrameError(path, "has no points", REMEDY)
         intensity = columns["intensity"][valid].astype(np.float32)

@@ -10,13 +10,14 @@ gravity.json               optional, beside camera_intrinsic.json
 timestamps.csv             optional: capture time of each frame (`frame_times`)
 
 Without a calibration the clouds are assumed to come from a level LiDAR (x forward, y left, z up), with a virtual camera
-at its origin, looking forward. If all points are farther away than a LiDAR's range (map coordinates), the virtual
-camera is in the middle of the cloud. Without images, the image is rendered from the points.
+at its origin, looking forward; in map coordinates, it stands where the points are (`origin`). Without images, the image
+is rendered from the points.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, ClassVar, Never
 
@@ -32,13 +33,14 @@ from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.origin import Origin, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_rgb
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.options import Place, ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.rig import Scan
@@ -55,8 +57,6 @@ VIRTUAL_CAMERA = Camera(1280, 720, 640.0, 640.0, 639.5, 359.5)
 T_CAMERA_LIDAR = RigidTransform.from_matrix(np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
 # In labelCloud's projects, z of the clouds points up.
 LEVEL_MARK = "labels/_classes.json"
-# If the nearest point is farther away, the coordinates are map coordinates.
-FARTHEST_SEEN_M = 10_000.0
 
 
 class CloudPoseFile(BaseModel):
@@ -76,6 +76,7 @@ class CloudCamera:
         T_camera_cloud: from the clouds' own frame to the camera.
         up: unit vector against gravity in the camera frame; None if unknown.
         kitti: KITTI's calibration; its matrices are used unchanged, though orthonormal only to seven digits.
+        in_world: True if the clouds' frame is that of a map.
     """
 
     path: Path
@@ -83,6 +84,7 @@ class CloudCamera:
     camera: Camera
     up: Float64[np.ndarray, "3"] | None
     kitti: KittiCalibration | None = None
+    in_world: bool = False
 
     def to_camera(self, raw: RawCloud) -> PointCloud:
         """Returns a cloud in the camera frame."""
@@ -100,12 +102,14 @@ class CloudFolder(KeyedFrames):
         images: the folder of the images; None without images.
         times_ns: capture times from `timestamps.csv`; None without that file.
         scans: reads the clouds that are `.bin` files.
+        given_origin: the option `origin`.
     """
 
     clouds: Path
     images: Path | None
     times_ns: Times | None = None
     scans: Scans = field(default_factory=Scans)
+    given_origin: Place | None = None
     format: ClassVar[str] = "cloud_folder"
     is_sequence: ClassVar[bool] = True
 
@@ -131,7 +135,7 @@ class CloudFolder(KeyedFrames):
         cloud_path, *images = self.files(i)
         raw = read_cloud(cloud_path, self.scans)
         if not images:
-            source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
+            source = self._camera(key, raw)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
                 raise FrameError(source.path, f"its camera's image is {problem}", "correct the calibration")
@@ -156,6 +160,7 @@ class CloudFolder(KeyedFrames):
             up=source.up,
             T_camera_label=source.T_camera_cloud,
             timestamp_ns=None if self.times_ns is None else self.times_ns[i],
+            T_world_camera=source.T_camera_cloud.inv() if source.in_world else None,
         )
 
     def scan(self, i: int) -> Scan:
@@ -166,27 +171,50 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        raw = read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"), self.scans)
-        source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
+        raw = self._raw(key)
+        source = self._camera(key, raw)
         return Scan(
             raw.xyz_m,
             raw.rgb,
             raw.reflectance,
             level_pose(source.up).rotation * source.T_camera_cloud.rotation,
-            source.T_camera_cloud.inv().translation if _nearest_m(raw) > FARTHEST_SEEN_M else np.zeros(3),
+            source.T_camera_cloud.inv().translation if source.in_world else np.zeros(3),
             RigidTransform.identity(),
             source.up is not None,
             None if self.times_ns is None else self.times_ns[i],
+            RigidTransform.identity() if source.in_world else None,
         )
+
+    @property
+    def origin(self) -> Place | None:
+        if self._cloud_camera(self.keys[0], None) is not None or not self._origin.xyz_m.any():
+            return None
+        return tuple(self._origin.xyz_m.tolist())
+
+    @cached_property
+    def _origin(self) -> Origin:
+        return Origin(self.given_origin, lambda: (partial(self._raw, key) for key in self.keys))
+
+    def _raw(self, key: str) -> RawCloud:
+        return read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"), self.scans)
+
+    def _camera(self, key: str, raw: RawCloud) -> CloudCamera:
+        """Returns the camera of a frame without an image: that of the calibration, or a virtual one."""
+        calibrated = self._cloud_camera(key, None)
+        if calibrated is not None:
+            return calibrated
+        place_m = self._origin.of(raw)
+        T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
+        return CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""
         for path in (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt"):
             if path.is_file():
                 camera = _kitti_camera(path, rgb)
-                return replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera
+                return _in_world(replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera)
         path = self.path / FILE_NAME
-        return _json_camera(path, rgb) if path.is_file() else None
+        return _in_world(_json_camera(path, rgb)) if path.is_file() else None
 
     def _raise_no_calibration(self, key: str) -> Never:
         raise FrameError(
@@ -198,7 +226,7 @@ class CloudFolder(KeyedFrames):
 
 
 def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFound:
-    """Opens the folder of point clouds at `path`; `NotFound` if it is not one. Takes the option `columns`.
+    """Opens the folder of point clouds at `path`; `NotFound` if it is not one.
 
     Raises:
         RecordingError: `timestamps.csv` is invalid.
@@ -212,18 +240,15 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
             if images is None and {*map(normal, keys)} & {*map(normal, stems(clouds, IMAGE_SUFFIXES))}:
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
-            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns))
+            return CloudFolder(
+                path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns), options.origin
+            )
     return NotFound(LOOKED_FOR)
 
 
-def _level_camera(path: Path, raw: RawCloud) -> CloudCamera:
-    """Returns a virtual camera at a level LiDAR's origin; for map coordinates, at the cloud's median, whole metres."""
-    place_m = np.floor(np.median(raw.xyz_m, axis=0)) if _nearest_m(raw) > FARTHEST_SEEN_M else np.zeros(3)
-    return CloudCamera(path, T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m), VIRTUAL_CAMERA, UP)
-
-
-def _nearest_m(raw: RawCloud) -> float:
-    return float(np.sqrt((raw.xyz_m**2).sum(axis=1).min()))
+def _in_world(camera: CloudCamera) -> CloudCamera:
+    """Returns a calibrated camera; the clouds are in map coordinates if it is far from their origin."""
+    return replace(camera, in_world=world_pose(camera.T_camera_cloud) is not None)
 
 
 def _kitti_camera(path: Path, rgb: np.ndarray | None) -> CloudCamera:

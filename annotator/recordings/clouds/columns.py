@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
 from annotator.frame_limits import memory_problem
-from annotator.recordings.plausible import LARGEST
 from annotator.text import to_number
+from annotator.recordings.plausible import are_returns
 from annotator.types.errors import FrameError
 
 CLOUD_REMEDY = "save the cloud again, or remove the frame"
+NO_RETURN = "every point is NaN or infinite, or (0, 0, 0), which means no return"
 COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
 REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_reflectance", "i")
@@ -66,7 +67,7 @@ def require_points(path: Path, points: int, *, more_bytes: int = 0) -> None:
 
 
 def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
-    """Returns the cloud of columns of equal length, without non-finite points; column names are lower case.
+    """Returns the returns among the points of columns of equal length (`are_returns`); column names are lower case.
 
     Raises:
         FrameError: a column x, y or z is missing, or there is no valid point.
@@ -77,10 +78,9 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
         raise FrameError(path, f"has no column {' '.join(missing)} (its columns: {present})", CLOUD_REMEDY)
     require_points(path, len(columns["x"]))
     xyz_m = np.stack([_real(columns[name]) for name in "xyz"], axis=1)
-    # false also for infinity and NaN
-    valid = np.all(np.abs(xyz_m) < LARGEST, axis=1)
+    valid = are_returns(xyz_m)
     if not valid.any():
-        problem = "every point is NaN or infinite" if len(valid) else "has no points"
+        problem = NO_RETURN if len(valid) else "has no points"
         raise FrameError(path, problem, CLOUD_REMEDY)
     rgb, (reflectance, scale) = _colors(columns), _reflectance(columns)
     return RawCloud(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, UInt8
+from scipy.spatial.transform import RigidTransform
 
 from annotator.file_names import OutsideError, inside
 from annotator.files import read_file
@@ -42,6 +43,7 @@ def exported_frame(
     camera: Camera,
     up: Float64[np.ndarray, "3"] | None,
     timestamp_ns: int | None,
+    T_world_camera: RigidTransform | None,
 ) -> Frame:
     """Reads the image and the cloud of a frame.
 
@@ -62,7 +64,7 @@ def exported_frame(
         raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
     raw = read_cloud(cloud)
     points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
-    return Frame(key, index, camera, rgb, points, up=up, timestamp_ns=timestamp_ns)
+    return Frame(key, index, camera, rgb, points, up=up, timestamp_ns=timestamp_ns, T_world_camera=T_world_camera)
 
 
 def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:

@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import stem_of
 from annotator.files import open_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
 from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
-from annotator.recordings.plausible import LARGEST_SIDE_PX, is_pinhole
+from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError
@@ -30,19 +31,22 @@ from annotator.types.times import LATEST_NS, too_late
 
 LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"
-CAMERA, CLOUD = "camera", "cloud"
+CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
+# Axes of the base: x forward, y left, z up.
+T_BASE_CAMERA = RigidTransform.from_matrix(np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
 # Documents of annotator have this word, and its name, near their beginning.
 HEAD_BYTES, HEAD = 1024, (b'"openlabel"', b'"annotator"')
 
 
 class DocumentFrame(NamedTuple):
-    """A frame of a document: its files, its intrinsics as in the file, and its time."""
+    """A frame of a document: its files, its intrinsics and pose as in the file, and its time."""
 
     document: Path
     image: str
     cloud: str
     intrinsics: Any
     timestamp_ns: int | None
+    place: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +79,9 @@ class OpenLabelFolder(KeyedFrames):
         key = self.key(i)
         listed = self._listed(key)
         camera = _camera(listed.document, key, listed.intrinsics)
-        return exported_frame(key, i, self.path, (listed.image, listed.cloud), camera, None, listed.timestamp_ns)
+        world = None if listed.place is None else _pose(listed.document, key, listed.place)
+        files = (listed.image, listed.cloud)
+        return exported_frame(key, i, self.path, files, camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
         if key not in self._frames:
@@ -134,6 +140,7 @@ def _frames(document: Path, content: Any) -> Iterator[DocumentFrame]:
             str(cloud["uri"]),
             intrinsics,
             None if time is None else _nanoseconds(str(time)),
+            properties.get("transforms", {}).get(PLACE),
         )
 
 
@@ -146,6 +153,18 @@ def _nanoseconds(seconds: str) -> int:
     if time_ns < 0:
         raise ValueError(f"the time {seconds[:40]} is negative")
     return time_ns
+
+
+def _pose(document: Path, key: str, record: Any) -> RigidTransform:
+    """Returns the camera's pose from that of the base."""
+    try:
+        data = record["transform_src_to_dst"]
+        place, turn = (np.array(data[name], np.float64) for name in ("translation", "quaternion"))
+        if not (are_plausible(place) and are_plausible(turn)):
+            raise ValueError("numbers too large")
+        return RigidTransform.from_components(place, Rotation.from_quat(turn)) * T_BASE_CAMERA
+    except (KeyError, TypeError, ValueError) as error:
+        raise FrameError(document, f"frame {key}: its {PLACE} is invalid ({str(error)[:80]})", REMEDY) from error
 
 
 def _camera(document: Path, key: str, record: Any) -> Camera:

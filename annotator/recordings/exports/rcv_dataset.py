@@ -15,6 +15,7 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import read_text_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
@@ -57,6 +58,18 @@ class CameraRecord(_Record):
     distortion: tuple[Number, ...] = ()
 
 
+class PoseRecord(_Record):
+    """The camera's pose in map coordinates; quaternion w x y z."""
+
+    translation: Vector
+    quaternion: tuple[Number, Number, Number, Number]
+
+    def transform(self) -> RigidTransform:
+        """Raises ValueError for a quaternion of length zero."""
+        rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+        return RigidTransform.from_components(np.array(self.translation), rotation)
+
+
 class FrameFile(_Record):
     """What a frame needs of `labels/ID.json`."""
 
@@ -64,6 +77,7 @@ class FrameFile(_Record):
     cloud: str
     camera: CameraRecord
     up: Vector | None = None
+    world: PoseRecord | None = None
     timestamp_ns: Annotated[int, AfterValidator(in_time)] | None = None
 
 
@@ -86,6 +100,7 @@ class RcvFolder(KeyedFrames):
         try:
             record = FrameFile.model_validate_json(read_text_file(path))
             camera = Camera(**record.camera.model_dump())
+            world = None if record.world is None else record.world.transform()
         except OSError as error:
             raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
         except ValueError as error:  # pydantic's errors, too
@@ -96,7 +111,8 @@ class RcvFolder(KeyedFrames):
             if length < LEAST_LENGTH:
                 raise FrameError(path, "up has length 0", REMEDY)
             up = up / length
-        return exported_frame(key, i, self.path, (record.image, record.cloud), camera, up, record.timestamp_ns)
+        files = (record.image, record.cloud)
+        return exported_frame(key, i, self.path, files, camera, up, record.timestamp_ns, world)
 
 
 def open_rcv(path: Path) -> RcvFolder | NotFound:

@@ -129,7 +129,18 @@ class NuScenes(KeyedFrames):
                 "check the poses of both in calibrated_sensor.json and ego_pose.json",
             )
         up = T_camera_global.rotation.apply(GLOBAL_UP)
-        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_global, image.time_us * 1000)
+        return Frame(
+            key,
+            i,
+            camera,
+            rgb,
+            cloud,
+            None,
+            up,
+            T_camera_global,
+            image.time_us * 1000,
+            T_world_camera=T_camera_global.inv() if _knows_world(image) else None,
+        )
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`, ahead being where the camera looks; without one, where the vehicle does.
@@ -155,6 +166,7 @@ class NuScenes(KeyedFrames):
             np.zeros(3),
             T_global_lidar.inv(),
             timestamp_ns=scan.time_us * 1000,
+            T_world_scan=T_global_lidar if _knows_world(scan) else None,
         )
 
     @property
@@ -250,6 +262,11 @@ def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
         FrameError: the file is missing, empty, truncated, or has no valid point.
     """
     return valid_rows(path, read_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
+
+
+def _knows_world(shot: Shot) -> bool:
+    """False for the ego frame of an export whose recording has no map coordinates."""
+    return any(shot.ego.translation)
 
 
 def _camera(path: Path, image: Shot, width_px: int, height_px: int) -> Camera:

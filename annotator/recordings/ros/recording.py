@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,9 +25,10 @@ from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.common_scale import CommonScale
+from annotator.recordings.clouds.origin import Origin, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.kitti.frame import UP
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.options import Place, ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
 from annotator.recordings.ros.bag import Bag, Topic
@@ -68,6 +70,7 @@ class RosBag(KeyedFrames):
         realsense: what RealSense's own topics say; None for other bags.
         told: the recording's notes.
         scale: of the clouds' reflectance.
+        given_origin: the option `origin`, for clouds without images.
     """
 
     bag: Bag
@@ -79,6 +82,7 @@ class RosBag(KeyedFrames):
     realsense: RealSense | None
     told: tuple[str, ...]
     scale: CommonScale = field(default_factory=CommonScale)
+    given_origin: Place | None = None
     format: ClassVar[str] = "ros_bag"
     is_sequence: ClassVar[bool] = True
 
@@ -120,11 +124,26 @@ class RosBag(KeyedFrames):
             raise FrameError(self.path, f"frame {key}: {error}", REMEDY) from error
 
     def _cloud_frame(self, key: str, i: int) -> Frame:
-        raw = self._cloud(_content(self.chosen.partner, int(self.pairs.cloud[i])))
-        cloud = PointCloud(T_CAMERA_LIDAR.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
+        raw = self._raw(int(self.pairs.cloud[i]))
+        place_m = self._origin.of(raw)
+        T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
+        cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
         rgb = virtual_image(VIRTUAL_CAMERA, cloud)
         time_ns = int(self.pairs.time_ns[i])
-        return Frame(key, i, VIRTUAL_CAMERA, rgb, cloud, None, UP, T_CAMERA_LIDAR, time_ns)
+        world = T.inv() if place_m.any() else None
+        return Frame(key, i, VIRTUAL_CAMERA, rgb, cloud, None, UP, T, time_ns, T_world_camera=world)
+
+    @property
+    def origin(self) -> Place | None:
+        is_map = self.chosen.image is None and self._origin.xyz_m.any()
+        return tuple(self._origin.xyz_m.tolist()) if is_map else None
+
+    @cached_property
+    def _origin(self) -> Origin:
+        return Origin(self.given_origin, lambda: (partial(self._raw, number) for number in map(int, self.pairs.cloud)))
+
+    def _raw(self, number: int) -> RawCloud:
+        return self._cloud(_content(self.chosen.partner, number))
 
     def _image_frame(self, key: str, i: int, image: ImageTopic) -> Frame:
         number = int(self.pairs.image[i])
@@ -133,7 +152,7 @@ class RosBag(KeyedFrames):
         camera = self.camera(log_ns)
         rgb = _picture(image.topic, number, content, camera)
         camera_frame = self.camera_frame or frame_id(content)
-        depth_m = None
+        depth_m, world = None, None
         if self.chosen.depth is not None:
             T = self._T_color_depth(i, camera, camera_frame, frame_id(partner), log_ns)
             cloud, depth_m = self._from_depth(partner, self.chosen.depth, T, rgb, camera.camera, log_ns)
@@ -141,11 +160,11 @@ class RosBag(KeyedFrames):
             raw = self._cloud(partner)
             T = camera.T_camera_frame * self._T_camera_cloud(i, camera_frame, frame_id(partner), log_ns)
             cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
-            cloud = cloud_in_image(camera.camera, cloud, rgb)
+            cloud, world = cloud_in_image(camera.camera, cloud, rgb), world_pose(T)
         if len(cloud) == 0:
             raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
         up = self._up(camera, camera_frame, time_ns, log_ns)
-        return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns)
+        return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
 
     def _contents(self, image: Topic, number: int, partner_number: int) -> tuple[Any, Any]:
         """Returns the messages of an image and of its partner."""
@@ -279,7 +298,9 @@ class ScanBag(RosBag):
             content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
             raw = self._cloud(content)
             R_level_scan, knows_up = Rotation.identity(), True
-            if self.chosen.image is not None:
+            if self.chosen.image is None:
+                place_m = self._origin.of(raw)
+            else:
                 number, time_ns = int(self.pairs.image[i]), int(self.pairs.time_ns[i])
                 log_ns = int(self.chosen.image.topic.log_ns[number])
                 camera, frame = self.camera(log_ns), self.camera_frame or self.chosen.image.frame
@@ -288,9 +309,11 @@ class ScanBag(RosBag):
                 knows_up = up is not None
                 up_scan = Z if up is None else R_scan_camera.apply(up)
                 R_level_scan = level_turn(up_scan, R_scan_camera.apply(FORWARD))
+                T_world_camera = world_pose(T_camera_scan)
+                place_m = np.zeros(3) if T_world_camera is None else T_world_camera.translation
             return Scan(
-                raw.xyz_m, raw.rgb, raw.reflectance, R_level_scan, np.zeros(3), RigidTransform.identity(), knows_up,
-                int(self.pairs.cloud_time_ns[i]),
+                raw.xyz_m, raw.rgb, raw.reflectance, R_level_scan, place_m, RigidTransform.identity(), knows_up,
+                int(self.pairs.cloud_time_ns[i]), RigidTransform.identity() if place_m.any() else None,
             )  # fmt: skip
 
 
@@ -332,7 +355,7 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
     kind = RosBag if chosen.points is None else ScanBag
     return kind(
         path, tuple(f"{number:06d}" for number in keys), bag, chosen, pairs, tf, camera_frame, fixed,
-        realsense, (*bag.notes, *pairs.notes, *notes),
+        realsense, (*bag.notes, *pairs.notes, *notes), given_origin=options.origin,
     )  # fmt: skip
 
 

@@ -221,7 +221,7 @@ def _rcv_boxes(path: Path) -> dict[str, list[ScoredBox]]:
         raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}; {SCORE_PROJECT}")
     dataset, boxes = read_rcv(path), {}
     for index in range(len(dataset)):
-        name, labels, _ = dataset.named_labels(index)
+        name, labels, *_ = dataset.named_labels(index)
         if name in boxes:
             raise FormatError(path, f"frame {name} occurs twice; remove one")
         accepted = (label for label in labels if label.state is not ReviewState.REJECTED)

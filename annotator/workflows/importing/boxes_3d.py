@@ -8,6 +8,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from annotator.file_names import normal
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.completing import ValueReader
@@ -22,6 +24,8 @@ from annotator.workflows.importing.label_set import FoundInProject, HasFrameValu
 from annotator.workflows.importing.missing_values import give_missing_values
 
 AUTHOR = "import"
+# No sensor sees so far.
+FARTHEST_BOX_M = 10_000.0
 
 
 @dataclass(frozen=True)
@@ -223,7 +227,23 @@ def _set_values(project: Project, frame_id: int, values: Mapping[str, AttributeV
 def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
     """Returns the objects of a frame of a dataset, boxes in the camera frame. Raises FormatError: as `within_range`."""
     with within_range(dataset, name):
-        return dataset.truths(name, frame)
+        return near(dataset.truths(name, frame))
+
+
+def near(truths: Sequence[Truth]) -> Sequence[Truth]:
+    """Returns objects that may be seen by their camera.
+
+    Raises:
+        ValueError: the box of one is too far away: its format has boxes relative to the camera, or to another place.
+    """
+    for truth in truths:
+        away_m = float(np.linalg.norm(truth.box.center_m))
+        if away_m > FARTHEST_BOX_M:
+            raise ValueError(
+                f"a box of {truth.label} is {away_m / 1000:,.0f} km from the camera: its coordinates are a map's, "
+                "but this format's, or the recording's, are not"
+            )
+    return truths
 
 
 @contextmanager

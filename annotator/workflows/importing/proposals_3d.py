@@ -13,7 +13,7 @@ from annotator.project.sources.bring import SourceTracks
 from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import Importer, match_frames, within_range
+from annotator.workflows.importing.boxes_3d import Importer, match_frames, near, within_range
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.label_set import FoundInProject, HasUnseen, ProposalSet, ScoreRange
@@ -144,7 +144,7 @@ class _Importer:
 
         try:
             with within_range(self._dataset, name):
-                truths = self._dataset.suggested(name, read)
+                truths = near(self._dataset.suggested(name, read))
         except FrameError as error:
             self._done.unreadable.append(f"{stored.key}: {error}")
             return

@@ -13,7 +13,7 @@ import numpy as np
 
 from annotator.files import why_missing
 from annotator.project import Project, StoredRecording
-from annotator.recordings import Recording
+from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.types import Frame
 from annotator.types.errors import FrameError, MovedError
 
@@ -27,19 +27,25 @@ def fingerprint_of(frame: Frame) -> str:
     return f"{digest.hexdigest()}:{frame.key}"
 
 
-def require_not_moved(project: Project, recording: Recording, options: str) -> None:
+def require_not_moved(project: Project, recording: Recording, options: ReaderOptions) -> None:
     """Refuses a recording that the project has under a path that is gone, as its labels would be doubled.
 
     Args:
         recording: one that the project does not have at this path, as its files give it.
-        options: of its reader, as they are stored.
+        options: of its reader; the origin is what was found, which may have been another one before.
 
     Raises:
         MovedError: it has only moved, or seems to; the message says how to set its path.
     """
+    options = options.model_copy(update={"origin": None})
     for known in (*project.recordings.all(), *project.recordings.removed()):
-        is_alike = (known.format, known.options) == (recording.format, options)
-        if not is_alike or why_missing(known.path) is None or not (is_same := _is_same(project, known, recording)):
+        stored = stored_options(known.options)
+        is_alike = known.format == recording.format and options.may_be(stored)
+        if not is_alike or why_missing(known.path) is None:
+            continue
+        as_known = recording if stored.origin is None else open_recording(recording.path, stored)
+        is_same = _is_same(project, known, as_known)
+        if not is_same:
             continue
         name = project.path.name
         # the page lists only those that are in the project

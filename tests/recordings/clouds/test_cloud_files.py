@@ -263,7 +263,7 @@ def test_a_false_header_is_an_error_before_memory_is_allocated(
 
 
 def test_an_archive_that_unpacks_to_too_many_bytes_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    np.savez_compressed(tmp_path / "a.npz", points=np.zeros((100_000, 3)))
+    np.savez_compressed(tmp_path / "a.npz", points=np.ones((100_000, 3)))
     assert (tmp_path / "a.npz").stat().st_size < 10_000
     assert len(read_cloud(tmp_path / "a.npz").xyz_m) == 100_000
     monkeypatch.setenv("ANNOTATOR_FRAME_MEMORY", "10")

@@ -14,7 +14,7 @@ from annotator.formats.kitti.box_rows import label_frame
 from annotator.formats.kitti.label_folders import each_kitti_frame, read_kitti_shifts
 from annotator.formats.kitti.tracking_folder import read_kitti_tracks
 from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
-from annotator.formats.nuscenes import read_nuscenes
+from annotator.formats.nuscenes import read_nuscenes, read_world_poses
 from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.sunrgbd.labels import read_extracted_folder
 from annotator.formats.sunrgbd.meta_table import read_meta
@@ -22,7 +22,7 @@ from annotator.formats.sunrgbd.upright_depth import upright_frame
 from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
 from annotator.types import Frame, Truth
-from annotator.workflows.importing.readers.placed_boxes import PlacedBoxes, Pose
+from annotator.workflows.importing.readers.placed_boxes import PlacedBoxes, Pose, moved_in_world
 
 # Two cameras with matrices that differ less, as a share of the focal length, are the same.
 SAME_CAMERA = 0.01
@@ -124,7 +124,8 @@ def nuscenes_tables(path: Path) -> PlacedBoxes:
         (name, [Truth(each.label, each.box, each.track_id, attributes=each.attributes) for each in boxes])
         for name, boxes in read_nuscenes(path).items()
     )
-    return PlacedBoxes(path, PackedTruths(objects))
+    poses = read_world_poses(path)
+    return PlacedBoxes(path, PackedTruths(objects), lambda name, read: moved_in_world(poses.get(name), read))
 
 
 def sustechpoints_labels(path: Path) -> PlacedBoxes:
@@ -136,11 +137,13 @@ def sustechpoints_labels(path: Path) -> PlacedBoxes:
     Raises FormatError: as `read_sustechpoints`.
     """
     frames = read_sustechpoints(path)
-    cameras = {name: (each.cameras, each.is_export) for name, each in frames.items()}
+    cameras = {name: (each.cameras, each.is_export, each.T_world_cloud) for name, each in frames.items()}
 
     def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
-        of_scene, is_export = cameras[name]
-        return of_scene[0].T_camera_cloud if is_export else _by_camera(of_scene, read())
+        of_scene, is_export, T_world_cloud = cameras[name]
+        if not is_export:
+            return _by_camera(of_scene, read())
+        return of_scene[0].T_camera_cloud if (T := moved_in_world(T_world_cloud, read)) is None else T
 
     return PlacedBoxes(path, PackedTruths((name, each.objects) for name, each in frames.items()), pose)
 

@@ -57,9 +57,30 @@ class PlacedBoxes:
         return LeftOut(scores=lost_scores(self.objects[name], self.scores))
 
 
+def moved_in_world(T_world_there: RigidTransform | None, read: Callable[[], Frame]) -> RigidTransform | None:
+    """Returns the transform from the camera of an exported frame to that of the project's frame.
+
+    They stand at different places of one map if the recording was added with another origin before.
+
+    Args:
+        T_world_there: where the dataset says that its camera (or other frame of reference) is; None if it does not.
+        read: reads the project's frame.
+
+    Returns:
+        None if the dataset or the project does not know the place: then both are taken as one.
+    """
+    T_world_here = None if T_world_there is None else read().T_world_camera
+    return None if T_world_there is None or T_world_here is None else T_world_here.inv() * T_world_there
+
+
 def transformed(truths: Sequence[Truth], T: RigidTransform | None) -> list[Truth]:
     """Returns the objects with their boxes transformed; None: as they are."""
-    return list(truths) if T is None else [replace(truth, box=truth.box.transformed(T)) for truth in truths]
+    if T is None:
+        return list(truths)
+    return [
+        replace(truth, box=truth.box.transformed(T), said=tuple(said.transformed(T) for said in truth.said))
+        for truth in truths
+    ]
 
 
 def with_confidences(truths: Sequence[Truth], scores: ScoreRange | None) -> list[Truth]:

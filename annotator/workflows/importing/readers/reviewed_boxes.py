@@ -7,13 +7,20 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from scipy.spatial.transform import RigidTransform
+
 from annotator.formats.attributes import Values
 from annotator.formats.openlabel import OpenLabelBox, OpenLabelFrame, read_openlabel
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED
 from annotator.types import Frame, Label, ReviewState, Truth
 from annotator.workflows.importing.label_set import LeftOut, ScoreRange
-from annotator.workflows.importing.readers.placed_boxes import lost_scores, with_confidences
+from annotator.workflows.importing.readers.placed_boxes import (
+    lost_scores,
+    moved_in_world,
+    transformed,
+    with_confidences,
+)
 
 
 @dataclass(frozen=True)
@@ -23,6 +30,7 @@ class RcvLabels:
     path: Path
     labels: dict[str, tuple[Label, ...]]
     values: Mapping[str, Values] = field(default_factory=dict)
+    poses: Mapping[str, RigidTransform | None] = field(default_factory=dict)
 
     @property
     def frames(self) -> Sequence[str]:
@@ -32,7 +40,7 @@ class RcvLabels:
         return [each.attributes for each in self.labels[name]]
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return [_truth(label) for label in self.labels[name] if label.state in REVIEWED]
+        return self._truths(name, [label for label in self.labels[name] if label.state in REVIEWED], lambda: frame)
 
     def values_of(self, name: str) -> Values:
         return self.values.get(name, {})
@@ -51,7 +59,11 @@ class RcvLabels:
         return [each.label for each in self.labels[name] if each.state is not ReviewState.REJECTED]
 
     def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        return [_truth(label) for label in self.labels[name] if label.state is not ReviewState.REJECTED]
+        labels = [label for label in self.labels[name] if label.state is not ReviewState.REJECTED]
+        return self._truths(name, labels, read)
+
+    def _truths(self, name: str, labels: Sequence[Label], read: Callable[[], Frame]) -> list[Truth]:
+        return transformed([_truth(label) for label in labels], moved_in_world(self.poses.get(name), read))
 
 
 def _truth(label: Label) -> Truth:
@@ -73,8 +85,9 @@ def rcv_labels(path: Path) -> RcvLabels:
     """
     dataset = read_rcv(path)
     frames = [dataset.named_labels(i) for i in range(len(dataset))]
-    values = {name: values for name, _, values in frames}
-    return RcvLabels(path, {name: labels for name, labels, _ in frames}, values)
+    values = {name: values for name, _, values, _ in frames}
+    poses = {name: pose for name, *_, pose in frames}
+    return RcvLabels(path, {name: labels for name, labels, *_ in frames}, values, poses)
 
 
 @dataclass(frozen=True)
@@ -110,19 +123,21 @@ class OpenLabelLabels:
         return [each for each in self.by_frame[name].boxes if each.state is not ReviewState.REJECTED]
 
     def _truths(self, name: str, boxes: Sequence[OpenLabelBox], read: Callable[[], Frame]) -> list[Truth]:
-        T = None if self.by_frame[name].of_camera else read().T_camera_label
-        return [
+        own = self.by_frame[name]
+        T = moved_in_world(own.T_world_sensor, read) if own.of_camera else read().T_camera_label
+        truths = [
             Truth(
                 each.label,
-                each.box if T is None else each.box.transformed(T),
+                each.box,
                 each.track_id,
                 each.score,
                 box_kind=each.box_kind,
                 attributes=each.attributes,
-                said=each.said if T is None else tuple(one.transformed(T) for one in each.said),
+                said=each.said,
             )
             for each in boxes
         ]
+        return transformed(truths, T)
 
     def values_of(self, name: str) -> Values:
         return self.by_frame[name].attributes

@@ -1,0 +1,91 @@
+"""Where the virtual camera of a recording of clouds stands: at the LiDAR, or where the points of map coordinates are.
+
+Clouds without a camera are usually in the sensor's own coordinates. If the middle of a cloud is farther from (0, 0, 0)
+than the points of a scan are from their sensor, its coordinates are those of a map or of a local grid, and 32-bit
+floats cannot hold them. Then the *origin* of the recording is the middle of its first readable cloud, in whole metres.
+It is one for all frames, so that what stands still does so in all of them, and it is stored with the recording
+(`ReaderOptions.origin`), so that frames stay the same when the first file is gone.
+
+The virtual camera stands at the origin. A frame farther away than `STEP_M` (a vehicle that drives on) has its camera
+whole steps from the origin: the points stay near the camera, which moves in few frames instead of a little in each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import islice
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform
+
+from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.options import Place
+from annotator.types.errors import FrameError
+
+# A LiDAR may see farther, but the middle of what it sees is nearer.
+FARTHEST_MIDDLE_M = 500.0
+STEP_M = 100.0
+# 32-bit floats of coordinates within this distance of the camera are exact to 0.1 mm.
+MOST_POINTS = 10_000
+# If this many frames at the beginning are unreadable, the others are not tried.
+FRAMES_TRIED = 5
+NOWHERE = np.zeros(3)
+
+
+class Origin:
+    """The origin of one recording.
+
+    Args:
+        given: the option `origin`, x y z in the clouds' coordinates; None: the first readable cloud decides.
+        clouds: reads the recording's clouds in order; FrameError and ValueError = one is damaged, which its own frame
+            tells.
+    """
+
+    def __init__(self, given: Place | None, clouds: Callable[[], Iterable[Callable[[], RawCloud]]]) -> None:
+        self._given, self._clouds = given, clouds
+        self._found: Float64[np.ndarray, "3"] | None = None if given is None else np.array(given)
+
+    @property
+    def xyz_m(self) -> Float64[np.ndarray, "3"]:
+        """The origin; zeros in the sensor's own coordinates. Without the option, it reads a cloud."""
+        if self._found is None:
+            self._found = next((_far_middle(cloud) for cloud in self._readable()), NOWHERE)
+        return self._found
+
+    def of(self, raw: RawCloud) -> Float64[np.ndarray, "3"]:
+        """Returns the place of a frame's virtual camera, in the clouds' coordinates."""
+        middle = _middle(raw)
+        if self._given is None and not is_far(middle):
+            return NOWHERE
+        away = middle - self.xyz_m
+        reach = STEP_M if self.xyz_m.any() else FARTHEST_MIDDLE_M
+        return self.xyz_m if np.linalg.norm(away) <= reach else self.xyz_m + STEP_M * np.round(away / STEP_M)
+
+    def _readable(self) -> Iterable[RawCloud]:
+        for read in islice(self._clouds(), FRAMES_TRIED):
+            try:
+                yield read()
+            except (FrameError, ValueError):
+                continue
+
+
+def world_pose(T_camera_cloud: RigidTransform) -> RigidTransform | None:
+    """Returns the pose of a real camera in the clouds' coordinates if these are those of a map, else None."""
+    T_cloud_camera = T_camera_cloud.inv()
+    return T_cloud_camera if is_far(T_cloud_camera.translation) else None
+
+
+def is_far(xyz_m: Float64[np.ndarray, "3"]) -> bool:
+    """True if a camera or the middle of a cloud is at a place that no coordinates of a sensor have."""
+    return bool(np.linalg.norm(xyz_m) > FARTHEST_MIDDLE_M)
+
+
+def _middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:
+    """Returns the median of a cloud's points (of every n-th one, if they are many)."""
+    return np.asarray(np.median(raw.xyz_m[:: len(raw.xyz_m) // MOST_POINTS + 1], axis=0))
+
+
+def _far_middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:
+    middle = _middle(raw)
+    return np.floor(middle) if is_far(middle) else NOWHERE
