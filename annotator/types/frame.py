@@ -31,6 +31,7 @@ class Frame:
         timestamp_ns: capture time; None if unknown.
         T_camera_recorded: from the camera frame as the recording's files give it, to the corrected one; None if the
             project does not correct the calibration.
+        exif_orientation: of the image file if `rgb` has its pixels as stored, not as viewers show them; else 1.
     """
 
     key: str
@@ -43,6 +44,7 @@ class Frame:
     T_camera_label: RigidTransform | None = None
     timestamp_ns: int | None = None
     T_camera_recorded: RigidTransform | None = None
+    exif_orientation: int = 1
 
     def __post_init__(self) -> None:
         size = (self.camera.height_px, self.camera.width_px)

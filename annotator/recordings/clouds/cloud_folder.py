@@ -25,6 +25,7 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
+from annotator.exif import UPRIGHT, Size
 from annotator.files import read_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
@@ -33,7 +34,7 @@ from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.frame_times import Times, read_times
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
@@ -121,7 +122,7 @@ class CloudFolder(KeyedFrames):
         """
         key = self.key(i)
         cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
-        raw = read_cloud(cloud_path, self.scans)
+        raw, exif_orientation = read_cloud(cloud_path, self.scans), UPRIGHT
         if self.images is None:
             source = self._cloud_camera(key, None) or _level_camera(self.path, raw)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
@@ -131,7 +132,8 @@ class CloudFolder(KeyedFrames):
             rgb = virtual_image(source.camera, cloud)
         else:
             image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
-            rgb = read_rgb(image_path)
+            image = read_color_image(image_path, self._image_size(key))
+            rgb, exif_orientation = image.rgb, image.exif_orientation
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
             cloud = cloud_in_image(source.camera, source.to_camera(raw), rgb)
             if len(cloud) == 0:
@@ -149,6 +151,7 @@ class CloudFolder(KeyedFrames):
             up=source.up,
             T_camera_label=source.T_camera_cloud,
             timestamp_ns=None if self.times_ns is None else self.times_ns[i],
+            exif_orientation=exif_orientation,
         )
 
     def scan(self, i: int) -> Scan:
@@ -171,6 +174,11 @@ class CloudFolder(KeyedFrames):
             source.up is not None,
             None if self.times_ns is None else self.times_ns[i],
         )
+
+    def _image_size(self, key: str) -> Size | None:
+        """Returns the size that the calibration says; None for KITTI's, which does not."""
+        source = self._cloud_camera(key, None)
+        return None if source is None or source.kitti else (source.camera.width_px, source.camera.height_px)
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""

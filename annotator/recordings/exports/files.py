@@ -11,7 +11,7 @@ from jaxtyping import Float64, UInt8
 
 from annotator.files import is_within, read_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 
@@ -51,13 +51,22 @@ def exported_frame(
         FrameError: a file is missing, broken, outside the dataset, or the image has another size than the camera.
     """
     image, cloud = (_inside(folder, name) for name in files)
-    rgb = read_rgb(image)
-    _check_size(image, rgb, camera)
+    picture = read_color_image(image, (camera.width_px, camera.height_px))
+    _check_size(image, picture.rgb, camera)
     if cloud.suffix.lower() not in CLOUD_SUFFIXES:
         raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
     raw = read_cloud(cloud)
     points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
-    return Frame(key, index, camera, rgb, points, up=up, timestamp_ns=timestamp_ns)
+    return Frame(
+        key,
+        index,
+        camera,
+        picture.rgb,
+        points,
+        up=up,
+        timestamp_ns=timestamp_ns,
+        exif_orientation=picture.exif_orientation,
+    )
 
 
 def _inside(folder: Path, name: str) -> Path:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.geometry.transforms import FORWARD
 from annotator.nuscenes_tables import TableError, pose
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti.frame import visible_cloud
 from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
 from annotator.recordings.nuscenes.scenes import SceneData, Shot, read_scene, scene_names, table_folders
@@ -109,7 +109,8 @@ class NuScenes(KeyedFrames):
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
         image, scan = self.moments[i]
-        rgb = read_rgb(self.root / image.file)
+        picture = read_color_image(self.root / image.file, (image.width_px, image.height_px))
+        rgb = picture.rgb
         camera = _camera(self.root / image.file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
         points = read_scan(self.root / scan.file)
@@ -122,7 +123,8 @@ class NuScenes(KeyedFrames):
                 "check the poses of both in calibrated_sensor.json and ego_pose.json",
             )
         up = T_camera_global.rotation.apply(GLOBAL_UP)
-        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_global, image.time_us * 1000)
+        exif = picture.exif_orientation
+        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_global, image.time_us * 1000, exif_orientation=exif)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole scan of frame `i`, ahead being where the camera looks; without one, where the vehicle does.
