@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from scipy.spatial.transform import RigidTransform
 
+from annotator.geometry.depth_values import measured
 from annotator.types import Box2D, Camera
 from annotator.types.errors import ArgumentError
 
@@ -130,12 +131,14 @@ def depth_of(depth: Any, depth_scale: float | None, image_shape: Sequence[int]) 
         raise ArgumentError(f"depth has the type {values.dtype}; pass floats in metres, or whole millimetres")
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise ArgumentError(f"depth_scale must be positive (units per metre), not {depth_scale}")
-    usable = np.isfinite(values) & (values != 0)
+    with np.errstate(invalid="ignore"):
+        lowest = values.min(where=np.isfinite(values), initial=0)
+    if lowest < 0:
+        raise ArgumentError(f"depth has negative values (down to {lowest:g}); z points away from the camera")
+    usable = measured(values)
     if not usable.any():
-        raise ArgumentError("no pixel has a depth: all are 0, NaN or infinite")
+        raise ArgumentError("no pixel has a depth: all are 0, NaN, infinite, or the highest of 16 bits")
     known = values[usable]
-    if known.min() < 0:
-        raise ArgumentError(f"depth has negative values (down to {known.min():g}); z points away from the camera")
     if depth_scale is None:
         depth_scale = _guessed_scale(known)
     metres = np.zeros(values.shape, np.float32)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import read_text_file
+from annotator.geometry.depth_values import in_metres
 from annotator.geometry.projection import resized
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.recordings.rotated_depth import decode_depth, looks_rotated
@@ -167,7 +168,7 @@ def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera)
             "depth has its bits rotated by three",
             f'write "depth_encoding": "sunrgbd" (or "plain" to read it as it is) into {camera.path.name}',
         )
-    return np.divide(raw, np.float32(camera.depth_scale), dtype=np.float32)
+    return in_metres(raw, camera.depth_scale)
 
 
 def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:

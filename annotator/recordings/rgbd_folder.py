@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
 from annotator.files import open_file
 from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
-from annotator.recordings.image_file import read_depth, read_rgb
+from annotator.recordings.image_file import ColorImage, read_color_image, read_depth
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import (
@@ -74,16 +74,17 @@ class RgbdFolder(KeyedFrames):
         """
         key, (color_path, depth_path) = self.key(i), self.files(i)
         color = read_camera(camera_file(self.path))
-        rgb, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
+        image, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
         return Frame(
             key=key,
             index=i,
             camera=color.camera,
-            rgb=rgb,
+            rgb=image.rgb,
             cloud=cloud,
             depth_m=depth_m,
             up=read_up(self.path / "gravity.json"),
             timestamp_ns=None if self.times_ns is None else self.times_ns[i],
+            exif_orientation=image.exif_orientation,
         )
 
     @property
@@ -126,7 +127,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
 
 def read_images(
     folder: Path, color_path: Path, depth_path: Path, color: RgbdCamera
-) -> tuple[UInt8[np.ndarray, "h w 3"], PointCloud, Float32[np.ndarray, "h w"]]:
+) -> tuple[ColorImage, PointCloud, Float32[np.ndarray, "h w"]]:
     """Reads a colour and a depth image of a folder.
 
     Returns:
@@ -136,7 +137,8 @@ def read_images(
     Raises:
         FrameError: a missing or broken file, different sizes, or no depth in the image.
     """
-    rgb = read_rgb(color_path)
+    image = read_color_image(color_path, color.size, has_depth=True)
+    rgb = image.rgb
     _check_size(color_path, rgb, color, "make images and camera the same size")
     raw = read_depth(depth_path)
     depth = read_depth_camera(folder, color, depth_path, (raw.shape[1], raw.shape[0]))
@@ -153,7 +155,7 @@ def read_images(
         problem = f"no pixel with a depth lies in the colour image, so the cloud is empty (by {depth.path.name})"
     if len(cloud) == 0:
         raise FrameError(depth_path, problem, "record the frame again, or remove it")
-    return rgb, cloud, depth_m
+    return image, cloud, depth_m
 
 
 def _check_size(path: Path, image: np.ndarray, camera: RgbdCamera, remedy: str) -> None:

@@ -33,6 +33,7 @@ class Frame:
             project does not correct the calibration.
         T_world_camera: pose of the camera in the map coordinates of the recording's clouds; None if they have none, or
             no reader knows it.
+        exif_orientation: of the image file if `rgb` has its pixels as stored, not as viewers show them; else 1.
     """
 
     key: str
@@ -46,6 +47,7 @@ class Frame:
     timestamp_ns: int | None = None
     T_camera_recorded: RigidTransform | None = None
     T_world_camera: RigidTransform | None = None
+    exif_orientation: int = 1
 
     def __post_init__(self) -> None:
         size = (self.camera.height_px, self.camera.width_px)

@@ -26,6 +26,7 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
+from annotator.exif import UPRIGHT, Size
 from annotator.file_names import normal, spelled
 from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
@@ -36,7 +37,7 @@ from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.origin import Origin, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.frame_times import Times, read_times
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
@@ -133,7 +134,7 @@ class CloudFolder(KeyedFrames):
         """
         key = self.key(i)
         cloud_path, *images = self.files(i)
-        raw = read_cloud(cloud_path, self.scans)
+        raw, exif_orientation = read_cloud(cloud_path, self.scans), UPRIGHT
         if not images:
             source = self._camera(key, raw)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
@@ -142,7 +143,8 @@ class CloudFolder(KeyedFrames):
             cloud = source.to_camera(raw)
             rgb = virtual_image(source.camera, cloud)
         else:
-            rgb = read_rgb(images[0])
+            image = read_color_image(images[0], self._image_size(key))
+            rgb, exif_orientation = image.rgb, image.exif_orientation
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
             cloud = cloud_in_image(source.camera, source.to_camera(raw), rgb)
             if len(cloud) == 0:
@@ -161,6 +163,7 @@ class CloudFolder(KeyedFrames):
             T_camera_label=source.T_camera_cloud,
             timestamp_ns=None if self.times_ns is None else self.times_ns[i],
             T_world_camera=source.T_camera_cloud.inv() if source.in_world else None,
+            exif_orientation=exif_orientation,
         )
 
     def scan(self, i: int) -> Scan:
@@ -206,6 +209,11 @@ class CloudFolder(KeyedFrames):
         place_m = self._origin.of(raw)
         T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
         return CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
+
+    def _image_size(self, key: str) -> Size | None:
+        """Returns the size that the calibration says; None for KITTI's, which does not."""
+        source = self._cloud_camera(key, None)
+        return None if source is None or source.kitti else (source.camera.width_px, source.camera.height_px)
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""

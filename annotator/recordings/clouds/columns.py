@@ -3,33 +3,40 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
 from annotator.frame_limits import memory_problem
-from annotator.text import to_number
+from annotator.recordings.clouds.colors import point_colors, split_colors
 from annotator.recordings.plausible import are_returns
+from annotator.text import to_number
 from annotator.types.errors import FrameError
 
 CLOUD_REMEDY = "save the cloud again, or remove the frame"
 NO_RETURN = "every point is NaN or infinite, or (0, 0, 0), which means no return"
-COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-PACKED_NAMES = ("rgb", "rgba")
 REFLECTANCE_NAMES = ("reflectance", "intensity", "scalar_intensity", "scalar_reflectance", "i")
 # Maximum of reflectance values: fractions, 8 bits or 16 bits.
 REFLECTANCE_SCALES = (1.0, 255.0, 65535.0)
+# Share of the points that may be at the limit of one coordinate's type.
+MOST_SATURATED = 0.01
 # Longest number in a text file, characters.
 LONGEST_NUMBER = 400
 
 
 LINE = re.compile(rb"[^\r\n]+")
+HEXADECIMAL = re.compile(rb"(?:0[xX]|#)[0-9a-fA-F]{1,8}")
+# Windows writes -1.#IND or nan(ind), rounded also 1.#R; infinity (1.#INF) is no measurement either.
+NOT_A_NUMBER = re.compile(rb"[-+]?(?:1\.#\w+|nan\(\w*\))", re.IGNORECASE)
 # Values of text that are parsed together.
 VALUES_AT_ONCE = 1 << 17
+
+
+Scales = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,19 +47,31 @@ class RawCloud:
         xyz_m: (n, 3), n > 0, finite.
         rgb: colours, or None.
         reflectance: 0..1, or None.
-        scale: the value that became 1, if only the values told; None = the file says it, or no reflectance.
+        scale: the reflectance that became 1, if only the values told; None = the file says it, or no reflectance.
+        color_scale: the same for colours: the value that became 255.
     """
 
     xyz_m: Float64[np.ndarray, "n 3"]
     rgb: UInt8[np.ndarray, "n 3"] | None = None
     reflectance: Float32[np.ndarray, "n"] | None = None
     scale: float | None = None
+    color_scale: float | None = None
 
-    def with_scale(self, least: float) -> RawCloud:
-        """Returns the cloud with at least this scale of reflectance."""
-        if self.reflectance is None or self.scale is None or self.scale >= least:
-            return self
-        return replace(self, reflectance=self.reflectance * np.float32(self.scale / least), scale=least)
+    @property
+    def scales(self) -> Scales:
+        """Both scales; 0 = said by the file, or not there."""
+        return self.scale or 0.0, self.color_scale or 0.0
+
+    def with_scales(self, least: Scales) -> RawCloud:
+        """Returns the cloud with at least these scales of reflectance and colours."""
+        cloud = self
+        if self.reflectance is not None and self.scale is not None and self.scale < least[0]:
+            share = np.float32(self.scale / least[0])
+            cloud = replace(cloud, reflectance=self.reflectance * share, scale=least[0])
+        if self.rgb is not None and self.color_scale is not None and self.color_scale < least[1]:
+            rgb = np.rint(self.rgb * (self.color_scale / least[1])).astype(np.uint8)
+            cloud = replace(cloud, rgb=rgb, color_scale=least[1])
+        return cloud
 
 
 def require_points(path: Path, points: int, *, more_bytes: int = 0) -> None:
@@ -78,34 +97,61 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
         raise FrameError(path, f"has no column {' '.join(missing)} (its columns: {present})", CLOUD_REMEDY)
     require_points(path, len(columns["x"]))
     xyz_m = np.stack([_real(columns[name]) for name in "xyz"], axis=1)
-    valid = are_returns(xyz_m)
+    valid = are_returns(xyz_m) & ~at_limits(path, [columns[name] for name in "xyz"])
     if not valid.any():
         problem = NO_RETURN if len(valid) else "has no points"
         raise FrameError(path, problem, CLOUD_REMEDY)
-    rgb, (reflectance, scale) = _colors(columns), _reflectance(columns)
+    colors, (reflectance, scale) = point_colors(columns), _reflectance(columns)
+    rgb, color_scale = (None, None) if colors is None else colors
     return RawCloud(
         xyz_m[valid],
         rgb=None if rgb is None else rgb[valid],
         reflectance=None if reflectance is None else reflectance[valid],
         scale=scale,
+        color_scale=color_scale,
     )
 
 
-def fractions(values: Float[np.ndarray, "n"]) -> tuple[Float32[np.ndarray, "n"], float]:
-    """Returns reflectances as 0..1, and their scale: of the usual ones, the first that holds all of them."""
+def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
+    """Returns which points are no measurements: a coordinate, as it is stored, is at a limit of its type.
+
+    Raises:
+        FrameError: they are all points, or many along one axis only: what was measured did not fit the type.
+    """
+    stored = [_at_limit(values) for values in xyz]
+    # all three: what NaN became, or a driver's "no return"
+    some, every = np.any(stored, axis=0), np.all(stored, axis=0)
+    for name, values, limited in zip("xyz", xyz, stored, strict=True):
+        single = np.count_nonzero(limited & ~every)
+        if single > MOST_SATURATED * len(some) or (len(some) and every.all()):
+            problem = (
+                f"{name} is at the limit of {values.dtype.name} in {np.count_nonzero(limited)} of {len(some)} points"
+            )
+            remedy = "save it with an offset near the points, or in larger steps"
+            raise FrameError(path, f"its coordinates are saturated: {problem}", remedy)
+    return some
+
+
+def _at_limit(values: np.ndarray) -> Bool[np.ndarray, "n"]:
+    """Bytes use their whole range, and the limits of longer floats are beyond `LARGEST`."""
+    dtype = values.dtype
+    if dtype != np.float16 and (dtype.kind not in "iu" or dtype.itemsize == 1):
+        return np.zeros(len(values), bool)
+    limits = np.finfo(np.float16) if dtype.kind == "f" else np.iinfo(dtype)
+    highest = values == limits.max
+    return highest if dtype.kind == "u" else highest | (values == limits.min)
+
+
+def fractions(values: Float[np.ndarray, "n"]) -> tuple[Float32[np.ndarray, "n"] | None, float | None]:
+    """Returns reflectances as 0..1, and their scale: of the usual ones, the first that holds all of them.
+
+    None if all are the highest number of 8 or 16 bits, which says nothing: they are a filling, or saturated.
+    """
     highest = float(values.max(initial=0.0))
+    if len(values) > 1 and highest in REFLECTANCE_SCALES[1:] and float(values.min()) == highest:
+        return None, None
     scale = next((scale for scale in REFLECTANCE_SCALES if highest <= scale), highest)
     return np.clip(values.astype(np.float64) / scale, 0, 1).astype(np.float32), scale
-
-
-def _colors(columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "n 3"] | None:
-    for names in COLOR_NAMES:
-        if all(name in columns for name in names):
-            return eight_bits(np.stack([columns[name] for name in names], axis=1))
-    for name in PACKED_NAMES:
-        if name in columns:
-            return _unpack(columns[name])
-    return None
 
 
 def _real(values: np.ndarray) -> np.ndarray:
@@ -114,43 +160,33 @@ def _real(values: np.ndarray) -> np.ndarray:
         return values.astype(np.float64)
 
 
-def eight_bits(values: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
-    """Returns colours as bytes: floats up to 1 are fractions; 16-bit numbers lose their lower byte."""
-    if values.dtype == np.uint8:
-        return values
-    if values.dtype == np.uint16:
-        return (values >> 8).astype(np.uint8)
-    levels = np.nan_to_num(_real(values), nan=0.0)
-    if values.dtype.kind == "f" and levels.max(initial=0.0) <= 1:
-        levels = levels * 255
-    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
-
-
-def _unpack(packed: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
-    """Returns the colours of PCD files: 0x00RRGGBB as an integer, or as the float with these bits."""
-    with np.errstate(all="ignore"):
-        bits = packed.astype(np.float32).view(np.uint32) if packed.dtype.kind == "f" else packed.astype(np.uint32)
-    return np.stack([bits >> shift & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
-
-
 def _reflectance(columns: Mapping[str, np.ndarray]) -> tuple[Float32[np.ndarray, "n"] | None, float | None]:
     """Returns reflectances and their scale, if the values tell it."""
     name = next((name for name in REFLECTANCE_NAMES if name in columns), None)
     if name is None:
         return None, None
     values = np.nan_to_num(_real(columns[name]), nan=0.0, posinf=0.0, neginf=0.0)
-    if columns[name].dtype in (np.uint8, np.uint16):
-        return np.asarray(values / np.iinfo(columns[name].dtype).max).astype(np.float32), None
-    return fractions(values)
+    found, scale = fractions(values)
+    if found is not None and columns[name].dtype == np.uint8:
+        return np.asarray(values / REFLECTANCE_SCALES[1]).astype(np.float32), None
+    return found, scale
 
 
-def text_columns(path: Path, body: bytes, count: int, names: tuple[str, ...], first_line: int) -> dict[str, np.ndarray]:
+def text_columns(
+    path: Path,
+    body: bytes,
+    count: int,
+    names: tuple[str, ...],
+    first_line: int,
+    pick: Callable[[list[bytes]], list[bytes]] | None = None,
+) -> dict[str, np.ndarray]:
     """Parses columns stored as text, one row per line.
 
     Args:
         body: the text; anything after the rows is ignored.
         count: the number of rows.
         first_line: line number of the body's first line in the file, for messages.
+        pick: returns the values of `names` among those of a line; None = they are its first.
 
     Raises:
         FrameError: too few rows, or a value that is missing or not a number.
@@ -160,32 +196,66 @@ def text_columns(path: Path, body: bytes, count: int, names: tuple[str, ...], fi
         raise FrameError(path, f"declares {count} points, too many for its {len(body)} bytes", CLOUD_REMEDY)
     require_points(path, count, more_bytes=count * len(names) * 8)
     table = np.empty((count, len(names)))
-    rows, filled, at_once = _text_rows(path, body, names, first_line), 0, max(VALUES_AT_ONCE // len(names), 1)
+    rows, filled, at_once = _text_rows(path, body, names, first_line, pick), 0, max(VALUES_AT_ONCE // len(names), 1)
     while part := list(islice(rows, min(at_once, count - filled))):
-        try:
-            table[filled : filled + len(part)] = np.array(part).astype(np.float64)
-        except ValueError as error:
-            raise FrameError(path, _not_a_number(part), CLOUD_REMEDY) from error
+        table[filled : filled + len(part)] = _numbers(path, np.array(part), filled)
         filled += len(part)
     if filled < count:
         raise FrameError(path, f"declares {count} points but has {filled}", CLOUD_REMEDY)
     return {name: table[:, column] for column, name in enumerate(names)}
 
 
-def _not_a_number(rows: list[list[bytes]]) -> str:
-    """Says which value is no number."""
-    for value in chain.from_iterable(rows):
-        try:
-            to_number(value.decode("latin-1"))
-        except ValueError as error:
-            return str(error)
-    return "a value is not a number"
+def _numbers(path: Path, texts: np.ndarray, above: int) -> Float64[np.ndarray, "n c"]:
+    """Returns the numbers of a table of texts that has `above` rows before it."""
+    try:
+        return np.asarray(texts.astype(np.float64))
+    except ValueError:
+        return np.array([[_number(path, text, row) for text in texts_of] for row, texts_of in enumerate(texts, above)])
 
 
-def _text_rows(path: Path, body: bytes, names: tuple[str, ...], first_line: int) -> Iterator[list[bytes]]:
+def _number(path: Path, text: bytes, row: int) -> float:
+    """Returns a number as programs write it: decimal, hexadecimal (colours), or one of the names of NaN."""
+    if HEXADECIMAL.fullmatch(text):
+        return float(int(text.lstrip(b"#"), 16))
+    if NOT_A_NUMBER.fullmatch(text):
+        return np.nan
+    try:
+        return to_number(text.decode("utf-8", "replace"))
+    except ValueError as error:
+        raise FrameError(path, f"point {row + 1}: {error}", CLOUD_REMEDY) from None
+
+
+def typed(values: Float64[np.ndarray, "n"], dtype: np.dtype) -> np.ndarray:
+    """Returns a column of text in the type that its header declares; as it is if its values do not fit the type.
+
+    Floats stay doubles: whole numbers beyond 24 bits (packed colours) would lose digits.
+    """
+    if dtype.kind == "f":
+        return values
+    known = values[np.isfinite(values)]
+    limits = np.iinfo(dtype)
+    if len(known) < len(values) or not (np.rint(values) == values).all():
+        return values
+    # other writers put the bits of unsigned numbers into signed types, or the numbers themselves
+    if dtype.kind == "i" and known.max(initial=0) > limits.max and known.min(initial=0) >= 0:
+        dtype = np.dtype(f"u{dtype.itemsize}")
+        limits = np.iinfo(dtype)
+    fits = known.min(initial=0) >= limits.min and known.max(initial=0) <= limits.max
+    return values.astype(dtype) if fits else values
+
+
+def _text_rows(
+    path: Path,
+    body: bytes,
+    names: tuple[str, ...],
+    first_line: int,
+    pick: Callable[[list[bytes]], list[bytes]] | None,
+) -> Iterator[list[bytes]]:
     """Yields the values of each line that is not blank."""
     for line in LINE.finditer(body):
         values = line[0].split()
+        if pick is not None and values:
+            values = pick(values) or [b""]
         problem = ""
         if values and len(values) < len(names):
             problem = f"has {len(values)} values instead of {len(names)}"
@@ -212,6 +282,15 @@ def binary_columns(path: Path, data: bytes, offset: int, count: int, dtype: np.d
             f"declares {count} points of {dtype.itemsize} bytes, but only {present} bytes of points follow",
             CLOUD_REMEDY,
         )
-    rows = np.frombuffer(data, dtype, count, offset)
-    # fields with several values per point (a normal, a histogram) are not needed
-    return {name: rows[name] for name in dtype.names or () if rows[name].ndim == 1}
+    return field_columns(np.frombuffer(data, dtype, count, offset))
+
+
+def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Returns the fields of a table by their names in lower case; of those with several values, only colours."""
+    columns: dict[str, np.ndarray] = {}
+    for name in rows.dtype.names or ():
+        if rows[name].ndim == 1 and rows[name].dtype.kind in "fiu":
+            columns[name.lower()] = rows[name]
+        elif rows[name].ndim == 2:
+            columns |= split_colors(name.lower(), rows[name])
+    return columns

@@ -1,6 +1,6 @@
-"""One scale of reflectance for all scans of a recording.
+"""One scale of reflectance, and one of colours, for all scans of a recording.
 
-Many files do not say whether reflectances are fractions, 8 or 16 bits, and a dark scan looks like one of a smaller
+Many files do not say whether their values are fractions, 8 or 16 bits, and a dark scan looks like one of a smaller
 scale. The first scans of a recording decide for all.
 """
 
@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
-from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.columns import RawCloud, Scales
 from annotator.types.errors import FrameError
 
 FIRST = 3
@@ -23,25 +23,25 @@ class CommonScale:
     """The scales of the places from which scans come: folders, topics."""
 
     def __init__(self) -> None:
-        self._found: dict[Hashable, float] = {}
+        self._found: dict[Hashable, Scales] = {}
 
     def apply(
         self, place: Hashable, raw: RawCloud, scans: Callable[[], Iterable[Source]], read: Callable[[Source], RawCloud]
     ) -> RawCloud:
-        """Returns a scan with the scale of its place, or its own, if its values are larger.
+        """Returns a scan with the scales of its place, or its own, if its values are larger.
 
         Args:
             scans: returns the scans of the place, in a fixed order.
             read: reads one of them; ValueError and FrameError = it is damaged, which its own frame tells.
         """
-        if raw.scale is None:
+        if not any(raw.scales):
             return raw
         if place not in self._found:
-            scales = [scale for scan in islice(scans(), FIRST) if (scale := _scale_of(read, scan)) is not None]
+            scales = [found for scan in islice(scans(), FIRST) if any(found := _scales_of(read, scan))]
             if not scales:
                 return raw
-            self._found[place] = max(scales)
-        return raw.with_scale(self._found[place])
+            self._found[place] = (max(each for each, _ in scales), max(each for _, each in scales))
+        return raw.with_scales(self._found[place])
 
 
 def files_like(path: Path) -> list[Path]:
@@ -49,8 +49,8 @@ def files_like(path: Path) -> list[Path]:
     return sorted(file for file in path.parent.iterdir() if file.suffix.lower() == path.suffix.lower())
 
 
-def _scale_of(read: Callable[[Source], RawCloud], scan: Source) -> float | None:
+def _scales_of(read: Callable[[Source], RawCloud], scan: Source) -> Scales:
     try:
-        return read(scan).scale
+        return read(scan).scales
     except (FrameError, ValueError):
-        return None
+        return 0.0, 0.0

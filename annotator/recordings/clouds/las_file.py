@@ -1,7 +1,7 @@
 """LAS and LAZ point clouds, through laspy and lazrs (the extra `las`).
 
 Format: ASPRS, "LAS Specification 1.4", R15. Coordinates are integers with a scale and an offset, usually map
-coordinates in metres (`cloud_folder` moves the origin). Intensity and colours have 16 bits; some writers use only 8.
+coordinates in metres (`cloud_folder` moves the origin). Intensity and colours have 16 bits; some writers use fewer.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, from_columns, require_points
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, at_limits, from_columns, require_points
 from annotator.recordings.clouds.laz_check import LazLayout, laz_problem
 from annotator.recordings.clouds.laz_process import decode_laz
 from annotator.types.errors import FrameError, MissingExtraError
@@ -111,32 +111,20 @@ def _columns(path: Path, reader: laspy.LasReader) -> dict[str, np.ndarray]:
     columns = {name: np.empty(count) for name in "xyz"}
     bits = [name for name in ("intensity", "red", "green", "blue") if name in names]
     columns |= {name: np.empty(count, np.uint16) for name in bits}
+    stored = {name: np.empty(count, np.int32) for name in "XYZ"}
     kept = np.ones(count, bool)
     for first in range(0, count, POINTS_AT_ONCE):
         points = reader.read_points(POINTS_AT_ONCE)
         if len(points) != min(POINTS_AT_ONCE, count - first):
             raise FrameError(path, f"declares {count} points but ends after {first + len(points)}", CLOUD_REMEDY)
         span = slice(first, first + len(points))
-        for name, values in columns.items():
+        for name, values in (columns | stored).items():
             # scale and offset of a damaged file may be any bits
             with np.errstate(all="ignore"):
                 values[span] = np.asarray(points[name])
         kept[span] = np.asarray(points["withheld"]) == 0
-    return {name: values[kept] for name, values in _used(columns).items()}
-
-
-def _used(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Returns the columns without all-zero ones; colours that use only 8 bits become 8-bit columns."""
-    colors = [name for name in ("red", "green", "blue") if name in columns]
-    highest = max((int(columns[name].max(initial=0)) for name in colors), default=0)
-    used = dict(columns)
-    for name in colors:
-        if highest == 0:
-            del used[name]
-        elif highest < 256:
-            used[name] = columns[name].astype(np.uint8)
-    # as floats, so that `from_columns` derives the scale from the highest value
-    intensity = used.pop("intensity")
-    if intensity.any():
-        used["intensity"] = intensity.astype(np.float32)
-    return used
+    kept &= ~at_limits(path, [*stored.values()])
+    # zeros throughout: not measured
+    colors = {"red", "green", "blue"} if not any(columns[name].any() for name in bits[1:]) else set()
+    unused = colors if columns["intensity"].any() else {*colors, "intensity"}
+    return {name: values[kept] for name, values in columns.items() if name not in unused}

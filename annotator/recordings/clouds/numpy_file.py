@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from annotator.files import ARCHIVE_ERRORS, open_archive
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, eight_bits, from_columns, require_points
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, field_columns, from_columns, require_points
 from annotator.types.errors import FrameError
 
 POINT_NAMES = ("points", "xyz", "xyz_m", "pc", "cloud", "arr_0")
@@ -117,8 +117,7 @@ def _columns(path: Path, array: np.ndarray) -> dict[str, np.ndarray]:
             raise FrameError(
                 path, f"its array of points has the shape {array.shape}", "save a one-dimensional array of rows"
             )
-        fields = {name.lower(): array[name] for name in array.dtype.names}
-        return {name: values for name, values in fields.items() if values.ndim == 1 and values.dtype.kind in "fiu"}
+        return field_columns(array)
     if array.ndim != 2 or array.shape[1] not in COLUMNS:
         raise FrameError(
             path,
@@ -134,7 +133,7 @@ def _columns(path: Path, array: np.ndarray) -> dict[str, np.ndarray]:
 def _color_columns(path: Path, colors: np.ndarray, points: int) -> dict[str, np.ndarray]:
     if colors.dtype.names is not None or colors.shape != (points, 3):
         raise FrameError(path, f"its colours have the shape {colors.shape}, for {points} points", "save n x 3 colours")
-    return dict(zip(("red", "green", "blue"), eight_bits(colors).T, strict=True))
+    return dict(zip(("red", "green", "blue"), colors.T, strict=True))
 
 
 def _first_names(names: dict[str, zipfile.ZipInfo]) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.recordings.clouds.colors import split_colors
 from annotator.recordings.clouds.columns import (
     CLOUD_REMEDY,
     RawCloud,
@@ -14,6 +15,7 @@ from annotator.recordings.clouds.columns import (
     from_columns,
     require_points,
     text_columns,
+    typed,
 )
 from annotator.recordings.clouds.lzf import MOST_EXPANSION, lzf_decompress
 from annotator.types.errors import FrameError
@@ -105,8 +107,7 @@ def _number(path: Path, keyword: str, text: str) -> int:
 def _text(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
     names = [name for name, _ in _flat(dtype)]
     table = text_columns(path, data[offset:], count, tuple(names), data[:offset].count(b"\n") + 1)
-    with np.errstate(invalid="ignore", over="ignore"):
-        return {name: table[name].astype(kind) for name, kind in _flat(dtype)}
+    return {name: typed(table[name], kind) for name, kind in _flat(dtype)}
 
 
 def _flat(dtype: np.dtype) -> list[tuple[str, np.dtype]]:
@@ -139,11 +140,13 @@ def _compressed(path: Path, data: bytes, offset: int, count: int, dtype: np.dtyp
         plain = lzf_decompress(content, unpacked)
     except ValueError as error:
         raise FrameError(path, f"its compressed points are damaged ({error})", CLOUD_REMEDY) from error
-    columns, at = {}, 0
+    columns, at = dict[str, np.ndarray](), 0
     for name in dtype.names or ():
         field = dtype[name]
         values = int(np.prod(field.shape))
         if values == 1:
             columns[name] = np.frombuffer(plain, field.base, count, at)
+        else:
+            columns |= split_colors(name, np.frombuffer(plain, field.base, count * values, at).reshape(count, values))
         at += count * field.itemsize
     return columns

@@ -9,10 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, binary_columns, from_columns, text_columns
+from annotator.recordings.clouds.columns import (
+    CLOUD_REMEDY,
+    RawCloud,
+    binary_columns,
+    from_columns,
+    text_columns,
+    typed,
+)
 from annotator.types.errors import FrameError
 
 LONGEST_HEADER = 1 << 16
+# Begins the name of the field with a list's length.
+LENGTH = "length of "
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 TYPES = {
     "char": "i1",
@@ -36,32 +45,54 @@ TYPES = {
 
 @dataclass
 class _Element:
-    """One element of the header; `properties` holds names and types, "" as the type of a list."""
+    """One element of the header.
+
+    Attributes:
+        properties: names and types; of a list, the type of its values.
+        lengths: types of the lists' lengths, by name.
+    """
 
     name: str
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)
+    lengths: dict[str, str] = field(default_factory=dict)
+
+    def pick(self, values: list[bytes]) -> list[bytes]:
+        """Returns the values of a line without its lists; fewer if the line is too short."""
+        picked, at = [], 0
+        for name, _ in self.properties:
+            if at >= len(values):
+                break
+            if name not in self.lengths:
+                picked.append(values[at])
+                at += 1
+            elif values[at].isdigit():
+                at += 1 + int(values[at])
+            else:
+                break
+        return picked
 
 
 def parse_ply(path: Path, data: bytes) -> RawCloud:
-    """Parses the vertices of a PLY file.
+    """Parses the vertices of a PLY file, without lists.
 
     Raises:
-        FrameError: a damaged header, fewer points than declared, or no valid point.
+        FrameError: a damaged header, fewer points than declared, no valid point, or, in a binary file, lists of
+            different lengths in or before the vertices.
     """
     order, elements, offset = _header(path, data)
     vertex = next((element for element in elements if element.name == "vertex"), None)
     if vertex is None:
         raise FrameError(path, "the PLY file has no vertices", CLOUD_REMEDY)
     before = elements[: elements.index(vertex)]
-    if any(kind == "" for element in (*before, vertex) for _, kind in element.properties):
-        raise FrameError(path, "the PLY file has lists in or before its vertices", "save it with the vertices first")
     if not vertex.properties:
         raise FrameError(path, "the PLY file's vertices have no properties", CLOUD_REMEDY)
     if order == "ascii":
         return _from_text(path, data, offset, before, vertex)
-    start = offset + sum(element.count * _dtype(path, element, order).itemsize for element in before)
-    return from_columns(path, binary_columns(path, data, start, vertex.count, _dtype(path, vertex, order)))
+    for element in before:
+        offset += element.count * _dtype(path, data, offset, element, ORDERS[order]).itemsize
+    dtype = _dtype(path, data, offset, vertex, ORDERS[order])
+    return from_columns(path, binary_columns(path, data, offset, vertex.count, dtype))
 
 
 def _from_text(path: Path, data: bytes, offset: int, before: list[_Element], vertex: _Element) -> RawCloud:
@@ -72,15 +103,13 @@ def _from_text(path: Path, data: bytes, offset: int, before: list[_Element], ver
             raise FrameError(path, "the PLY file ends before its vertices", CLOUD_REMEDY)
         last = next(islice(re.finditer(b"\n", body), skipped - 1, None))
         body = body[last.end() :]
-    names = tuple(name for name, _ in vertex.properties)
-    columns = text_columns(path, body, vertex.count, names, lines_above + skipped + 1)
-    # text has no types: without this, byte colours up to 1 would be read as fractions
-    typed = {name: _as_bytes(columns[name]) if kind == "u1" else columns[name] for name, kind in vertex.properties}
-    return from_columns(path, typed)
-
-
-def _as_bytes(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.nan_to_num(values), 0, 255).astype(np.uint8)
+    kinds = [(name, kind) for name, kind in vertex.properties if name not in vertex.lengths]
+    if not kinds:
+        raise FrameError(path, "the PLY file's vertices have only lists", CLOUD_REMEDY)
+    names = tuple(name for name, _ in kinds)
+    pick = vertex.pick if vertex.lengths else None
+    columns = text_columns(path, body, vertex.count, names, lines_above + skipped + 1, pick)
+    return from_columns(path, {name: typed(columns[name], np.dtype(kind)) for name, kind in kinds})
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
@@ -97,8 +126,9 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
                 order = name
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
                 elements.append(_Element(name, int(count)))
-            case ["property", "list", _, _, name] if elements:
-                elements[-1].properties.append((name.lower(), ""))
+            case ["property", "list", length, kind, name] if elements and {length, kind} <= TYPES.keys():
+                elements[-1].properties.append((name.lower(), TYPES[kind]))
+                elements[-1].lengths[name.lower()] = TYPES[length]
             case ["property", kind, name] if elements and kind in TYPES:
                 elements[-1].properties.append((name.lower(), TYPES[kind]))
             case [] | ["ply"] | ["comment" | "obj_info", *_]:
@@ -110,8 +140,41 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
     return order, elements, newline + 1
 
 
-def _dtype(path: Path, element: _Element, order: str) -> np.dtype:
+def _dtype(path: Path, data: bytes, offset: int, element: _Element, order: str) -> np.dtype:
+    """Returns the type of an element's rows, which begin at `offset`.
+
+    Raises:
+        FrameError: two properties of one name, or lists of different lengths, so that there is no such type.
+    """
+    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+    at = offset
+    for name, kind in element.properties:
+        if name in element.lengths:
+            length = np.dtype(order + element.lengths[name])
+            # the first row stands for all; with fewer bytes than rows, its reader complains
+            there = data[at : at + length.itemsize]
+            count = int(np.frombuffer(there, length)[0]) if element.count and len(there) == length.itemsize else 0
+            if not 0 <= count <= len(data):
+                raise FrameError(path, f"the list {name} of the PLY element {element.name} is damaged", CLOUD_REMEDY)
+            fields += [(LENGTH + name, length.str), (name, order + kind, (count,))]
+            at += length.itemsize + count * np.dtype(kind).itemsize
+        else:
+            fields.append((name, order + kind))
+            at += np.dtype(kind).itemsize
     try:
-        return np.dtype([(name, ORDERS[order] + kind) for name, kind in element.properties])
+        dtype = np.dtype(fields)
     except ValueError as error:  # two properties with the same name
         raise FrameError(path, f"the PLY header's element {element.name}: {error}", CLOUD_REMEDY) from error
+    if element.lengths:
+        # what is missing is told with the vertices
+        count = min(element.count, max(len(data) - offset, 0) // dtype.itemsize)
+        rows = np.frombuffer(data, dtype, count, offset)
+        varying = [name for name in element.lengths if np.ptp(rows[LENGTH + name]) > 0] if count else []
+        if varying:
+            raise FrameError(
+                path,
+                f"its {element.name} elements have lists of different lengths ({', '.join(varying)}), which are only "
+                "read behind the vertices, or from text",
+                "save it without them, or as text",
+            )
+    return dtype

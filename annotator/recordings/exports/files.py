@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.file_names import OutsideError, inside
 from annotator.files import read_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.text import decoded
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
@@ -58,13 +58,23 @@ def exported_frame(
         image, cloud = (inside(folder, name) for name in files)
     except OutsideError as error:
         raise FrameError(folder, f"has a frame whose file {error}", REMEDY) from error
-    rgb = read_rgb(image)
-    _check_size(image, rgb, camera)
+    picture = read_color_image(image, (camera.width_px, camera.height_px))
+    _check_size(image, picture.rgb, camera)
     if cloud.suffix.lower() not in CLOUD_SUFFIXES:
         raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
     raw = read_cloud(cloud)
     points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
-    return Frame(key, index, camera, rgb, points, up=up, timestamp_ns=timestamp_ns, T_world_camera=T_world_camera)
+    return Frame(
+        key,
+        index,
+        camera,
+        picture.rgb,
+        points,
+        up=up,
+        timestamp_ns=timestamp_ns,
+        T_world_camera=T_world_camera,
+        exif_orientation=picture.exif_orientation,
+    )
 
 
 def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:

@@ -16,6 +16,7 @@ from jaxtyping import Float, Float32, Float64, Int32, UInt16
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.geometry.depth_values import in_metres
 from annotator.geometry.projection import undistort_px
 from annotator.recordings.two_cameras import seen_points
 from annotator.types import Camera
@@ -142,8 +143,7 @@ class KinectCalibration:
         self, depth_mm: UInt16[np.ndarray, "h w"]
     ) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "n"]]:
         """Returns the points of a depth image (0 = no depth) that the colour camera sees, as `two_cameras` does."""
-        depth_m = depth_mm.astype(np.float32) / np.float32(MM_PER_M)
-        return seen_points(depth_m, self.depth, self.T_color_depth, self.color, self.depth_reach)
+        return seen_points(in_metres(depth_mm, MM_PER_M), self.depth, self.T_color_depth, self.color, self.depth_reach)
 
 
 def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> KinectCalibration:

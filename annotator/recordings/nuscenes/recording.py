@@ -24,7 +24,7 @@ from annotator.file_names import spelled
 from annotator.geometry.transforms import FORWARD
 from annotator.nuscenes_tables import TableError, pose
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti.frame import visible_cloud
 from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
 from annotator.recordings.nuscenes.scenes import SceneData, Shot, read_scene, scene_names, table_folders
@@ -116,7 +116,8 @@ class NuScenes(KeyedFrames):
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
         image, scan = self.moments[i]
         image_file, scan_file = self.files(i)
-        rgb = read_rgb(image_file)
+        picture = read_color_image(image_file, (image.width_px, image.height_px))
+        rgb = picture.rgb
         camera = _camera(image_file, image, rgb.shape[1], rgb.shape[0])
         T_camera_global, T_global_lidar = self._poses(image, scan)
         points = read_scan(scan_file)
@@ -140,6 +141,7 @@ class NuScenes(KeyedFrames):
             T_camera_global,
             image.time_us * 1000,
             T_world_camera=T_camera_global.inv() if _knows_world(image) else None,
+            exif_orientation=picture.exif_orientation,
         )
 
     def scan(self, i: int) -> Scan:

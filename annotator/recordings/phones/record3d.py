@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from annotator.frame_limits import require_pixels
+from annotator.geometry.depth_values import in_metres
 from annotator.geometry.projection import resized
 from annotator.image_bytes import decode_image
 from annotator.recordings.listing import sorted_keys
@@ -118,7 +119,9 @@ class Record3D(KeyedFrames):
         camera = self._camera(i, rgb)
         depth_path, depth_m = self._plane(key, "depth", np.float32, camera)
         confidence = self._plane(key, "conf", np.uint8, camera)[1] if f"{FOLDER}{key}.conf" in self.entries else None
-        cloud, in_color_m = phone_cloud(depth_path, camera, rgb, depth_m, confidence, self.min_confidence)
+        cloud, in_color_m = phone_cloud(
+            depth_path, camera, rgb, in_metres(depth_m, 1.0), confidence, self.min_confidence
+        )
         return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=self._time_ns(i))
 
     def _image(self, key: str) -> UInt8[np.ndarray, "h w 3"]:

@@ -25,6 +25,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.frame_limits import read_frame_file
+from annotator.geometry.depth_values import in_metres
 from annotator.recordings.clouds.numpy_file import read_array
 from annotator.recordings.image_file import read_confidence, read_depth
 from annotator.recordings.listing import frame_file
@@ -217,7 +218,7 @@ def _depth_m(path: Path) -> Float32[np.ndarray, "h w"]:
         raw = read_array(path, io.BytesIO(data), len(data), is_image=True)
         if raw.ndim != 2 or raw.dtype.names is not None:
             raise FrameError(path, "it is not an image of numbers", REMEDY)
-    return np.divide(raw, np.float32(MM_PER_M), dtype=np.float32)
+    return in_metres(raw, MM_PER_M)
 
 
 def _matrix(path: Path) -> Float64[np.ndarray, "3 3"]:

@@ -7,6 +7,7 @@ bytes, then PNG or RVL; floats are quantised inverse depths).
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,9 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from annotator.frame_limits import require_pixels
+from annotator.geometry.depth_values import in_metres
 from annotator.image_bytes import decode_image
+from annotator.recordings.deep_images import Levels, contrast_levels, depth_levels, eight_bits
 from annotator.recordings.ros.decode import byte_array
 from annotator.recordings.ros.rvl import decode_rvl
 
@@ -66,8 +69,11 @@ def describe(content: Any, topic: str) -> Picture:
     return Picture(encoding, int(content.width), int(content.height), is_depth)
 
 
-def color_image(content: Any) -> UInt8[np.ndarray, "h w 3"]:
-    """Returns the picture of an image message, RGB order; 16-bit grey is stretched to 8 bits.
+def color_image(content: Any, common: Callable[[Levels], Levels] = lambda own: own) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the picture of an image message, RGB order.
+
+    Args:
+        common: returns the levels of a topic, given those of a picture of more than 8 bits (`deep_images`).
 
     Raises:
         ValueError: it is damaged, contradicts itself, or has an unknown encoding.
@@ -75,15 +81,17 @@ def color_image(content: Any) -> UInt8[np.ndarray, "h w 3"]:
     import cv2
 
     if not hasattr(content, "encoding"):
-        bgr = decode_image(byte_array(content.data).tobytes(), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        return np.ascontiguousarray(bgr[:, :, ::-1])
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+        bgr = decode_image(byte_array(content.data).tobytes(), flags)
+        is_grey = bgr.dtype == np.uint16 and bool((bgr == bgr[:, :, :1]).all())
+        return np.ascontiguousarray(_shallow(bgr, common, is_grey)[:, :, ::-1])
     encoding = str(content.encoding)
     if encoding.startswith("bayer_"):
         depth = "u2" if encoding.endswith("16") else "u1"
         pattern = BAYER.get(encoding[6:10])
         if pattern is None:
             raise ValueError(f"has the unknown encoding {encoding!r}")
-        values = _eight_bits(_values(content, depth, 1)[:, :, 0])
+        values = _shallow(_values(content, depth, 1)[:, :, 0], common, is_grey=False)
         return np.asarray(cv2.cvtColor(values, getattr(cv2, f"COLOR_Bayer{pattern}2RGB")))
     if encoding.lower() in YUV422:
         values = np.ascontiguousarray(_values(content, "u1", 2))
@@ -92,7 +100,7 @@ def color_image(content: Any) -> UInt8[np.ndarray, "h w 3"]:
         known = ", ".join([*PLAIN, *(f"bayer_{pattern}8" for pattern in BAYER), *YUV422])
         raise ValueError(f"has the encoding {encoding!r}, which is not a picture's; known are {known}")
     values = _values(content, *PLAIN[encoding])
-    values = _stretched(values) if encoding in ("mono16", "16UC1") else _eight_bits(values)
+    values = _shallow(values, common, encoding in ("mono16", "16UC1"))
     if values.shape[2] == 1:
         values = np.repeat(values, 3, axis=2)
     is_bgr = encoding.startswith(("bgr", "8UC"))
@@ -116,9 +124,8 @@ def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray
     else:
         values = _compressed_depth(str(content.format), byte_array(content.data).tobytes())
     if values.dtype.kind == "f":
-        return np.where(np.isfinite(values) & (values > 0), values, 0).astype(np.float32)
-    metres = values.astype(np.float32)
-    return metres / np.float32(1000) if unit_m is None else metres * np.float32(unit_m)
+        return in_metres(values, 1.0)
+    return in_metres(values, 1000.0) if unit_m is None else in_metres(values, 1.0) * np.float32(unit_m)
 
 
 def _compressed_depth(form: str, data: bytes) -> np.ndarray:
@@ -156,11 +163,8 @@ def _values(content: Any, kind: str, channels: int) -> np.ndarray:
     return values.reshape(height, width, channels).astype(np.dtype(kind), copy=False)
 
 
-def _eight_bits(values: np.ndarray) -> np.ndarray:
-    return (values >> 8).astype(np.uint8) if values.dtype == np.uint16 else values
-
-
-def _stretched(values: np.ndarray) -> UInt8[np.ndarray, "h w c"]:
-    """Returns 16-bit grey as 8 bits: from the darkest to the brightest hundredth."""
-    low, high = np.percentile(values, (1, 99))
-    return np.clip((values - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8)
+def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bool) -> np.ndarray:
+    """Returns pixels of 8 or 16 bits as 8 bits."""
+    if values.dtype == np.uint8:
+        return values
+    return eight_bits(values, common(contrast_levels(values) if is_grey else depth_levels(values)))

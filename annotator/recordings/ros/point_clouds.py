@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def _foxglove_cloud(path: Path, content: Any) -> RawCloud:
     if not any(turn):
         turn = [0.0, 0.0, 0.0, 1.0]
     T = RigidTransform.from_components(place, Rotation.from_quat(turn))
-    return RawCloud(T.apply(raw.xyz_m), raw.rgb, raw.reflectance)
+    return replace(raw, xyz_m=T.apply(raw.xyz_m))
 
 
 def _point_type(size: int, fields: list[tuple[str, int, str, int]]) -> np.dtype:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -24,9 +24,10 @@ from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.common_scale import CommonScale
+from annotator.recordings.clouds.common_scale import FIRST, CommonScale
 from annotator.recordings.clouds.origin import Origin, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.deep_images import Levels
 from annotator.recordings.kitti.frame import UP
 from annotator.recordings.options import Place, ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
@@ -69,7 +70,8 @@ class RosBag(KeyedFrames):
         fixed_frame: tf frame by which clouds are moved; None if tf does not know how the rig moves.
         realsense: what RealSense's own topics say; None for other bags.
         told: the recording's notes.
-        scale: of the clouds' reflectance.
+        scale: of the clouds' reflectance and colours.
+        levels: of the first pictures of a topic.
         given_origin: the option `origin`, for clouds without images.
     """
 
@@ -82,6 +84,7 @@ class RosBag(KeyedFrames):
     realsense: RealSense | None
     told: tuple[str, ...]
     scale: CommonScale = field(default_factory=CommonScale)
+    levels: dict[Topic, list[Levels]] = field(default_factory=dict)
     given_origin: Place | None = None
     format: ClassVar[str] = "ros_bag"
     is_sequence: ClassVar[bool] = True
@@ -150,7 +153,7 @@ class RosBag(KeyedFrames):
         log_ns, time_ns = int(image.topic.log_ns[number]), int(self.pairs.time_ns[i])
         content, partner = self._contents(image.topic, number, int(self.pairs.cloud[i]))
         camera = self.camera(log_ns)
-        rgb = _picture(image.topic, number, content, camera)
+        rgb = self._picture(image.topic, number, content, camera)
         camera_frame = self.camera_frame or frame_id(content)
         depth_m, world = None, None
         if self.chosen.depth is not None:
@@ -165,6 +168,28 @@ class RosBag(KeyedFrames):
             raise ValueError(f"no point of {self.chosen.partner.name} lies in the image, so the cloud is empty")
         up = self._up(camera, camera_frame, time_ns, log_ns)
         return Frame(key, i, camera.camera, rgb, cloud, depth_m, up, None, time_ns, T_world_camera=world)
+
+    def _picture(self, topic: Topic, number: int, content: Any, camera: BagCamera) -> UInt8[np.ndarray, "h w 3"]:
+        with _naming(topic):
+            if topic.type == VIDEO_TYPE:
+                return camera.picture(video_image(topic, number, content))
+            return camera.picture(color_image(content, lambda own: own.with_all(self._levels_of(topic))))
+
+    def _levels_of(self, topic: Topic) -> list[Levels]:
+        """Returns the levels of a topic's first pictures of more than 8 bits."""
+        if topic not in self.levels:
+            found: list[Levels] = []
+
+            def note(own: Levels) -> Levels:
+                found.append(own)
+                return own
+
+            for first in self.pairs.image[:FIRST].tolist():
+                # a damaged message, which its own frame tells
+                with suppress(*FIELD_ERRORS, OSError):
+                    color_image(message(topic, first), note)
+            self.levels[topic] = found
+        return self.levels[topic]
 
     def _contents(self, image: Topic, number: int, partner_number: int) -> tuple[Any, Any]:
         """Returns the messages of an image and of its partner."""
@@ -393,12 +418,6 @@ def _naming(topic: Topic) -> Iterator[None]:
 def _content(topic: Topic, number: int) -> Any:
     with _naming(topic):
         return message(topic, number)
-
-
-def _picture(topic: Topic, number: int, content: Any, camera: BagCamera) -> UInt8[np.ndarray, "h w 3"]:
-    with _naming(topic):
-        rgb = video_image(topic, number, content) if topic.type == VIDEO_TYPE else color_image(content)
-        return camera.picture(rgb)
 
 
 def _are_equal(a: Camera, b: Camera) -> bool:

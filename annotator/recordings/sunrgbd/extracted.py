@@ -21,7 +21,7 @@ from annotator.geometry.projection import project
 from annotator.mat_file import MatFileError, MatSizeError, read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems, unread_note
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
@@ -70,12 +70,23 @@ class SunRgbdExtracted(KeyedFrames):
         """
         key, (image_path, cloud_path) = self.key(i), self.files(i)
         calibration = read_extracted_calibration(spelled(self.path / "calib", f"{key}.txt"))
-        rgb = read_rgb(image_path)
+        image = read_color_image(image_path, has_depth=True)
+        rgb = image.rgb
         camera = calibration.camera(rgb.shape[1], rgb.shape[0])
         raw = _read_mat(cloud_path) if cloud_path.suffix.lower() == ".mat" else read_cloud(cloud_path)
         xyz_m = calibration.T_camera_upright.apply(raw.xyz_m)
         cloud, depth_m = _organised(camera, xyz_m, raw, rgb)
-        return Frame(key, i, camera, rgb, cloud, depth_m, calibration.up, calibration.T_camera_upright)
+        return Frame(
+            key,
+            i,
+            camera,
+            rgb,
+            cloud,
+            depth_m,
+            calibration.up,
+            calibration.T_camera_upright,
+            exif_orientation=image.exif_orientation,
+        )
 
 
 def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:

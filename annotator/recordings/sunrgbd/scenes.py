@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.geometry.projection import pixel_colors, unproject_depth
-from annotator.recordings.image_file import read_depth, read_rgb
+from annotator.recordings.image_file import read_color_image, read_depth
 from annotator.recordings.listing import IMAGE_SUFFIXES, REMEDIES, path_errors, sorted_keys, unread_note
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rotated_depth import decode_depth
@@ -79,7 +79,8 @@ class SunRgbdScenes(KeyedFrames):
         key = self.key(i)
         scene = Path(self.folders[i])
         calibration = read_scene_calibration(scene / MARK, _latest(scene, ("extrinsics",), (".txt",)))
-        rgb = read_rgb(_latest(scene, ("image",), IMAGE_SUFFIXES))
+        image = read_color_image(_latest(scene, ("image",), IMAGE_SUFFIXES), has_depth=True)
+        rgb = image.rgb
         depth_path = _latest(scene, DEPTH_FOLDERS, (".png",))
         raw = read_depth(depth_path)
         if raw.shape != rgb.shape[:2]:
@@ -95,7 +96,17 @@ class SunRgbdScenes(KeyedFrames):
                 depth_path, "no pixel has a depth, so the cloud is empty", "copy it again, or remove the scene"
             )
         cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
-        return Frame(key, i, camera, rgb, cloud, depth_m, calibration.up, calibration.T_camera_upright)
+        return Frame(
+            key,
+            i,
+            camera,
+            rgb,
+            cloud,
+            depth_m,
+            calibration.up,
+            calibration.T_camera_upright,
+            exif_orientation=image.exif_orientation,
+        )
 
 
 def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:

@@ -123,7 +123,7 @@ def test_pcd_with_padding_and_intensity_is_read(tmp_path: Path, data: str):
     path = tmp_path / "a.pcd"
     path.write_bytes(pcd(data, body))
     read = read_cloud(path)
-    np.testing.assert_array_equal(read.xyz_m, XYZ.astype(np.float64))
+    np.testing.assert_allclose(read.xyz_m, XYZ.astype(np.float64), rtol=1e-7)
     np.testing.assert_allclose(read.reflectance, SHARE, atol=0.003)
     assert read.rgb is None
 
@@ -199,7 +199,7 @@ FALSE_HEADERS = [
         b"ply\nformat ascii 1.0\nelement vertex -5\nproperty float x\nend_header\n1\n",
         "line 3 of the PLY header",
     ),
-    ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n", "has lists"),
+    ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n", "only lists"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no column y z"),
     ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "no vertices"),
     ("a.ply", b"ply\nelement vertex 1\nproperty float x\nend_header\n1\n", "has no format line"),
