@@ -97,7 +97,7 @@ def in_degrees(angles: Iterable[float]) -> bool | None:
     return True if highest > half else None
 
 
-def unlike(angles: Sequence[float], degrees: bool) -> str | None:
+def unlike(angles: Sequence[float], *, degrees: bool) -> str | None:
     """Returns what shows that angles are not in the unit that `_classes.json` names; None if nothing does.
 
     labelCloud writes degrees in 0..360, so some of a scene's angles are above a full turn in radians. Negative degrees

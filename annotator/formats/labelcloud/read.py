@@ -134,16 +134,16 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
         for angle in (entry.rotations.x, entry.rotations.y, entry.rotations.z)
     ]
     if form in (CENTROID_ABS, CENTROID_REL):
-        degrees = form == CENTROID_ABS
-        if (problem := unlike(angles, degrees)) is not None:
-            units = ("degrees", CENTROID_REL) if degrees else ("radians", CENTROID_ABS)
+        is_abs = form == CENTROID_ABS
+        if (problem := unlike(angles, degrees=is_abs)) is not None:
+            units = ("degrees", CENTROID_REL) if is_abs else ("radians", CENTROID_ABS)
             raise UnitError(
                 UnitKind.ANGLE,
                 folder,
                 f'{problem}, and "format": "{form}" in {CLASSES_FILE} means {units[0]}; if that is wrong, write '
                 f'"{units[1]}", else `annotator import --angles {units[0]}` reads them',
             )
-        return degrees
+        return is_abs
     try:
         degrees = in_degrees(angles)
     except ValueError as error:

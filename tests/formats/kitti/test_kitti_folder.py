@@ -206,7 +206,10 @@ def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, prob
         dict(each_kitti_frame(tmp_path, KittiRows()))
     (folder / "000001.txt").write_text("")
     (tmp_path / "frames.csv").write_text("id,raw_drive\n000000,2011\n")  # KITTI subsets have such a file, too
-    assert {name: len(truths) for name, truths in dict(each_kitti_frame(folder, KittiRows())).items()} == {"000000": 1, "000001": 0}
+    assert {name: len(truths) for name, truths in dict(each_kitti_frame(folder, KittiRows())).items()} == {
+        "000000": 1,
+        "000001": 0,
+    }
     (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n")
     with pytest.raises(FormatError, match="does not list the frame 000001"):
         dict(each_kitti_frame(folder, KittiRows()))
