@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import repeat
 from pathlib import Path
@@ -187,8 +188,8 @@ def _found(path: Path, annotation: _Annotation, images: Mapping[int, _Image], na
             path, f"{where}: is a crowd region (iscrowd), not a single object; remove it or draw a box for each object"
         )
     # in annotator's own files, `rotation` is any attribute that somebody has called so
-    turn_deg = 0.0 if known_kind(image.box_kind) is not None else _turn_deg(annotation)
-    edges = _rectangle(path, where, annotation, turn_deg)
+    turn_deg = None if known_kind(image.box_kind) is not None else _turn_deg(annotation)
+    edges = _rectangle(path, where, annotation, turn_deg or 0.0)
     x, y, width, height = edges
     if width <= 0 or height <= 0:
         raise FormatError(path, f"{where}: bbox {list(edges)} must have a positive width and height")
@@ -200,17 +201,22 @@ def _found(path: Path, annotation: _Annotation, images: Mapping[int, _Image], na
             f"{where}: bbox {list(edges)} lies outside {image.file_name!r}, which is {image.width} x {image.height} px",
         )
     values = _values(annotation.attributes)
-    if known_kind(image.box_kind) is None:
+    if turn_deg is not None:
         values = {name: value for name, value in values.items() if name != ROTATION}
     box = Box2D(names[annotation.category_id], left, top, right, bottom, annotation.score)
     return _Found(box, values, edges != annotation.bbox)
 
 
-def _turn_deg(annotation: _Annotation) -> float:
-    """Returns by how many degrees the box is turned about its centre, as CVAT writes it."""
+def _turn_deg(annotation: _Annotation) -> float | None:
+    """Returns by how many degrees the box is turned about its centre, as CVAT writes it; None if nothing says it."""
     attributes = annotation.attributes
     value = attributes.get(ROTATION) if isinstance(attributes, dict) else None
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    with suppress(ValueError, OverflowError):
+        turn_deg = float(value)
+        return turn_deg if math.isfinite(turn_deg) else None
+    return None
 
 
 def _rectangle(path: Path, where: str, annotation: _Annotation, turn_deg: float) -> tuple[float, float, float, float]:

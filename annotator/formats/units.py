@@ -102,13 +102,13 @@ class Lengths:
         if len(longest) == 0 or SHORTEST_M <= (median := float(np.median(longest))) <= LONGEST_M:
             return None
         off = (longest > LONGEST_M) if median > LONGEST_M else (longest < SHORTEST_M)
-        sides = f"{off.sum()} of {amount(len(longest), 'box', 'boxes')}"
+        boxes = f"{off.sum()} of {amount(len(longest), 'box')} {'is' if off.sum() == 1 else 'are'}"
         if median > LONGEST_M:
             unit = "millimetres" if median > 10 * LONGEST_M else "millimetres or centimetres"
             what = f"longer than {LONGEST_M:g} m (the median is {median:g} m), so they look like {unit}"
         else:
             what = f"shorter than {1000 * SHORTEST_M:g} mm (the median is {median:g} m), so they look like kilometres"
-        return f"the sizes of {sides} are {what}; write centres and sizes in metres"
+        return f"{boxes} {what}; write centres and sizes in metres"
 
     def require(self, path: Path) -> None:
         """

@@ -56,7 +56,7 @@ def test_the_unit_that_the_operator_states_is_not_doubted() -> None:
         ([(4, 2, 1.6), (0.2, 0.1, 0.1), (90, 3, 3)], None),
         ([(0.19, 0.08, 0.03)], None),
         ([(4, 2, 1.6), (4000, 2000, 1600), (5, 2, 2)], None),
-        ([(4000, 2000, 1600)], r"1 of 1 box are longer than 100 m \(the median is 4000 m\).* millimetres;"),
+        ([(4000, 2000, 1600)], r"1 of 1 box is longer than 100 m \(the median is 4000 m\).* millimetres;"),
         ([(400, 200, 160), (420, 180, 150), (4, 2, 2)], "2 of 3 boxes .* millimetres or centimetres;"),
         ([(0.004, 0.002, 0.0016)] * 2, r"2 of 2 boxes are shorter than 5 mm .* kilometres"),
     ],
