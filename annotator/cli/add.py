@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from annotator.cli.import_boxes import left_out_values
+from annotator.cli.import_boxes import flat_rows, left_out_values
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
@@ -99,6 +99,8 @@ def _label_lines(imported: OwnLabels, classes: Sequence[str]) -> list[str]:
     lines += [f"  {line}" for line in left_out_values(imported.values)]
     if imported.are_partial:
         lines.append("  no labels imported: those of the recording are only of what its own camera sees")
+    if imported.flat:
+        lines.append(f"  {flat_rows(imported.flat)}")
     if imported.of_other_cameras:
         lines.append(f"  {amount(imported.of_other_cameras, 'box')} left to other cameras of the rig")
     return lines + [f"  unreadable: {line}" for line in imported.unreadable]

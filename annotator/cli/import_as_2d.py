@@ -8,6 +8,7 @@ from pathlib import Path
 
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
+from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types.amounts import amount
 from annotator.workflows.importing import BoxFormat, read_labels
@@ -23,6 +24,7 @@ def import_as_2d(
     names: Mapping[str, str],
     fraction: float,
     seed: int,
+    angles: AngleUnit | None,
 ) -> KnownLabels:
     """Imports the 2D boxes of known 3D boxes, and prints a summary.
 
@@ -34,6 +36,7 @@ def import_as_2d(
         names: the project's class of each class of the labels that has another name.
         fraction: share of the labelled frames to import.
         seed: seed of the choice of frames.
+        angles: unit of the angles of the labels at `path`; None: as their format says.
 
     Returns:
         The 3D labels.
@@ -45,12 +48,14 @@ def import_as_2d(
     if path is None or format is None:
         labels = labels_beside(project, None if recording is None else [project.recordings.find(recording).id])
     else:
-        labels = labels_from(project, read_labels(format, path), recording)
+        labels = labels_from(project, read_labels(format, path, angles), recording)
     labels = labels.renamed_to(names)
     with counted("2D boxes") as progress:
         done = boxes_from_3d(project, labels, fraction=fraction, seed=seed, progress=progress)
     for line in _summary(done, len(labels.frames)):
         print_line(line)
+    if labels.flat:
+        print_line(f"  skipped: {amount(labels.flat, 'row')} with a 2D box and no 3D box")
     return labels
 
 

@@ -14,6 +14,7 @@ from annotator.cli.options import BoxKindOption, ProjectName, Projects, Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
+from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import BoxKind
 from annotator.types.amounts import amount
@@ -78,6 +79,7 @@ def run(
     min_score: float | None = None,
     classes: str | None = None,
     add_attributes: bool = False,
+    angles: AngleUnit | None = None,
     pictures: Path | None = None,
     box_kind: BoxKindOption[BoxKind | None] = None,
     recording: str | None = None,
@@ -99,6 +101,7 @@ def run(
         classes: the project's classes of the file's classes, such as Car=car,Van=car; others keep their names.
         add_attributes: give the project the attributes of the file that it lacks, with the kind that their values have,
             and labels that it has already the values that they lack.
+        angles: unit of the angles of 3D boxes, if the format or the file says another one, or if it is not clear.
         pictures: with coco and yolo: folder of the labelled pseudo-views, written by `annotator views`. Without this
             option, the boxes are on camera images named like the project's frames, and on the pseudo-views listed in a
             `views.json` in the folder of those images.
@@ -115,6 +118,8 @@ def run(
         raise ConfigError("--as 2d renders its pictures from 3D boxes; leave out --pictures")
     if as_ is As.FLAT and add_attributes:
         raise ConfigError("--add-attributes is for labels and proposals; 2D boxes of the project have no attributes")
+    if angles is not None and path is None:
+        raise ConfigError("--angles is for a file or folder of 3D boxes; give its path")
     with open_named(project, projects) as opened:
         names = {} if classes is None else class_names(classes, opened)
         if path is None:
@@ -127,13 +132,15 @@ def run(
             found = FlatFormat(format) if format in FLAT else format_of(path) if format is None else BoxFormat(format)
         if isinstance(found, FlatFormat) and as_ is not As.LABELS:
             raise ConfigError(f"{path} is {found}, which contains no 3D boxes; leave out --as")
+        if angles is not None and isinstance(found, FlatFormat):
+            raise ConfigError(f"--angles is for 3D boxes; {path} is {found}, which contains none")
         if pictures is not None and not isinstance(found, FlatFormat):
             raise ConfigError(f"--pictures is for 2D boxes ({', '.join(FLAT)}); {found} contains 3D boxes")
         if as_ is As.FLAT:
             assert not isinstance(found, FlatFormat)
             if names and path is not None and found is not None:
-                _check_names(names, classes_of(opened, read_labels(found, path)))
-            labels = import_as_2d(opened, path, found, recording, names, fraction, seed)
+                _check_names(names, classes_of(opened, read_labels(found, path, angles)))
+            labels = import_as_2d(opened, path, found, recording, names, fraction, seed, angles)
             print_renamed(labels.renamed)
             print_left_out({}, labels.unmatched, "frame")
             print_line(f"next: annotator train {project}")
@@ -146,7 +153,7 @@ def run(
             _flat(opened, path, found, pictures, box_kind, recording, names)
         else:
             assert path is not None and found is not None
-            dataset = read_labels(found, path)
+            dataset = read_labels(found, path, angles)
             if names:
                 _check_names(names, classes_of(opened, dataset))
             if add_attributes:
@@ -183,6 +190,8 @@ def _flat(
     counts = {"camera image": done.pictures - done.views, "pseudo-view": done.views}
     where = " and ".join(amount(number, what) for what, number in counts.items() if number) or "no image"
     print_line(f"{amount(done.boxes, 'box')} on {where}")
+    if done.around:
+        print_line(f"turned or polygons: {amount(done.around, 'box')}; the rectangles around them were imported")
     if done.replaced:
         print_line(f"replaced: the boxes on {amount(done.replaced, 'camera image')}")
     if done.finalised:
@@ -225,6 +234,8 @@ def _proposals(
     ):
         if number:
             print_line(what.format(amount(number, "box")))
+    if done.flat:
+        print_line(flat_rows(done.flat))
     if done.conflicts:
         print_line(
             f"in conflict with other sources: {amount(done.conflicts, 'value')}; those of the surer boxes are shown"
@@ -264,6 +275,8 @@ def _boxes(
         print_line(f"skipped: {amount(done.not_reviewed, 'box')} not accepted")
     if done.unseen:
         print_line(OUTSIDE.format(amount(done.unseen, "box")))
+    if done.flat:
+        print_line(flat_rows(done.flat))
     if done.scores:
         print_line(f"dropped: {amount(done.scores, 'score')} outside 0..1")
     for line in done.unreadable:
@@ -272,6 +285,11 @@ def _boxes(
     for line in left_out_values(done.values):
         print_line(line)
     print_left_out(done.other_classes, done.unmatched, "frame", project.config.classes)
+
+
+def flat_rows(number: int) -> str:
+    """The line that says how many rows of 2D boxes were left out."""
+    return f"skipped: {amount(number, 'row')} with a 2D box and no 3D box (its height, width and length are -1)"
 
 
 def left_out_values(values: Mapping[str, int]) -> list[str]:

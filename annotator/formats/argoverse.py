@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.feather import FeatherError, Kind, read_feather
+from annotator.formats.units import Quaternions
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 
@@ -50,6 +51,7 @@ def read_argoverse(path: Path) -> dict[int, list[ArgoverseBox]]:
     Raises:
         MissingExtraError: pyarrow is not installed.
         FormatError: the file is damaged, or a box is impossible.
+        UnitError: the quaternions have w last.
     """
     try:
         table = read_feather(path, COLUMNS)
@@ -58,6 +60,9 @@ def read_argoverse(path: Path) -> dict[int, list[ArgoverseBox]]:
     except FeatherError as error:
         raise FormatError(path, str(error)) from error
     rows = np.stack([table[name] for name in NUMBERS], axis=1)
+    quaternions = Quaternions()
+    quaternions.add(rows[:, 3:7].ravel().tolist())
+    quaternions.require(path)
     tracks: dict[str, int] = {}
     boxes: dict[int, list[ArgoverseBox]] = {}
     texts = zip(

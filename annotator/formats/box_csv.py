@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.reading import finite_number
+from annotator.formats.units import Angles, AngleUnit
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 
@@ -41,23 +42,28 @@ class BoxRow:
     score: float | None = None
 
 
-def read_box_csv(path: Path, *, scored: bool) -> list[BoxRow]:
+def read_box_csv(path: Path, *, scored: bool, angles: AngleUnit | None = None) -> list[BoxRow]:
     """Returns the rows in file order; blank lines are skipped.
 
     Args:
         scored: True for detections: the column `score` is required.
+        angles: their unit; None: radians, as the format says.
 
     Raises:
         FormatError: the file cannot be read; its header lacks a column or has an unknown one; or a row has the wrong
             number of fields, a field that is not a finite number, an empty name or a size that is not positive.
+        UnitError: the angles cannot be radians.
     """
+    read = Angles(angles)
     try:
         with open_text_file(path, TABLE_BYTES, newline="") as file:
-            return list(_rows(path, file, scored))
+            rows = list(_rows(path, file, scored, read))
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise FormatError(path, "is not UTF-8 text; save it as UTF-8") from error
+    read.require()
+    return rows
 
 
 def is_box_csv(path: Path) -> bool:
@@ -68,14 +74,17 @@ def is_box_csv(path: Path) -> bool:
     return False
 
 
-def read_upright_boxes(path: Path) -> dict[str, list[Truth]]:
+def read_upright_boxes(path: Path, angles: AngleUnit | None = None) -> dict[str, list[Truth]]:
     """Returns the objects of each image with a row, in upright depth, with their scores if the file has them.
+
+    Args:
+        angles: their unit; None: radians, as the format says.
 
     Raises:
         FormatError: as `read_box_csv`, or a box is out of range.
     """
     images: dict[str, list[Truth]] = {}
-    for row in read_box_csv(path, scored=False):
+    for row in read_box_csv(path, scored=False, angles=angles):
         try:
             images.setdefault(row.image, []).append(_truth(row))
         except ValueError as error:
@@ -89,13 +98,13 @@ def _truth(row: BoxRow) -> Truth:
     return Truth(row.label, OrientedBox.at(pose, np.array(row.size_m)), score=row.score)
 
 
-def _rows(path: Path, lines: Iterator[str], scored: bool) -> Iterator[BoxRow]:
+def _rows(path: Path, lines: Iterator[str], scored: bool, read: Angles) -> Iterator[BoxRow]:
     reader = csv.reader(lines, strict=True)
     try:
         head = _head(path, next(reader, []), scored)
         for fields in reader:
             if any(field.strip() for field in fields):
-                yield _row(path, reader.line_num, head, fields)
+                yield _row(path, reader.line_num, head, fields, read)
     except csv.Error as error:
         raise FormatError(path, f"is not valid CSV: {error}", reader.line_num) from error
 
@@ -119,7 +128,7 @@ def _head(path: Path, names: list[str], scored: bool) -> list[str]:
     return head
 
 
-def _row(path: Path, line: int, head: list[str], fields: list[str]) -> BoxRow:
+def _row(path: Path, line: int, head: list[str], fields: list[str], read: Angles) -> BoxRow:
     if len(fields) != len(head):
         raise FormatError(path, f"has {len(fields)} fields; the first line names {len(head)} columns", line)
     values = dict(zip(head, (field.strip() for field in fields), strict=True))
@@ -129,4 +138,5 @@ def _row(path: Path, line: int, head: list[str], fields: list[str]) -> BoxRow:
     if min(length, width, height) <= 0:
         raise FormatError(path, f"l w h must be positive, not {length:g} {width:g} {height:g}", line)
     score = finite_number(values[SCORE], path, line, SCORE) if SCORE in values else None
-    return BoxRow(values["image"], values["class"], (cx, cy, cz), (length, width, height), yaw, score)
+    yaw_rad = read.radians(yaw, path, line)
+    return BoxRow(values["image"], values["class"], (cx, cy, cz), (length, width, height), yaw_rad, score)

@@ -9,13 +9,15 @@ centre of the first pixel is (0, 0), so 0.5 is subtracted. Source: the COCO data
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import repeat
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.json_file import read_model, write_text
@@ -24,6 +26,8 @@ from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 
 EDGE_TO_CENTRE_PX = -0.5
+# CVAT's attribute of turned boxes: degrees about the centre of `bbox`, which is the box before the turn.
+ROTATION = "rotation"
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class CocoImage:
         box_kind: what they enclose, if known.
         values: attributes of each box; () if none has any.
         attributes: of the image.
+        around: number of boxes that are the rectangles around turned boxes or polygons.
     """
 
     file_name: str
@@ -46,9 +51,10 @@ class CocoImage:
     box_kind: BoxKind | None = None
     values: tuple[Values, ...] = ()
     attributes: Values = field(default_factory=dict)
+    around: int = 0
 
 
-# Other fields of COCO files (licences, segmentations, ...) are ignored.
+# Other fields of COCO files (licences, ...) are ignored.
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -57,6 +63,9 @@ class _Part(BaseModel):
 LARGEST = 1e9
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Side = Annotated[int, Field(gt=0, le=LARGEST)]
+
+
+_POLYGONS: TypeAdapter[list[list[Number]]] = TypeAdapter(list[list[Number]])
 
 
 class _Category(_Part):
@@ -77,7 +86,10 @@ class _Annotation(_Part):
     id: int
     image_id: int
     category_id: int
-    bbox: tuple[Number, Number, Number, Number]
+    # some tools write an empty list for none
+    bbox: Annotated[tuple[Number, Number, Number, Number] | None, BeforeValidator(lambda value: value or None)] = None
+    # polygons x1 y1 x2 y2 ...; or a mask, which is ignored
+    segmentation: object = None
     iscrowd: int = 0
     score: float = Field(1.0, ge=0, le=1)
     attributes: object = None
@@ -92,7 +104,8 @@ class _File(_Part):
 def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
     """Returns all images of a COCO detection file in file order, including those without a box.
 
-    A box that extends beyond its image is clipped to it.
+    A box that extends beyond its image is clipped to it. A turned box is read as the rectangle around it, and an
+    annotation of polygons without a box as the rectangle around these.
 
     Args:
         on_fault: called with the fault of an annotation; see `OnFault`.
@@ -108,26 +121,37 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
     _require_unique(path, "file_name", (image.file_name for image in file.images))
     _require_unique(path, "annotation id", (annotation.id for annotation in file.annotations))
     _require_unique(
-        path, "box (image_id, category_id, bbox)", ((a.image_id, a.category_id, a.bbox) for a in file.annotations)
+        path,
+        "box (image_id, category_id, bbox)",
+        ((a.image_id, a.category_id, a.bbox, _turn_deg(a)) for a in file.annotations if a.bbox is not None),
     )
 
     images = {image.id: image for image in file.images}
     names = {category.id: category.name for category in file.categories}
-    boxes: dict[int, list[tuple[Box2D, Values]]] = {image.id: [] for image in file.images}
+    boxes: dict[int, list[_Found]] = {image.id: [] for image in file.images}
     for annotation in file.annotations:
         try:
-            box = _box(path, annotation, images, names)
+            found = _found(path, annotation, images, names)
         except FormatError as fault:
             on_fault(fault)
         else:
-            boxes[annotation.image_id].append((box, _values(annotation.attributes)))
+            boxes[annotation.image_id].append(found)
     return [_image(image, boxes[image.id]) for image in file.images]
 
 
-def _image(image: _Image, pairs: Sequence[tuple[Box2D, Values]]) -> CocoImage:
-    values = tuple(each for _, each in pairs) if any(each for _, each in pairs) else ()
-    size, boxes = (image.width, image.height), tuple(box for box, _ in pairs)
-    return CocoImage(image.file_name, *size, boxes, known_kind(image.box_kind), values, _values(image.attributes))
+class _Found(NamedTuple):
+    """The box of an annotation, its attributes, and whether it is the rectangle around a turned box or polygons."""
+
+    box: Box2D
+    values: Values
+    is_around: bool
+
+
+def _image(image: _Image, found: Sequence[_Found]) -> CocoImage:
+    values = tuple(each.values for each in found) if any(each.values for each in found) else ()
+    boxes, around = tuple(each.box for each in found), sum(each.is_around for each in found)
+    kind, attributes = known_kind(image.box_kind), _values(image.attributes)
+    return CocoImage(image.file_name, image.width, image.height, boxes, kind, values, attributes, around)
 
 
 def _values(content: object) -> Values:
@@ -151,7 +175,7 @@ def _require_unique(path: Path, what: str, values: Iterable[Hashable]) -> None:
         seen.add(value)
 
 
-def _box(path: Path, annotation: _Annotation, images: Mapping[int, _Image], names: Mapping[int, str]) -> Box2D:
+def _found(path: Path, annotation: _Annotation, images: Mapping[int, _Image], names: Mapping[int, str]) -> _Found:
     """Returns the annotation's box, clipped to its image."""
     where = f"annotation {annotation.id}"
     image = images.get(annotation.image_id)
@@ -163,18 +187,62 @@ def _box(path: Path, annotation: _Annotation, images: Mapping[int, _Image], name
         raise FormatError(
             path, f"{where}: is a crowd region (iscrowd), not a single object; remove it or draw a box for each object"
         )
-    x, y, width, height = annotation.bbox
+    # in annotator's own files, `rotation` is any attribute that somebody has called so
+    turn_deg = None if known_kind(image.box_kind) is not None else _turn_deg(annotation)
+    edges = _rectangle(path, where, annotation, turn_deg or 0.0)
+    x, y, width, height = edges
     if width <= 0 or height <= 0:
-        raise FormatError(path, f"{where}: bbox {list(annotation.bbox)} must have a positive width and height")
+        raise FormatError(path, f"{where}: bbox {list(edges)} must have a positive width and height")
     left, right = (edge + EDGE_TO_CENTRE_PX for edge in (max(x, 0.0), min(x + width, image.width)))
     top, bottom = (edge + EDGE_TO_CENTRE_PX for edge in (max(y, 0.0), min(y + height, image.height)))
     if right <= left or bottom <= top:
         raise FormatError(
             path,
-            f"{where}: bbox {list(annotation.bbox)} lies outside {image.file_name!r}, "
-            f"which is {image.width} x {image.height} px",
+            f"{where}: bbox {list(edges)} lies outside {image.file_name!r}, which is {image.width} x {image.height} px",
         )
-    return Box2D(names[annotation.category_id], left, top, right, bottom, annotation.score)
+    values = _values(annotation.attributes)
+    if turn_deg is not None:
+        values = {name: value for name, value in values.items() if name != ROTATION}
+    box = Box2D(names[annotation.category_id], left, top, right, bottom, annotation.score)
+    return _Found(box, values, edges != annotation.bbox)
+
+
+def _turn_deg(annotation: _Annotation) -> float | None:
+    """Returns by how many degrees the box is turned about its centre, as CVAT writes it; None if nothing says it."""
+    attributes = annotation.attributes
+    value = attributes.get(ROTATION) if isinstance(attributes, dict) else None
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    with suppress(ValueError, OverflowError):
+        turn_deg = float(value)
+        return turn_deg if math.isfinite(turn_deg) else None
+    return None
+
+
+def _rectangle(path: Path, where: str, annotation: _Annotation, turn_deg: float) -> tuple[float, float, float, float]:
+    """Returns x, y, width, height of the annotation's box, of the rectangle around it if it is turned, or around its
+    polygons if it has no box.
+    """
+    if annotation.bbox is None:
+        corners = [float(value) for polygon in _polygons(annotation.segmentation) for value in polygon]
+        if not corners:
+            raise FormatError(path, f"{where}: has no bbox, and no polygons as segmentation; add its bbox")
+        left, top = min(corners[::2]), min(corners[1::2])
+        return left, top, max(corners[::2]) - left, max(corners[1::2]) - top
+    x, y, width, height = annotation.bbox
+    if turn_deg % 180 == 0 or width <= 0 or height <= 0:
+        return annotation.bbox
+    cosine, sine = abs(math.cos(math.radians(turn_deg))), abs(math.sin(math.radians(turn_deg)))
+    wide, high = width * cosine + height * sine, width * sine + height * cosine
+    return x + (width - wide) / 2, y + (height - high) / 2, wide, high
+
+
+def _polygons(segmentation: object) -> list[list[float]]:
+    """Returns the polygons of a segmentation; none if it is a mask, or not as COCO has it."""
+    try:
+        return _POLYGONS.validate_python(segmentation)
+    except ValidationError:
+        return []
 
 
 def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] = ()) -> None:

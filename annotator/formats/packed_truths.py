@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float64
 
 from annotator.types import Box2D, BoxKind, OrientedBox, Truth
 from annotator.types.label import AttributeValue, Said
@@ -51,6 +52,11 @@ class PackedTruths(Mapping[str, tuple[Truth, ...]]):
     def scores(self) -> Iterator[float]:
         """The scores of all objects that have one."""
         return (score for score in self._scores if score == score)
+
+    @property
+    def sizes_m(self) -> Iterator[Float64[np.ndarray, "3"]]:
+        """The sizes of all objects."""
+        return iter(np.array(self._numbers).reshape(-1, NUMBERS)[:, POSE:])
 
     def __getitem__(self, name: str) -> tuple[Truth, ...]:
         known, truths = self._last

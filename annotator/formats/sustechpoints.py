@@ -41,6 +41,7 @@ from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, 
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames, read_frames
 from annotator.formats.json_file import Bounded, BoundedPositive, read_model
 from annotator.formats.losses import Losses, Lost, count_lost
+from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
 from annotator.types import Label, OrientedBox, PointCloud, Truth
@@ -146,14 +147,18 @@ class SustechFrame:
     T_world_cloud: RigidTransform | None = None
 
 
-def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
+def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str, SustechFrame]:
     """Returns the labels of a data folder, one scene, or a folder `label`, by frame name.
 
     Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file. Ids that are no whole
     numbers become track ids that the labels do not use.
 
+    Args:
+        angles: their unit; None: radians, as the format says.
+
     Raises:
         FormatError: no labels, a file that does not follow the format, or two scenes with a frame of the same name.
+        UnitError: the angles cannot be radians.
     """
     files: dict[str, _LabelFile] = {}
     for folder in _label_folders(path):
@@ -168,15 +173,18 @@ def read_sustechpoints(path: Path) -> dict[str, SustechFrame]:
             is_export = stem in origins and len(cameras) == 1
             files[name] = _LabelFile(file, read_model(file, _Labels).root, cameras, is_export)
     tracks = _Tracks(each.obj_id for labels in files.values() for each in labels.objects)
-    return {
+    read = Angles(angles)
+    frames = {
         name: SustechFrame(
-            tuple(_truth(each, labels.file, tracks) for each in labels.objects),
+            tuple(_truth(each, labels.file, tracks, read) for each in labels.objects),
             labels.cameras,
             labels.is_export,
             _place(labels.file) if labels.is_export else None,
         )
         for name, labels in files.items()
     }
+    read.require()
+    return frames
 
 
 def _label_folders(path: Path) -> Iterator[Path]:
@@ -190,9 +198,9 @@ def _label_folders(path: Path) -> Iterator[Path]:
     yield from found[:-1] if len(found) > 1 and found[-1] == path else found
 
 
-def _truth(entry: _Object, file: Path, tracks: _Tracks) -> Truth:
+def _truth(entry: _Object, file: Path, tracks: _Tracks, read: Angles) -> Truth:
     psr = entry.psr
-    angles = [psr.rotation.x, psr.rotation.y, psr.rotation.z]
+    angles = [read.radians(each, file) for each in (psr.rotation.x, psr.rotation.y, psr.rotation.z)]
     center = np.array([psr.position.x, psr.position.y, psr.position.z])
     try:
         box = OrientedBox.at(
@@ -233,8 +241,8 @@ def _camera(file: Path) -> SceneCamera:
     content = read_model(file, _Calibration)
     pose, K = np.array(content.extrinsic).reshape(4, 4), np.array(content.intrinsic).reshape(3, 3)
     R = pose[:3, :3]
-    if np.abs(R.T @ R - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
-        raise FormatError(file, "extrinsic is not a rotation and translation")
+    if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
+        raise FormatError(file, f"extrinsic {problem}")
     return SceneCamera(K, RigidTransform.from_components(pose[:3, 3], Rotation.from_matrix(R)))
 
 

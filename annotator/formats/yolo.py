@@ -1,11 +1,13 @@
 """YOLO label files of 2D boxes: one text file per image, one line per box.
 
     CLASS CX CY W H [SCORE]
+    CLASS X1 Y1 X2 Y2 X3 Y3 [X4 Y4 ...]
 
-The class is an index into the dataset's `names`, from 0. Centre, width and height are fractions of the image size,
+The second form is a turned box, by its four corners, or a polygon; it is read as the rectangle around these. The class
+is an index into the dataset's `names`, from 0. Centre, width, height and corners are fractions of the image size,
 measured from the image's corner (see `geometry/image_shares.py`). An empty file means an image without objects. A sixth
-field is the score of a detection. Source: Ultralytics' documentation, "object detection datasets overview", and the
-checks in its `data/utils.py`.
+field is the score of a detection. Source: Ultralytics' documentation, overviews of datasets for "object detection",
+"oriented bounding box" and "instance segmentation", and the checks in its `data/utils.py`.
 """
 
 from __future__ import annotations
@@ -26,15 +28,25 @@ from annotator.types.errors import FormatError
 # Ultralytics accepts boxes that extend beyond the image by this fraction of its size.
 TOLERANCE = 0.01
 FIELDS = "class cx cy w h"
+# Numbers of a row: a box, with a score; and corners of the least polygon.
+BOX_NUMBERS, LEAST_CORNERS = (4, 5), 6
 
 
 @dataclass(frozen=True)
 class YoloBox:
-    """One line of a label file: class name, (cx, cy, w, h) as fractions of the image size, score (1 if absent)."""
+    """One line of a label file.
+
+    Attributes:
+        label: class name.
+        shares: cx, cy, w, h as fractions of the image size.
+        score: 1 if absent.
+        is_around: it is the rectangle around a turned box or a polygon.
+    """
 
     label: str
     shares: tuple[float, float, float, float]
     score: float = 1.0
+    is_around: bool = False
 
     def on(self, width_px: int, height_px: int) -> Box2D:
         """Returns the box in pixels of an image of that size, clipped to the image."""
@@ -71,9 +83,9 @@ def parse_boxes(
         on_fault: called with the fault of a row; see `OnFault`.
 
     Raises:
-        FormatError: not five or six fields (a polygon, keypoints), a field that is not a number, a class without a
-            name, a box without extent, a box that extends beyond the image by more than `TOLERANCE`, or the same line
-            twice; names the line.
+        FormatError: a wrong number of fields, a field that is not a number, a class without a name, a box
+            without extent, a box that extends beyond the image by more than `TOLERANCE`, or the same line twice; names
+            the line.
     """
     boxes: dict[YoloBox, int] = {}
     for line, row in enumerate(text.splitlines(), 1):
@@ -91,10 +103,12 @@ def parse_boxes(
 
 
 def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> YoloBox:
-    if len(fields) not in (5, 6):
+    is_box = len(fields) - 1 in BOX_NUMBERS
+    if not is_box and (len(fields) - 1 < LEAST_CORNERS or len(fields) % 2 == 0):
         raise FormatError(
             path,
-            f"has {len(fields)} fields; a box has {FIELDS} [score]; polygons and keypoints are not supported",
+            f"has {len(fields)} fields; a box has {FIELDS} [score], a turned box or a polygon has class x1 y1 x2 y2 x3 "
+            "y3 ..., and keypoints are not supported",
             line,
         )
     try:
@@ -107,7 +121,7 @@ def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> 
         )
     if not all(map(math.isfinite, numbers)):
         raise FormatError(path, "all numbers must be finite", line)
-    cx, cy, w, h = numbers[:4]
+    cx, cy, w, h = numbers[:4] if is_box else _around(numbers)
     score = numbers[4] if len(numbers) == 5 else 1.0
     if not 0 <= score <= 1:
         raise FormatError(path, f"the score must be in 0..1, not {score:g}", line)
@@ -122,4 +136,10 @@ def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> 
     # a smaller box has no extent once it is clipped to an image of any size
     if min(edges[2], 1) - max(edges[0], 0) < 1e-9 or min(edges[3], 1) - max(edges[1], 0) < 1e-9:
         raise FormatError(path, "the box is outside the image", line)
-    return YoloBox(names[class_number], (cx, cy, w, h), score)
+    return YoloBox(names[class_number], (cx, cy, w, h), score, not is_box)
+
+
+def _around(corners: Sequence[float]) -> tuple[float, float, float, float]:
+    """Returns cx, cy, w, h of the rectangle around the corners x1 y1 x2 y2 ..."""
+    left, right, top, bottom = min(corners[::2]), max(corners[::2]), min(corners[1::2]), max(corners[1::2])
+    return (left + right) / 2, (top + bottom) / 2, right - left, bottom - top

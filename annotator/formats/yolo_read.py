@@ -69,6 +69,7 @@ class _DataYaml(BaseModel):
     names: dict[int, str] | list[str]
     box_kind: object = None
     other_box_kind: object = None
+    kpt_shape: object = None
 
     def with_kinds(self, pictures: Iterable[YoloPicture]) -> list[YoloPicture]:
         """Returns the images with what their boxes enclose, if annotator has written it."""
@@ -88,8 +89,8 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
         on_fault: called with the fault of a label file or an image of another type; see `OnFault`.
 
     Raises:
-        FormatError: `path` is not one of these, `data.yaml` is damaged, a part is missing or is outside the folder, a
-            label file does not follow the format, or an image is neither PNG nor JPEG.
+        FormatError: `path` is not one of these, `data.yaml` is damaged or has keypoints, a part is missing or is
+            outside the folder, a label file does not follow the format, or an image is neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
         return list(_with_classes(path, on_fault))
@@ -106,6 +107,10 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
                 by_label_file.setdefault(picture.label_file, picture)
     if not by_label_file:
         raise FormatError(file, "names no image: train, val and test are empty")
+    if data.kpt_shape is not None and any(box.is_around for each in by_label_file.values() for box in each.boxes):
+        raise FormatError(
+            file, "has keypoints (kpt_shape), which are not supported; keep the first five fields of rows"
+        )
     return data.with_kinds(by_label_file.values())
 
 

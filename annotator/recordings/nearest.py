@@ -24,7 +24,8 @@ PARTS: dict[str, tuple[str, ...]] = {
     "SUN RGB-D as VoteNet extracts it": ("image/", "calib/", "depth/*.mat|points/*.npz"),
     "a scene of SUN RGB-D": ("image/", "depth/", "extrinsics/", "intrinsics.txt"),
     "an export in the format rcv": ("dataset.json", "labels/", "images/", "clouds/"),
-    "an export in the format openlabel": ("images/", "clouds/", "frames.csv"),
+    # nearly every export has a frames.csv
+    "an export in the format openlabel": ("images/", "clouds/"),
 }
 MOST_NAMED = 2
 # How far, and for how long, recordings below a folder are searched.

@@ -131,7 +131,10 @@ class OrientedBox:
         matrix = as_array("rotation", rotation, np.float64, (3, 3))
         error = _distance_from_rotation(matrix.T.tolist())
         if not error <= 1e-3:
-            raise ValueError("rotation must be a proper rotation matrix (orthonormal, determinant +1)")
+            # other matrices may overflow
+            is_mirrored = bool((np.abs(matrix) < 2).all()) and np.linalg.det(matrix) < 0
+            mirrored = "; its axes are left-handed (they mirror)" if is_mirrored else ""
+            raise ValueError(f"rotation must be a proper rotation matrix (orthonormal, determinant +1){mirrored}")
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, center
         # normalising takes longer than all else, so a matrix that is exact up to rounding skips it

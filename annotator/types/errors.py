@@ -8,6 +8,7 @@
     │   │   │   └── UnclearError          its file can be read in several ways, or not as its place says
     │   │   └── DeviceError           a camera is missing, not usable or disconnected
     │   ├── FormatError           a label or dataset file
+    │   │   └── UnitError             its numbers are in another unit, or order, than its format has
     │   ├── ConfigError           a setting or a command-line value
     │   │   └── MovedError            a recording to add is one of the project, which has only moved
     │   └── ArgumentError         an argument of the Python API; a ValueError too
@@ -30,6 +31,7 @@ places: the command line, the web layer and the batch loop (which stores the fai
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 
 RESTORE = "restore it from a backup (`annotator project restore`)"
@@ -93,6 +95,26 @@ class FormatError(InputError):
         self.line = line
         where = f"{path}:{line}" if line is not None else str(path)
         super().__init__(f"{where}: {problem}")
+
+
+class UnitKind(StrEnum):
+    """What is in another unit or order."""
+
+    ANGLE = "angle"
+    LENGTH = "length"
+    QUATERNION = "quaternion"
+
+
+class UnitError(FormatError):
+    """The numbers of a label file are in another unit, or in another order, than its format has.
+
+    Attributes:
+        kind: which numbers.
+    """
+
+    def __init__(self, kind: UnitKind, path: Path, problem: str, line: int | None = None) -> None:
+        self.kind = kind
+        super().__init__(path, problem, line)
 
 
 class ConfigError(InputError):

@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -194,3 +195,61 @@ def test_a_repeated_name_or_missing_folder_is_an_error(tmp_path: Path) -> None:
         write_coco(tmp_path / "out.json", [image, image])
     with pytest.raises(FormatError, match="cannot be written"):
         write_coco(tmp_path / "missing" / "out.json", [image])
+
+
+def turned(rotation: object, bbox: object = (2, 2, 4, 2), **fields: Any) -> Any:
+    content = copy.deepcopy(GOOD)
+    content["images"][0] |= {"width": 100, "height": 80} | fields.pop("image", {})
+    annotation = {"id": 1, "image_id": 7, "category_id": 5, "attributes": {"occluded": False, "rotation": rotation}}
+    content["annotations"] = [annotation | ({} if bbox is None else {"bbox": bbox}) | fields]
+    return content
+
+
+POLYGONS = [[30, 20, 50, 20, 40, 45], [38, 44, 42, 44, 40, 60]]
+
+
+@pytest.mark.parametrize(
+    ("content", "edges", "around"),
+    [
+        # edges from the picture's corner
+        (turned(90, (20, 30, 40, 10)), (35, 15, 45, 55), 1),
+        (turned(45.0, (20, 30, 30, 10)), (35 - 200**0.5, 35 - 200**0.5, 35 + 200**0.5, 35 + 200**0.5), 1),
+        (turned(-30, (20, 30, 40, 10)), (40 - 19.8205, 35 - 14.3301, 40 + 19.8205, 35 + 14.3301), 1),
+        (turned(0.0, (20, 30, 40, 10)), (20, 30, 60, 40), 0),
+        (turned(180, (20, 30, 40, 10)), (20, 30, 60, 40), 0),
+        (turned("90", (20, 30, 40, 10)), (35, 15, 45, 55), 1),
+        # no angle, but somebody's own attribute
+        (turned("left", (20, 30, 40, 10)), (20, 30, 60, 40), 0),
+        (turned(True, (20, 30, 40, 10)), (20, 30, 60, 40), 0),
+        # the rectangle around a turned box may reach beyond the picture
+        (turned(90, (0, 0, 40, 10)), (15, 0, 25, 25), 1),
+        # polygons without a box, and with one
+        (turned(0, None, segmentation=POLYGONS), (30, 20, 50, 60), 1),
+        (turned(0, [], segmentation=POLYGONS), (30, 20, 50, 60), 1),
+        (turned(0, (20, 30, 40, 10), segmentation=POLYGONS), (20, 30, 60, 40), 0),
+        # somebody's own attribute in a file of annotator
+        (turned(45, (20, 30, 40, 10), image={"box_kind": "box"}), (20, 30, 60, 40), 0),
+    ],
+)
+def test_turned_boxes_and_polygons_are_the_rectangles_around_them(
+    tmp_path: Path, content: Any, edges: tuple[float, ...], around: int
+) -> None:
+    image = read_coco(put(tmp_path, content))[0]
+    assert image.boxes[0].xyxy == pytest.approx(np.array(edges) - 0.5, abs=1e-4)
+    assert image.around == around
+    rotation = content["annotations"][0]["attributes"]["rotation"]
+    kept = {"rotation": rotation} if rotation in ("left", True) or image.box_kind is not None else {}
+    assert image.values == ({"occluded": False} | kept,)
+
+
+@pytest.mark.parametrize("segmentation", [None, [], [[]], {"counts": "abc", "size": [8, 10]}, "x", [["a", 1]]])
+def test_an_annotation_without_box_and_polygons_is_an_error(tmp_path: Path, segmentation: object) -> None:
+    with pytest.raises(FormatError, match="annotation 1: has no bbox, and no polygons as segmentation"):
+        read_coco(put(tmp_path, turned(0, None, segmentation=segmentation)))
+
+
+@pytest.mark.shared
+def test_the_rectangle_around_a_turned_box_of_cvat(shared: Path) -> None:
+    (box,) = read_coco(shared / "cases/08_coco_fields/rotation.json")[0].boxes
+    assert (round(box.width_px), round(box.height_px)) == (61, 61)
+    assert (box.x_min + box.x_max, box.y_min + box.y_max) == pytest.approx((2 * 302.0, 2 * 102.0))

@@ -14,7 +14,7 @@ from annotator.formats.yolo_dataset import YoloWriter
 from annotator.formats.yolo_read import read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.importing.picture_labels import PictureLabels
+from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, read_pictures
 
 BOX = Box2D("no", 0.5, 0.5, 2.5, 1.5)
 ROW = "1 0.5000000 0.5000000 0.5000000 0.5000000\n"
@@ -182,3 +182,17 @@ def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> 
     for theirs, found in (("box_kind: tight", [None] * 3), ("box_kind: [1]", [None] * 3), ("box_kind: box", kinds)):
         (tmp_path / "data.yaml").write_text(text.replace("box_kind: box", theirs, 1))
         assert [picture.box_kind for picture in read_yolo(tmp_path)] == found
+
+
+def test_polygons_are_counted_and_keypoints_refused(tmp_path: Path) -> None:
+    (tmp_path / "labels").mkdir()
+    (tmp_path / "labels/a.txt").write_text("0 0.5 0.1 0.9 0.5 0.5 0.9 0.1 0.5\n0 0.5 0.5 0.2 0.2\n")
+    (tmp_path / "images").mkdir()
+    yaml = "train: images\nnames: [person]\n"
+    (tmp_path / "data.yaml").write_text(yaml)
+    (picture,) = read_pictures(FlatFormat.YOLO, tmp_path).pictures
+    assert picture.around == 1
+    assert picture.boxes_on(100, 50)[0].xyxy == pytest.approx((9.5, 4.5, 89.5, 44.5))
+    (tmp_path / "data.yaml").write_text(f"{yaml}kpt_shape: [2, 2]\n")
+    with pytest.raises(FormatError, match="has keypoints"):
+        read_yolo(tmp_path)

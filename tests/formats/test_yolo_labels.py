@@ -68,7 +68,7 @@ def test_ten_round_trips_round_only_once(picture: tuple[tuple[int, int], list[Bo
     ("row", "says"),
     [
         ("0 0.5 0.5 1", "has 4 fields"),
-        ("0 0.1 0.1 0.2 0.1 0.2 0.2", "has 7 fields.*polygons"),
+        ("0 0.1 0.1 0.2 0.1 0.2 0.2 0.3", "has 8 fields.*polygon.*keypoints are not supported"),
         ("person 0.5 0.5 1 1", "must hold numbers"),
         ("0.0 0.5 0.5 1 1", "must hold numbers"),
         ("0 0,5 0.5 1 1", "must hold numbers"),
@@ -104,3 +104,18 @@ def test_any_content_is_boxes_on_the_image_or_an_error(lines: list[str], width_p
     for box in boxes:
         x_min, y_min, x_max, y_max = box.on(width_px, height_px).xyxy
         assert -0.5 <= x_min < x_max <= width_px - 0.5 and -0.5 <= y_min < y_max <= height_px - 0.5
+
+
+@pytest.mark.parametrize(
+    ("row", "shares"),
+    [
+        # a turned box by its corners, a triangle, and a polygon of five corners
+        ("0 0.5 0.1 0.9 0.5 0.5 0.9 0.1 0.5", (0.5, 0.5, 0.8, 0.8)),
+        ("1 0.2 0.3 0.6 0.3 0.4 0.7", (0.4, 0.5, 0.4, 0.4)),
+        ("0 0.1 0.1 0.3 0.1 0.4 0.2 0.3 0.5 0.1 0.5", (0.25, 0.3, 0.3, 0.4)),
+    ],
+)
+def test_turned_boxes_and_polygons_are_the_rectangles_around_them(row: str, shares: tuple[float, ...]) -> None:
+    (box, plain) = parse_boxes(FILE, f"{row}\n1 0.5 0.5 0.2 0.2 0.9\n", NAMES)
+    assert box.shares == pytest.approx(shares)
+    assert (box.score, box.is_around, plain.score, plain.is_around) == (1.0, True, 0.9, False)

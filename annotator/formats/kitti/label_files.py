@@ -21,6 +21,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.attributes import of_kitti
 from annotator.formats.reading import finite_number
 from annotator.formats.text_folder import text_rows
+from annotator.formats.units import Angles
 from annotator.types import Box2D, OrientedBox, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK
@@ -33,6 +34,8 @@ TRACKING_FIELDS = 2
 INSIDE, PARTLY_OUTSIDE, LARGELY_OUTSIDE = 0, 1, 2
 # Share outside the image above which an object is partly and largely truncated (docs/formats.md).
 PARTLY_OUTSIDE_SHARE, LARGELY_OUTSIDE_SHARE = 0.5, 0.9
+# The sizes in rows without a 3D box.
+UNKNOWN_SIZES = ((-1.0, -1.0, -1.0), (0.0, 0.0, 0.0))
 # those that are not a fraction, too
 LEVELS_ALONE = tuple(str(level) for level in (PARTLY_OUTSIDE, LARGELY_OUTSIDE))
 
@@ -69,6 +72,11 @@ class KittiLabel:
     z: float
     rotation_y: float
     score: float | None = None
+
+    @property
+    def is_flat(self) -> bool:
+        """True for a 2D box without a 3D box: sizes of -1 (or 0), as detectors of 2D boxes write them."""
+        return (self.height, self.width, self.length) in UNKNOWN_SIZES
 
     @property
     def image_box(self) -> Box2D:
@@ -142,29 +150,35 @@ def heading_rotation(rotation_y: float) -> Float64[np.ndarray, "3 3"]:
 
 
 def read_object_labels(path: Path, T_camera_label: RigidTransform | None) -> list[Truth]:
-    """Returns the objects of one `label_2/KEY.txt`, in file order, without DontCare; an empty file has none.
+    """Returns the 3D boxes of one `label_2/KEY.txt`, in file order; an empty file has none.
 
     Args:
         path: the file.
         T_camera_label: from rectified camera 0 to the camera frame (`Frame.T_camera_label`); None for identity.
 
     Raises:
-        FormatError: the file is missing, or a row is not a valid label; names file and line.
+        FormatError: the file is missing, a row is not a valid label, or an angle is not in radians; names file and
+            line.
     """
+    angles = Angles()
     rows = ((line, parse_fields(fields, path, line)) for line, fields in text_rows(path))
-    return [row_truth(row, None, T_camera_label, path, line) for line, row in rows if row.label != DONT_CARE]
+    truths = [row_truth(row, None, T_camera_label, path, line, angles) for line, row in rows if has_solid(row)]
+    angles.require()
+    return truths
 
 
 def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> dict[int, list[Truth]]:
-    """Returns the objects of a `label_02.txt` by frame number, in file order, without DontCare.
+    """Returns the 3D boxes of a `label_02.txt` by frame number, in file order.
 
     A frame without objects has no entry. Arguments and errors as in `read_object_labels`.
     """
     frames: dict[int, list[Truth]] = {}
+    angles = Angles()
     for line, fields in text_rows(path):
         frame, track_id, row = parse_tracking_fields(fields, path, line)
-        if row.label != DONT_CARE:
-            frames.setdefault(frame, []).append(row_truth(row, track_id, T_camera_label, path, line))
+        if has_solid(row):
+            frames.setdefault(frame, []).append(row_truth(row, track_id, T_camera_label, path, line, angles))
+    angles.require()
     return frames
 
 
@@ -229,8 +243,20 @@ def _size_m(row: KittiLabel) -> Float64[np.ndarray, "3"]:
     return np.array([row.length, row.width, row.height])
 
 
-def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int) -> Truth:
-    """Returns a row's object in the camera frame; `T` maps rectified camera 0 to that frame (None for identity).
+def has_solid(row: KittiLabel) -> bool:
+    """False for a DontCare area, and for a 2D box without a 3D box."""
+    return row.label != DONT_CARE and not row.is_flat
+
+
+def row_truth(
+    row: KittiLabel, track_id: int | None, T: RigidTransform | None, path: Path, line: int, angles: Angles
+) -> Truth:
+    """Returns a row's object in the camera frame.
+
+    Args:
+        row: one that has a 3D box.
+        T: from rectified camera 0 to the camera frame; None for identity.
+        angles: those of all rows that belong together.
 
     Raises:
         FormatError: a size that is not positive.
@@ -240,7 +266,7 @@ def row_truth(row: KittiLabel, track_id: int | None, T: RigidTransform | None, p
             path, f"height width length must be positive, not {row.height} {row.width} {row.length}", line
         )
     try:
-        box = label_box(row)
+        box = label_box(replace(row, rotation_y=angles.radians(row.rotation_y, path, line)))
         image_box = row.image_box if row.right > row.left and row.bottom > row.top else None
         values = of_kitti(row.truncated, row.occluded)
         box = box if T is None else box.transformed(T)

@@ -10,8 +10,9 @@ camera 0 plus t is the same point in the colour camera's frame (KITTI object dev
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +23,16 @@ from annotator.formats.json_file import MOST
 from annotator.formats.kitti.label_files import (
     DONT_CARE,
     FIELDS,
+    UNKNOWN_SIZES,
     KittiLabel,
+    has_solid,
     parse_fields,
     parse_label_line,
     parse_tracking_fields,
     row_truth,
 )
 from annotator.formats.text_folder import read_text, text_files, text_rows
+from annotator.formats.units import Angles
 from annotator.text import to_number
 from annotator.types import Truth
 from annotator.types.errors import FormatError
@@ -39,28 +43,55 @@ Frames = dict[str, tuple[Truth, ...]]
 """The objects of each labelled frame, in rectified camera 0, by `RECORDING/KEY` or only `KEY`."""
 
 
-def each_kitti_frame(path: Path) -> Iterator[tuple[str, tuple[Truth, ...]]]:
-    """Yields the objects of each frame, in file order, without DontCare.
+@dataclass
+class KittiRows:
+    """What the rows of a set show beside their 3D boxes.
+
+    Attributes:
+        angles: of all 3D boxes.
+        flat: number of 2D boxes without a 3D box, by frame name; they are left out.
+    """
+
+    angles: Angles = field(default_factory=Angles)
+    flat: Counter[str] = field(default_factory=Counter)
+
+    def truth(self, name: str, row: KittiLabel, track_id: int | None, file: Path, line: int) -> Truth | None:
+        """Returns the object of a row of the frame `name`, in rectified camera 0; None if it has no 3D box.
+
+        Raises:
+            FormatError: as `row_truth`.
+        """
+        self.flat[name] += row.label != DONT_CARE and row.is_flat
+        return row_truth(row, track_id, None, file, line, self.angles) if has_solid(row) else None
+
+
+def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[Truth, ...]]]:
+    """Yields the 3D boxes of each frame, in file order.
 
     Args:
+        found: collects what the rows show beside that.
         path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
             file `label_02.txt`, where every frame with a row counts as labelled.
 
     Raises:
-        FormatError: there are no labels, a row is not a valid label (names the line), or frames.csv does not list a
-            label file.
+        FormatError: there are no labels, a row is not a valid label (names the line), frames.csv does not list a label
+            file, or, after the last frame, the angles are not in radians.
     """
     place = label_place(path)
     if place.is_file() and place.suffix == ".txt":
         if any(len(fields) in (FIELDS, FIELDS + 1) for _, fields in text_rows(place)[:1]):
             raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
-        yield from _tracked(place).items()
+        yield from _tracked(place, found).items()
+        found.angles.require()
         return
     dataset_names = DatasetNames.of(place)
     for stem, file, text in text_files(place, within=LABELS):
         lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
         rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
-        yield dataset_names.frame(stem), _objects(rows, file, dataset_names)
+        name = dataset_names.frame(stem)
+        truths = (found.truth(name, row, None, file, line) for line, row in rows)
+        yield name, tuple(replace(each, label=dataset_names.label(each.label)) for each in truths if each is not None)
+    found.angles.require()
 
 
 def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
@@ -85,19 +116,15 @@ def label_place(path: Path) -> Path:
     return next((path / name for name in PLACES if (path / name).exists()), path)
 
 
-def _objects(rows: Iterable[tuple[int, KittiLabel]], file: Path, dataset_names: DatasetNames) -> tuple[Truth, ...]:
-    truths = [row_truth(row, None, None, file, line) for line, row in rows if row.label != DONT_CARE]
-    return tuple(replace(truth, label=dataset_names.label(truth.label)) for truth in truths)
-
-
-def _tracked(file: Path) -> Frames:
+def _tracked(file: Path, found: KittiRows) -> Frames:
     """Returns the objects of a tracking file, by frame number with six digits, as KITTI names the images."""
     frames: dict[str, list[Truth]] = {}
     for line, fields in text_rows(file):
         number, track_id, row = parse_tracking_fields(fields, file, line)
-        objects = frames.setdefault(f"{number:06d}", [])
-        if row.label != DONT_CARE:
-            objects.append(row_truth(row, track_id, None, file, line))
+        name = f"{number:06d}"
+        objects = frames.setdefault(name, [])
+        if (truth := found.truth(name, row, track_id, file, line)) is not None:
+            objects.append(truth)
     if not frames:
         raise FormatError(file, "has no label row")
     return {name: tuple(objects) for name, objects in frames.items()}
@@ -141,10 +168,6 @@ def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
     raise FormatError(path, "has no P2")
 
 
-# The size in rows without a 3D box.
-UNKNOWN_SIZE = (-1.0, -1.0, -1.0)
-
-
 def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[KittiLabel, ...]]:
     """Returns the rows of every frame, by the file's stem, in file order.
 
@@ -154,7 +177,8 @@ def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[KittiLabel
 
     Raises:
         FormatError: as `text_files`; or a row has too few fields, a field that is not a finite number, a 2D box with
-            right < left or bottom < top, or a size that is not positive (-1 -1 -1 means an unknown 3D box).
+            right < left or bottom < top, a size that is not positive (-1 -1 -1 means an unknown 3D box), or an angle
+            that is not in radians.
     """
     return {key: _rows(text, file, scored) for key, file, text in text_files(path)}
 
@@ -165,11 +189,13 @@ def read_kitti_file(path: Path, *, scored: bool) -> tuple[KittiLabel, ...]:
 
 
 def _rows(text: str, file: Path, scored: bool) -> tuple[KittiLabel, ...]:
-    lines = enumerate(text.splitlines(), 1)
-    return tuple(_row(line, file, number, scored) for number, line in lines if line.strip())
+    lines, angles = enumerate(text.splitlines(), 1), Angles()
+    rows = tuple(_row(line, file, number, scored, angles) for number, line in lines if line.strip())
+    angles.require()
+    return rows
 
 
-def _row(text: str, file: Path, line: int, scored: bool) -> KittiLabel:
+def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> KittiLabel:
     row = parse_label_line(text, file, line)
     if scored and row.score is None:
         raise FormatError(
@@ -184,7 +210,9 @@ def _row(text: str, file: Path, line: int, scored: bool) -> KittiLabel:
             file, f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}", line
         )
     size = (row.height, row.width, row.length)
-    if min(size) <= 0 and size != UNKNOWN_SIZE and row.label.lower() != DONT_CARE.lower():
+    if min(size) <= 0 and size not in UNKNOWN_SIZES and row.label.lower() != DONT_CARE.lower():
         height, width, length = size
         raise FormatError(file, f"height width length must be positive, not {height:g} {width:g} {length:g}", line)
+    if has_solid(row):
+        angles.radians(row.rotation_y, file, line)
     return row

@@ -25,9 +25,8 @@ from annotator.formats.kitti.label_files import (
     KittiLabel,
     dump_tracking_line,
     parse_tracking_fields,
-    row_truth,
 )
-from annotator.formats.kitti.label_folders import CALIBRATIONS, Frames, read_shift
+from annotator.formats.kitti.label_folders import CALIBRATIONS, Frames, KittiRows, read_shift
 from annotator.formats.kitti.object_folder import NOT_HELD, TRAINING, calibration_text, item_rows, lidar_points
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.text_folder import text_files
@@ -191,19 +190,20 @@ def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str]
     return ids
 
 
-def read_kitti_tracks(path: Path) -> tuple[Frames, dict[str, Float64[np.ndarray, "3"]]]:
+def read_kitti_tracks(path: Path, found: KittiRows) -> tuple[Frames, dict[str, Float64[np.ndarray, "3"]]]:
     """Returns the objects of all labelled frames, without DontCare, and the shifts to the colour camera from calib/.
 
     Args:
         path: a tracking folder, its `label_02` with one file per sequence, or a zip archive of that.
+        found: collects what the rows show beside their 3D boxes.
 
     Returns:
         Both by `RECORDING/KEY` from frames.csv, else by `SEQUENCE/FRAME`. A frame without a row is included only if
         frames.csv lists it. Boxes are in rectified camera 0; see `read_kitti_shifts`.
 
     Raises:
-        FormatError: there are no labels, a row is not a valid label (names the line), or frames.csv does not list a
-            frame.
+        FormatError: there are no labels, a row is not a valid label (names the line), frames.csv does not list a
+            frame, or the angles are not in radians.
     """
     place = next((path / name for name in (f"{TRAINING}/{LABELS}", LABELS) if (path / name).is_dir()), path)
     dataset_names, frames, shifts = (
@@ -224,7 +224,7 @@ def read_kitti_tracks(path: Path) -> tuple[Frames, dict[str, Float64[np.ndarray,
             objects = frames.setdefault(name, [])
             if shift is not None:
                 shifts[name] = shift
-            if label.label != DONT_CARE:
-                truth = row_truth(label, track_id, None, file, line)
+            if (truth := found.truth(name, label, track_id, file, line)) is not None:
                 objects.append(replace(truth, label=dataset_names.label(truth.label)))
+    found.angles.require()
     return {name: tuple(objects) for name, objects in frames.items()}, shifts

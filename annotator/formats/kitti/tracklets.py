@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.files import open_file
 from annotator.formats.reading import finite_number
+from annotator.formats.units import Angles
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 
@@ -51,6 +52,7 @@ def read_tracklets(path: Path) -> dict[int, list[Truth]]:
         FormatError: the file is missing, is not XML, contains a DTD, or has an invalid object; names the line.
     """
     frames: dict[int, list[Truth]] = {}
+    angles = Angles()
     for track_id, (line, tracklet) in enumerate(_objects(path)):
         label = tracklet.values.get("objectType", "").strip()
         if not label:
@@ -64,17 +66,18 @@ def read_tracklets(path: Path) -> dict[int, list[Truth]]:
         for number, (pose_line, pose) in enumerate(tracklet.poses, int(first)):
             if _number(path, pose_line, pose, "truncation", 0.0) in NOT_IN_IMAGE:
                 continue
-            truth = Truth(label, _box(path, pose_line, pose, size_m), track_id)
+            truth = Truth(label, _box(path, pose_line, pose, size_m, angles), track_id)
             frames.setdefault(number, []).append(truth)
+    angles.require()
     return frames
 
 
-def _box(path: Path, line: int, pose: dict[str, str], size_m: np.ndarray) -> OrientedBox:
+def _box(path: Path, line: int, pose: dict[str, str], size_m: np.ndarray, angles: Angles) -> OrientedBox:
     bottom_m = np.array([_number(path, line, pose, name) for name in ("tx", "ty", "tz")])
     tilt = max(abs(_number(path, line, pose, name, 0.0)) for name in ("rx", "ry"))
     if tilt > MOST_TILT_RAD:
         raise FormatError(path, "a pose has rx or ry other than 0; only rz is supported", line)
-    turn = Rotation.from_euler("z", _number(path, line, pose, "rz"))
+    turn = Rotation.from_euler("z", angles.radians(_number(path, line, pose, "rz"), path, line))
     center_m = bottom_m + np.array([0.0, 0.0, size_m[2] / 2])
     try:
         return OrientedBox.from_parts(center_m, turn.as_matrix(), size_m)

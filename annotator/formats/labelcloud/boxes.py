@@ -10,18 +10,21 @@ settings.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.labelcloud.model import Axes, BoxObject, Dimensions
+from annotator.formats.units import MOST_RAD
 from annotator.types import OrientedBox
 
 DECIMALS = 8
 SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
 CORNERS = np.array([[x, y, z] for z in (-1, 1) for x, y in SIGNS]) / 2
+# So many angles in degrees are not all below half a turn in radians.
+LEAST_SMALL = 10
 # Tolerance for corners: rounding to millimetres, or this fraction of the box's smallest side.
 OFF_BOX_M, OFF_BOX_SHARE = 2e-3, 1e-2
 
@@ -92,6 +95,28 @@ def in_degrees(angles: Iterable[float]) -> bool | None:
     if lowest < 0 or highest == 0:
         return False
     return True if highest > half else None
+
+
+def unlike(angles: Sequence[float], *, degrees: bool) -> str | None:
+    """Returns what shows that angles are not in the unit that `_classes.json` names; None if nothing does.
+
+    labelCloud writes degrees in 0..360, so some of a scene's angles are above a full turn in radians. Negative degrees
+    are those of another program; all within half a turn in radians, they are radians.
+
+    Args:
+        degrees: the unit that the file names; False: radians.
+    """
+    others = [angle for angle in angles if angle != 0]
+    beyond = sum(abs(angle) > MOST_RAD for angle in others)
+    half = math.pi + 10.0**-DECIMALS
+    if not degrees and beyond:
+        worst = max(others, key=abs)
+        return (
+            f"{worst:g} is no angle in radians ({beyond} of {len(others)} angles other than 0 are beyond a full turn)"
+        )
+    if degrees and others and max(map(abs, others)) <= half and (min(others) < 0 or len(others) >= LEAST_SMALL):
+        return f"all {len(others)} angles other than 0 are within -pi..pi, as radians are"
+    return None
 
 
 def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:

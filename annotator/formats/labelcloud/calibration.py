@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.json_file import MOST
 from annotator.formats.text_folder import text_rows
+from annotator.formats.units import rotation_problem
 from annotator.text import to_number
 from annotator.types import Camera
 from annotator.types.errors import FormatError
@@ -60,8 +61,8 @@ def read_calibration_pose(path: Path) -> RigidTransform:
         raise FormatError(path, f"has no {' and no '.join(missing)}")
     P2, pose = matrices["P2"], matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
     R = pose[:, :3]
-    if np.abs(R.T @ R - np.eye(3)).max() > MOST_OFF_ROTATION or np.linalg.det(R) < 0:
-        raise FormatError(path, "R0_rect * Tr_velo_to_cam is not a rotation and translation")
+    if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
+        raise FormatError(path, f"R0_rect * Tr_velo_to_cam {problem}")
     try:
         shift = np.linalg.solve(P2[:, :3], P2[:, 3])
     except np.linalg.LinAlgError as error:

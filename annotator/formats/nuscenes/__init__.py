@@ -9,9 +9,9 @@ sample_labels.py  reads the boxes of a recording's samples
 results.py  reads the boxes of detectors and trackers, in the form of the benchmarks
 """
 
-from annotator.formats.nuscenes.read import NuScenesBox, is_seen, read_nuscenes, read_world_poses
+from annotator.formats.nuscenes.read import ANNOTATIONS, NuScenesBox, is_seen, read_nuscenes, read_world_poses
 from annotator.formats.nuscenes.results import read_results
-from annotator.formats.nuscenes.sample_labels import ANNOTATIONS, read_sample_boxes
+from annotator.formats.nuscenes.sample_labels import read_sample_boxes
 from annotator.formats.nuscenes.write import write_nuscenes
 
 __all__ = [

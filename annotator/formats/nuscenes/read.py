@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -18,12 +18,14 @@ from annotator.formats.json_file import read_model
 from annotator.formats.nuscenes.model import Attribute, Category, Instance, SampleAnnotation, Visibility
 from annotator.formats.nuscenes.shapes import box_from
 from annotator.formats.reading import OnFault, raise_fault
+from annotator.formats.units import Quaternions
 from annotator.geometry.oriented_box import box_corners
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Record, SampleData, Sensor, pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
 
+ANNOTATIONS = "sample_annotation.json"
 # A box is in an image if one of its corners is, and all are in front of the camera (devkit: `BoxVisibility.ANY`).
 NEAREST_M = 0.1
 
@@ -61,10 +63,12 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
     Raises:
         FormatError: no tables, rows that do not follow the schema or refer to missing rows, or two images with the
             same name.
+        UnitError: the quaternions have w last.
     """
     folder = _table_folder(path)
     origins = read_frames(folder.parent)
     labels = _Labels(folder)
+    require_w_first(folder, labels.annotations(), labels.instances)
     frames: dict[str, tuple[NuScenesBox, ...]] = {}
     for index, row in enumerate(labels.data.values()):
         if not row.is_key_frame or labels.sensor(index, row).modality != "camera":
@@ -121,14 +125,18 @@ class _Labels:
         self._calibrated = self._table("calibrated_sensor", CalibratedSensor)
         self._poses = self._table("ego_pose", EgoPose)
         self._categories = self._table("category", Category)
-        self._instances = self._table("instance", Instance)
+        self.instances = self._table("instance", Instance)
         # other tools leave these tables out
         self._names = self._named("attribute", Attribute, "name")
         self._levels = self._named("visibility", Visibility, "level")
-        self._numbers = {token: number for number, token in enumerate(self._instances)}
+        self._numbers = {token: number for number, token in enumerate(self.instances)}
         self._of_sample: dict[str, list[tuple[int, SampleAnnotation]]] = {}
         for index, row in enumerate(self._table("sample_annotation", SampleAnnotation).values()):
             self._of_sample.setdefault(row.sample_token, []).append((index, row))
+
+    def annotations(self) -> Iterator[SampleAnnotation]:
+        """Yields the rows of all boxes."""
+        return (row for rows in self._of_sample.values() for _, row in rows)
 
     def sensor(self, index: int, row: SampleData) -> Sensor:
         """Returns the sensor of a row."""
@@ -153,13 +161,11 @@ class _Labels:
                     T_camera_global
                 )
             except ValueError as error:
-                on_fault(FormatError(self._folder / "sample_annotation.json", f"row {number}: {error}"))
+                on_fault(FormatError(self._folder / ANNOTATIONS, f"row {number}: {error}"))
                 continue
             K = np.array(calibrated.camera_intrinsic)
             if origins or (len(K) and is_seen(box, K, row.width, row.height)):
-                instance = self._row(
-                    "sample_annotation", number, self._instances, "instance", annotation.instance_token
-                )
+                instance = self._row("sample_annotation", number, self.instances, "instance", annotation.instance_token)
                 category = self._row(
                     "instance", self._numbers[instance.token], self._categories, "category", instance.category_token
                 )
@@ -194,6 +200,19 @@ class _Labels:
                 f"row {index}: refers to the token {token}, which is not in {other}.json",
             )
         return rows[token]
+
+
+def require_w_first(tables: Path, annotations: Iterable[SampleAnnotation], instances: Mapping[str, Instance]) -> None:
+    """The boxes of nuScenes stand upright in the global frame; those of annotator may be tilted.
+
+    Raises:
+        UnitError: the boxes stand upright only if w is the last number of their quaternions.
+    """
+    quaternions = Quaternions()
+    for row in annotations:
+        if row.instance_token not in instances or not _is_ours(instances[row.instance_token]):
+            quaternions.add(row.rotation)
+    quaternions.require(tables / ANNOTATIONS)
 
 
 def values_of(

@@ -22,6 +22,7 @@ from annotator.formats.json_file import BoundedPositive
 from annotator.formats.json_stream import read_pairs
 from annotator.formats.nuscenes.model import Quaternion, Vector3
 from annotator.formats.nuscenes.shapes import box_from
+from annotator.formats.units import Quaternions
 from annotator.types import Truth
 from annotator.types.errors import FormatError
 from annotator.types.validation import first_problem
@@ -50,18 +51,25 @@ def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
 
     Raises:
         FormatError: the file cannot be read or is no such JSON, or a box is invalid; names the sample.
+        UnitError: after the last sample: the quaternions have w last.
     """
     tracks: dict[str | int, int] = {}
+    quaternions = Quaternions()
     for sample, boxes in read_pairs(path, RESULTS):
         if not isinstance(boxes, list):
             raise FormatError(path, f"results.{sample}: must be a list of boxes")
-        yield sample, [_truth(path, f"results.{sample}.{number}", each, tracks) for number, each in enumerate(boxes)]
+        yield (
+            sample,
+            [_truth(path, f"results.{sample}.{n}", each, tracks, quaternions) for n, each in enumerate(boxes)],
+        )
+    quaternions.require(path)
 
 
-def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int]) -> Truth:
+def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int], quaternions: Quaternions) -> Truth:
     try:
         row = ResultBox.model_validate(value)
         box = box_from(row.translation, row.rotation, row.size)
+        quaternions.add(row.rotation)
     except ValidationError as error:
         raise FormatError(path, first_problem(error, where)) from error
     except ValueError as error:

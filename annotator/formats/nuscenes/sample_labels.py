@@ -6,13 +6,14 @@ from collections.abc import Set
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from annotator.formats.nuscenes.model import Attribute, Category, Instance, SampleAnnotation, Visibility
-from annotator.formats.nuscenes.read import NuScenesBox, track_of, values_of
+from annotator.formats.nuscenes.read import ANNOTATIONS, NuScenesBox, require_w_first, track_of, values_of
 from annotator.formats.nuscenes.shapes import box_from
+from annotator.formats.units import Lengths
 from annotator.nuscenes_tables import Record, TableError, find_rows, read_rows
 from annotator.types.errors import FormatError
-
-ANNOTATIONS = "sample_annotation.json"
 
 Row = TypeVar("Row", bound=Record)
 
@@ -25,10 +26,13 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScen
 
     Raises:
         FormatError: a table is missing or damaged, or refers to missing rows.
+        UnitError: the sizes are not in metres, or the quaternions have w last.
     """
     annotations = _rows(tables / ANNOTATIONS, SampleAnnotation, samples)
     # all of them, because a track is the row's number
     instances = {row.token: (number, row) for number, row in enumerate(_rows(tables / "instance.json", Instance))}
+    Lengths(np.array(row.size) for row in annotations).require(tables / ANNOTATIONS)
+    require_w_first(tables, annotations, {token: row for token, (_, row) in instances.items()})
     classes = {row.token: row.name for row in _rows(tables / "category.json", Category)}
     names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
     levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}

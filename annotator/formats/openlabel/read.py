@@ -17,6 +17,7 @@ from annotator.formats.openlabel.named_values import values_of
 from annotator.formats.openlabel.said_text import SAID_BY, said_from
 from annotator.formats.openlabel.scene import PLACE, WORLD
 from annotator.formats.openlabel.shapes import box_from
+from annotator.formats.units import Angles, AngleUnit, Quaternions
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
@@ -66,32 +67,61 @@ class OpenLabelFrame:
     T_world_sensor: RigidTransform | None = None
 
 
-def read_openlabel(path: Path) -> dict[str, OpenLabelFrame]:
+def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, OpenLabelFrame]:
     """Returns the frames of a document, or of all documents in a folder and its subfolders, by name.
+
+    Args:
+        angles: unit of the angles of cuboids; None: radians, as the standard says.
 
     Raises:
         FormatError: no document, a document that does not follow the standard, a cuboid in a coordinate system that
             is not connected to the camera's, or two frames with the same name.
+        UnitError: the angles cannot be radians, or the quaternions have w first.
     """
+    all_angles, quaternions = Angles(angles), Quaternions(w_first=False)
     frames: dict[str, OpenLabelFrame] = {}
     source: dict[str, Path] = {}
     for file in _documents(path):
         # the parts of a divided dataset share the frames.csv above them
         origins = read_frames(file.parent) or read_frames(file.parent.parent)
-        for frame in parse(file, read_model(file, Document, unique_keys), origins):
+        document = read_model(file, Document, unique_keys)
+        _collect(file, document.openlabel, all_angles, quaternions)
+        for frame in parse(file, document, origins, degrees=angles is AngleUnit.DEGREES):
             if frame.name in frames:
                 where = f"here and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
                 raise FormatError(file, f"the frame {frame.name} has labels {where}; import one of them at a time")
             frames[frame.name], source[frame.name] = frame, file
+    all_angles.require()
+    quaternions.require(path)
     return frames
 
 
-def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) -> Iterator[OpenLabelFrame]:
+def _collect(file: Path, content: Content, angles: Angles, quaternions: Quaternions) -> None:
+    """Adds the numbers of all cuboids of a document; quaternions only of those in level frames.
+
+    Raises:
+        FormatError: as `_cuboids`.
+    """
+    cameras = {name for name, stream in (content.streams or {}).items() if stream.type == "camera"}
+    for number, frame in (content.frames or {}).items():
+        for _, _, each, cuboid in _cuboids(file, content, int(number), frame):
+            values = cuboid.val or ()
+            if len(values) == 9:
+                for value in values[3:6]:
+                    angles.radians(value, file)
+            elif len(values) == 10 and (cuboid.coordinate_system or each.coordinate_system) not in cameras:
+                quaternions.add(values[3:7])
+
+
+def parse(
+    path: Path, document: Document, origins: Mapping[str, FrameOrigin], *, degrees: bool = False
+) -> Iterator[OpenLabelFrame]:
     """Yields the frames of one document, once for each of its cameras.
 
     Args:
         path: the document, for error messages.
         origins: origins of frames, by the stem of their files.
+        degrees: the unit of the cuboids' angles; False: radians.
 
     Raises:
         FormatError: as `read_openlabel`.
@@ -114,7 +144,7 @@ def parse(path: Path, document: Document, origins: Mapping[str, FrameOrigin]) ->
             stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
             name = origins[stem].name if stem in origins else stem
             boxes = tuple(
-                _box(path, place, each, cuboid, uid, coordinates, sensor)
+                _box(path, place, each, cuboid, uid, coordinates, sensor, degrees)
                 for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
                 # null means "no cuboid" in the standard
                 if cuboid.val is not None
@@ -171,7 +201,14 @@ def _is_present(each: Object, number: int) -> bool:
 
 
 def _box(
-    path: Path, where: str, each: Object, cuboid: Cuboid, uid: str, coordinates: Coordinates, sensor: str
+    path: Path,
+    where: str,
+    each: Object,
+    cuboid: Cuboid,
+    uid: str,
+    coordinates: Coordinates,
+    sensor: str,
+    degrees: bool,
 ) -> OpenLabelBox:
     system = cuboid.coordinate_system or each.coordinate_system
     if system is None:
@@ -180,7 +217,7 @@ def _box(
     numbers = {num.name: num.val for num in attributes.num or ()}
     texts = {text.name: text.val for text in attributes.text or ()}
     try:
-        box, track_id = box_from(cuboid.val or ()), _track(numbers.get("track_id"), uid)
+        box, track_id = box_from(cuboid.val or (), degrees=degrees), _track(numbers.get("track_id"), uid)
         said = said_from(texts[SAID_BY]) if SAID_BY in texts else ()
         if system != sensor:
             T = coordinates.transform(sensor, system)

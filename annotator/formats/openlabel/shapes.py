@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.openlabel.model import Pinhole, TransformData
+from annotator.formats.units import rotation_problem
 from annotator.types import Camera, OrientedBox
 
 # Largest deviation of a 4x4 matrix from a rigid motion; files hold rounded numbers.
@@ -25,8 +26,11 @@ def cuboid_values(box: OrientedBox) -> tuple[float, ...]:
     return tuple(np.concatenate([box.center_m, quaternion, box.size_m]).tolist())
 
 
-def box_from(values: tuple[float, ...]) -> OrientedBox:
+def box_from(values: tuple[float, ...], *, degrees: bool = False) -> OrientedBox:
     """Returns the box of 10 values (quaternion x y z w) or 9 (Euler angles rx ry rz, radians).
+
+    Args:
+        degrees: the angles are in degrees.
 
     Raises:
         ValueError: neither 9 nor 10 values, a quaternion that is not of unit length, or a size that is not positive.
@@ -34,7 +38,7 @@ def box_from(values: tuple[float, ...]) -> OrientedBox:
     if len(values) == 10:
         rotation = _rotation(values[3:7])
     elif len(values) == 9:
-        rotation = Rotation.from_euler("ZYX", values[5:2:-1])
+        rotation = Rotation.from_euler("ZYX", values[5:2:-1], degrees=degrees)
     else:
         raise ValueError(f"a cuboid has 9 or 10 values, not {len(values)}")
     return OrientedBox.at(RigidTransform.from_components(np.array(values[:3]), rotation), np.array(values[-3:]))
@@ -62,9 +66,10 @@ def transform_from(data: TransformData) -> RigidTransform:
     if data.matrix4x4 is not None:
         matrix = np.array(data.matrix4x4).reshape(4, 4)
         R = matrix[:3, :3]
-        gap = max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(matrix[3] - (0, 0, 0, 1)).max())
-        if gap > RIGID or np.linalg.det(R) < 0:
+        if not np.abs(matrix[3] - (0, 0, 0, 1)).max() <= RIGID:
             raise ValueError("matrix4x4 is not a rigid motion (rotation and translation, row by row)")
+        if (problem := rotation_problem(R, RIGID)) is not None:
+            raise ValueError(f"matrix4x4 is not a rigid motion: its rotation {problem}")
         return RigidTransform.from_components(matrix[:3, 3], Rotation.from_matrix(R))
     if data.translation is None:
         raise ValueError("a transform needs matrix4x4, or translation with quaternion or euler_angles")

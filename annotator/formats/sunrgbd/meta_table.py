@@ -24,6 +24,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.sunrgbd.upright_depth import FIRST_PX, SWAPPED, one_based_matrix, tilt_matrix
+from annotator.formats.units import rotation_problem
 from annotator.mat_file import MatFileError, read_mat
 from annotator.types import Box2D, Camera, OrientedBox, Truth
 from annotator.types.errors import FormatError
@@ -167,8 +168,8 @@ def _truth(path: Path, where: str, entry: dict[str, Any]) -> Truth:
 
 def _rotation(path: Path, where: str, R: np.ndarray) -> np.ndarray:
     """Returns the nearest rotation; raises FormatError if `R` deviates from one by more than `MOST_SKEW`."""
-    if np.abs(R @ R.T - np.eye(3)).max() > MOST_SKEW or np.linalg.det(R) < 0:
-        raise FormatError(path, f"{where} is not a rotation matrix")
+    if (problem := rotation_problem(R, MOST_SKEW)) is not None:
+        raise FormatError(path, f"{where} {problem}")
     U, _, V = np.linalg.svd(R)
     return np.asarray(U @ V)
 

@@ -275,6 +275,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         if left_out
         else "",
         f"{amount(done.unseen, 'box')} outside the images of these frames left out" if done.unseen else "",
+        f"{amount(done.flat, '2D box')} without a 3D box left out" if done.flat else "",
         _left_out(done.values),
         f"{amount(len(done.unmatched), 'frame')} that the project does not have left out" if done.unmatched else "",
         f"{amount(len(done.unreadable), 'frame')} could not be read" if done.unreadable else "",
@@ -294,6 +295,7 @@ def _imported(done: Imported) -> tuple[str, dict[str, object]]:
     renamed = done.renamed
     parts = [
         f"{amount(done.boxes, '2D box')} on {amount(done.pictures, 'image')} imported",
+        f"{amount(done.around, 'box')} turned or polygons: the rectangles around them" if done.around else "",
         f"the drawn boxes on {amount(done.replaced, 'image')} replaced" if done.replaced else "",
         f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
         f"{amount(left_out, 'box')} of other classes left out ({', '.join(sorted(done.other_classes))})"
@@ -335,7 +337,7 @@ def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
 
 def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     """Imports the 3D boxes of recordings."""
-    labels, left_out, values, unreadable = Counter[str](), Counter[str](), Counter[str](), list[str]()
+    labels, left_out, values, unreadable, flat = Counter[str](), Counter[str](), Counter[str](), list[str](), 0
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
         imported = import_own_labels(job.project, recording.id, counter, request.recordings)
@@ -343,9 +345,12 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
         left_out += imported.other_classes
         values += imported.values
         unreadable += imported.unreadable
+        flat += imported.flat
     message = f"{amount(labels.total(), 'box')} imported"
     if left_out:
         message += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
+    if flat:
+        message += f", {amount(flat, '2D box')} without a 3D box left out"
     if values:
         message += f", {_left_out(values)}"
     if unreadable:

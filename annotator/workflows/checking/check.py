@@ -6,11 +6,19 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from annotator.formats.units import Lengths
 from annotator.types.errors import FormatError
+from annotator.workflows.checking.box_sets import SizeOrders, rule_of
 from annotator.workflows.checking.dataset_check import DatasetCheck, DatasetFacts, Progress
 from annotator.workflows.checking.findings import Finding, Findings
 from annotator.workflows.checking.other_software import OtherSoftwareDataset
-from annotator.workflows.checking.rules import BROKEN_LABEL, UNCHECKED_DATASET, UNREADABLE_DATASET, Severity
+from annotator.workflows.checking.rules import (
+    LENGTH_UNIT,
+    SIZE_ORDER,
+    UNCHECKED_DATASET,
+    UNREADABLE_DATASET,
+    Severity,
+)
 from annotator.workflows.checking.sources import find_sources
 
 
@@ -50,15 +58,26 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
 def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> list[DatasetFacts]:
     """Reads a dataset of other software; returns no facts if a part of it cannot be read."""
     frames = labels = faults = 0
+    sizes, orders = Lengths(), SizeOrders()
 
     def on_fault(fault: FormatError) -> None:
         nonlocal faults
-        findings.add_error(BROKEN_LABEL, fault, dataset.path)
+        findings.add_error(rule_of(fault), fault, dataset.path)
         faults += 1
 
     for part in dataset.parts(on_fault):
-        frames, labels = frames + part[0], labels + part[1]
+        frames, labels = frames + part.frames, labels + part.labels
+        for label, size_m in part.sizes:
+            sizes.add(size_m)
+            orders.add(label, size_m)
     if faults:
         return []
-    findings.add(UNCHECKED_DATASET, dataset.path, f"{dataset.format}: read, but their boxes are not checked")
+    for rule, problem in ((LENGTH_UNIT, sizes.problem()), (SIZE_ORDER, orders.problem())):
+        if problem is not None:
+            findings.add(rule, dataset.path, problem)
+    findings.add(
+        UNCHECKED_DATASET,
+        dataset.path,
+        f"{dataset.format}: read, but their boxes are not compared with clouds and images",
+    )
     return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]

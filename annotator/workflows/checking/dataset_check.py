@@ -24,6 +24,7 @@ from annotator.types.names import folded
 from annotator.workflows.checking import rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.box_rules import heading_jumps, odd_size_message, usual_sizes
+from annotator.workflows.checking.box_sets import BoxSet, rule_of
 from annotator.workflows.checking.camera_rules import camera_rules, cloud_rules
 from annotator.workflows.checking.findings import Findings
 from annotator.workflows.checking.label_files import FoundLabel
@@ -78,9 +79,11 @@ class DatasetCheck:
     wrong_files: int = 0
     with_row: int = 0
     seen: int = 0
+    flat: int = 0
     faults: Counter[Rule] = field(default_factory=Counter)
     before: tuple[tuple[str, int], Sequence[FoundLabel]] | None = None
     time_ns: int | None = None
+    boxes: BoxSet = field(default_factory=BoxSet)
 
     def run(self, progress: Progress | None) -> DatasetFacts:
         """Checks everything and adds what is wrong to `findings`.
@@ -150,7 +153,7 @@ class DatasetCheck:
         if labels.missing is not None:
             self.findings.add(rules.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
         for error in labels.problems:
-            self.findings.add_error(rules.BROKEN_LABEL, error, self.source.path, frame=key)
+            self.findings.add_error(rule_of(error), error, self.source.path, frame=key)
         # in two steps: the geometry of the second cannot handle implausible boxes
         self._add_all(key, labels.objects, rules_of_labels(labels.objects))
         objects = [each for each in labels.objects if is_plausible(each)]
@@ -159,8 +162,14 @@ class DatasetCheck:
         if frame is not None:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
-            self._add_all(key, objects, rules_in_frame(frame, objects))
+            in_frame = list(rules_in_frame(frame, objects))
+            empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is rules.EMPTY_BOX]
+            self.boxes.add_points(frame.cloud.xyz_m, len(objects), empty)
+            self._add_all(key, objects, in_frame)
             self._add_all(key, valid, self._since_before(index, valid))
+        for each in labels.objects:
+            self.boxes.add(each)
+        self.flat += labels.flat
         self.sizes += [_Sized(e.truth.label, e.truth.box.size_m, e.file, e.line, key) for e in labels.objects]
         self.wrong_files += bool(labels.problems) or labels.missing is not None
 
@@ -190,7 +199,7 @@ class DatasetCheck:
     def _whole_files(self) -> None:
         files = self.source.labels
         for error in files.problems() if files is not None else ():
-            self.findings.add_error(rules.BROKEN_LABEL, error, self.source.path)
+            self.findings.add_error(rule_of(error), error, self.source.path)
         of_labels = files.strays() if files is not None else iter(())
         of_recording = stray_names(self.source.recording) if isinstance(self.source, RecordingSource) else iter(())
         for strays in (of_labels, of_recording):
@@ -207,6 +216,10 @@ class DatasetCheck:
                 message = odd_size_message(each.label, each.size_m, usual[each.label])
                 self.findings.add(rules.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
         path = self.source.path
+        self.boxes.report(self.findings, path)
+        if self.flat:
+            message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
+            self.findings.add(rules.FLAT_LABEL, path, message)
         for names in _spellings({each.label for each in self.sizes}):
             self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
         for rule, kind, among, message in (

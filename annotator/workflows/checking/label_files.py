@@ -5,19 +5,27 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 from scipy.spatial.transform import RigidTransform
 
 from annotator.file_names import normal
 from annotator.formats.boxes_json import each_entries, entry_truth
-from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, parse_fields, parse_tracking_fields, row_truth
+from annotator.formats.kitti.label_files import (
+    DONT_CARE,
+    KittiLabel,
+    has_solid,
+    parse_fields,
+    parse_tracking_fields,
+    row_truth,
+)
 from annotator.formats.sunrgbd.labels import extracted_truth
 from annotator.formats.text_folder import text_rows
+from annotator.formats.units import Angles
 from annotator.recordings import Recording
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, FormatError
@@ -44,11 +52,19 @@ class FoundLabel:
 
 @dataclass(frozen=True, eq=False)
 class FrameLabels:
-    """The objects of a frame in file order, the problems of others, and the label file if it is missing."""
+    """The labels of a frame.
+
+    Attributes:
+        objects: in file order.
+        problems: those of other rows.
+        missing: the label file, if it is missing.
+        flat: number of 2D boxes without a 3D box.
+    """
 
     objects: tuple[FoundLabel, ...] = ()
     problems: tuple[AnnotatorError, ...] = ()
     missing: Path | None = None
+    flat: int = 0
 
 
 @runtime_checkable
@@ -69,7 +85,8 @@ class LabelFiles(Protocol):
         """
 
 
-RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | None]
+RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | Literal["area", "flat"]]
+"""Returns the label of a row, or what the row has instead: a DontCare area, or a 2D box without a 3D box."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +105,7 @@ class RowFiles:
             rows = text_rows(path)
         except FormatError as error:
             return FrameLabels(problems=(error,))
-        objects, problems = [], []
+        objects, problems, flat = [], [], 0
         T = None if frame is None else frame.T_camera_label
         for line, fields in rows:
             try:
@@ -96,9 +113,10 @@ class RowFiles:
             except FormatError as error:
                 problems.append(error)
             else:
-                if label is not None:
+                if isinstance(label, FoundLabel):
                     objects.append(label)
-        return FrameLabels(tuple(objects), tuple(problems))
+                flat += label == "flat"
+        return FrameLabels(tuple(objects), tuple(problems), flat=flat)
 
     def problems(self) -> Sequence[AnnotatorError]:
         return ()
@@ -117,6 +135,7 @@ class TrackingFile:
     recording: Recording
     path: Path
     rows: dict[int, list[FoundLabel]] = field(default_factory=lambda: defaultdict(list))
+    flat: Counter[int] = field(default_factory=Counter)
     wrong: list[AnnotatorError] = field(default_factory=list)
 
     def read(self) -> TrackingFile:
@@ -131,8 +150,10 @@ class TrackingFile:
     def _add_row(self, line: int, fields: list[str]) -> None:
         try:
             number, track_id, row = parse_tracking_fields(fields, self.path, line)
-            if row.label != DONT_CARE:
-                truth = row_truth(row, track_id, None, self.path, line)
+            self.flat[number] += row.label != DONT_CARE and row.is_flat
+            if has_solid(row):
+                # all angles of a dataset are judged together
+                truth = row_truth(row, track_id, None, self.path, line, Angles())
                 self.rows[number].append(FoundLabel(truth, self.path, line, row))
         except FormatError as error:
             self.wrong.append(error)
@@ -141,7 +162,7 @@ class TrackingFile:
         if not key.isdecimal():
             return FrameLabels(problems=(FormatError(self.path, f"frames must have numbers as names, not {key!r}"),))
         labels = self.rows.get(int(key), ())
-        return FrameLabels(tuple(_in_camera_frame(each, frame) for each in labels))
+        return FrameLabels(tuple(_in_camera_frame(each, frame) for each in labels), flat=self.flat[int(key)])
 
     def problems(self) -> Sequence[AnnotatorError]:
         return self.wrong
@@ -228,9 +249,14 @@ def label_files(recording: Recording) -> LabelFiles | None:
     return WholeFiles(recording)
 
 
-def _kitti_row(fields: list[str], T: RigidTransform | None, path: Path, line: int) -> FoundLabel | None:
+def _kitti_row(
+    fields: list[str], T: RigidTransform | None, path: Path, line: int
+) -> FoundLabel | Literal["area", "flat"]:
     row = parse_fields(fields, path, line)
-    return None if row.label == DONT_CARE else FoundLabel(row_truth(row, None, T, path, line), path, line, row)
+    if not has_solid(row):
+        return "area" if row.label == DONT_CARE else "flat"
+    # all angles of a dataset are judged together
+    return FoundLabel(row_truth(row, None, T, path, line, Angles()), path, line, row)
 
 
 def _extracted_row(fields: list[str], T: RigidTransform | None, path: Path, line: int) -> FoundLabel:

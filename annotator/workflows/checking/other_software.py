@@ -1,16 +1,23 @@
 """Datasets of other software: their labels are read as `annotator import` reads them, and faults are reported.
 
-Their boxes are not checked further, because the frames that they label belong to a project, not to the dataset.
+Of their boxes only units and sizes are checked, because the frames that they label belong to a project, not to the
+dataset.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
 
 from annotator.files import open_file, read_file
+from annotator.formats import sustechpoints
 from annotator.formats.coco_dataset import is_coco_dataset, read_coco_dataset
 from annotator.formats.json_file import read_json
 from annotator.formats.labelcloud import read_labelcloud
@@ -22,17 +29,28 @@ from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.reading import OnFault
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES, SUFFIXES, read_yolo
+from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
+from annotator.workflows.importing import BoxFormat, FlatFormat, format_of, read_labels
 
 SNIFFED_BYTES = 256
+# Formats of labels that open as a recording with their images and clouds.
+OF_RECORDINGS = (BoxFormat.KITTI, BoxFormat.KITTI_TRACKING, BoxFormat.SUNRGBD, BoxFormat.BOXES)
 
-Part = tuple[int, int]
-"""The numbers of frames and labels of a part of a dataset."""
+Sizes = Sequence[tuple[str, Float64[np.ndarray, "3"]]]
+
+
+class Part(NamedTuple):
+    """A part of a dataset: its numbers of frames and labels, and class and size of each 3D box."""
+
+    frames: int
+    labels: int
+    sizes: Sizes = ()
 
 
 @dataclass(frozen=True)
 class OtherSoftwareDataset:
-    """A dataset whose labels are read but whose boxes are not checked.
+    """A dataset whose boxes are not compared with clouds and images.
 
     Attributes:
         format: the format's name to display.
@@ -66,11 +84,37 @@ def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
         return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel, "openlabel")
     if _is_labelcloud(path):
         return OtherSoftwareDataset(path, "labelCloud labels", True, _labelcloud, "cloud_folder")
+    if (path / sustechpoints.CLOUDS).is_dir() and any((path / sustechpoints.LABELS).glob("*.json")):
+        return OtherSoftwareDataset(path, "SUSTechPOINTS labels", True, partial(_imported, BoxFormat.SUSTECHPOINTS))
     if is_coco_dataset(path):
         return OtherSoftwareDataset(path, "COCO boxes", True, _coco)
     if _is_yolo(path):
         return OtherSoftwareDataset(path, "YOLO boxes", True, _yolo)
     return None
+
+
+def labels_alone(path: Path) -> OtherSoftwareDataset | None:
+    """Returns the labels at a path without images or clouds; None for those that are checked with their recording."""
+    try:
+        format = format_of(path)
+    except FormatError:
+        return None
+    if format in OF_RECORDINGS:
+        return None
+    if isinstance(format, FlatFormat):
+        return OtherSoftwareDataset(path, f"{format} boxes", False, _coco if format is FlatFormat.COCO else _yolo)
+    return OtherSoftwareDataset(path, f"{format} labels", False, partial(_imported, format))
+
+
+def _imported(format: BoxFormat, path: Path, on_fault: OnFault) -> Iterator[Part]:
+    """Reads labels as `annotator import` does."""
+    try:
+        labels = read_labels(format, path)
+    except FormatError as fault:
+        on_fault(fault)
+    else:
+        classes = [label for name in labels.frames for label in labels.classes(name)]
+        yield Part(len(labels.frames), len(classes), list(zip(classes, labels.sizes_m, strict=False)))
 
 
 def _is_openlabel(file: Path) -> bool:
@@ -101,14 +145,16 @@ def _is_yolo(path: Path) -> bool:
 
 
 def _nuscenes(path: Path, on_fault: OnFault) -> Iterator[Part]:
-    yield from _part(lambda: [len(boxes) for boxes in read_nuscenes(path, on_fault).values()], on_fault)
+    yield from _solid(
+        lambda: [[(box.label, box.box) for box in boxes] for boxes in read_nuscenes(path, on_fault).values()], on_fault
+    )
 
 
 def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Part]:
     """Reads each document; other JSON files must be valid JSON, else they are reported as truncated documents."""
     for file in sorted(path.glob("*.json")):
         if _is_openlabel(file):
-            yield from _part(lambda file=file: [len(frame.boxes) for frame in read_openlabel(file).values()], on_fault)  # type: ignore[misc]
+            yield from _solid(partial(_of_document, file), on_fault)
             continue
         try:
             read_json(file)
@@ -116,8 +162,12 @@ def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Part]:
             on_fault(fault)
 
 
+def _of_document(file: Path) -> list[list[tuple[str, OrientedBox]]]:
+    return [[(box.label, box.box) for box in frame.boxes] for frame in read_openlabel(file).values()]
+
+
 def _labelcloud(path: Path, on_fault: OnFault) -> Iterator[Part]:
-    yield from _part(lambda: [len(frame.boxes) for frame in read_labelcloud(path, on_fault).values()], on_fault)
+    yield from _solid(lambda: [frame.boxes for frame in read_labelcloud(path, on_fault).values()], on_fault)
 
 
 def _coco(path: Path, on_fault: OnFault) -> Iterator[Part]:
@@ -136,4 +186,15 @@ def _part(boxes_of_frames: Callable[[], list[int]], on_fault: OnFault) -> Iterat
     except FormatError as fault:
         on_fault(fault)
     else:
-        yield len(counts), sum(counts)
+        yield Part(len(counts), sum(counts))
+
+
+def _solid(read: Callable[[], Sequence[Sequence[tuple[str, OrientedBox]]]], on_fault: OnFault) -> Iterator[Part]:
+    """Yields the part with the 3D boxes of all frames."""
+    try:
+        frames = read()
+    except FormatError as fault:
+        on_fault(fault)
+    else:
+        sizes = [(label, box.size_m) for boxes in frames for label, box in boxes]
+        yield Part(len(frames), len(sizes), sizes)

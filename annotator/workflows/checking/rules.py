@@ -72,7 +72,8 @@ MANIFEST_MISMATCH = _error("manifest-mismatch", "the counts in a dataset's manif
 
 UNCHECKED_DATASET = _note(
     "unchecked-dataset",
-    "labels were read, but their boxes not checked (nuScenes, OpenLABEL, labelCloud, COCO, YOLO)",
+    "labels were read, but their boxes not compared with clouds and images (nuScenes, OpenLABEL, labelCloud, "
+    "SUSTechPOINTS, COCO, YOLO)",
 )
 
 # Rows
@@ -99,6 +100,16 @@ IMAGE_BOX_OFF = _warning("image-box-off", "KITTI: the 2D box does not match the 
 ALPHA_OFF = _warning(
     "alpha-off", "KITTI: alpha differs from the value that rotation_y and the position give by more than 0.3 rad"
 )
+
+# All boxes together
+ANGLE_UNIT = _error("angle-unit", "angles are not in the unit of their format, such as degrees where it has radians")
+LENGTH_UNIT = _error("length-unit", "the sizes of most boxes are not in metres, but in millimetres or centimetres")
+QUATERNION_ORDER = _error("quaternion-order", "boxes stand upright only if their quaternions are read in another order")
+SIZE_ORDER = _warning(
+    "size-order", "most boxes of well-known classes have a usual size only if length, width or height are exchanged"
+)
+MIRRORED_BOXES = _error("mirrored-boxes", "more than half of the boxes hold no points, but their mirror images do")
+FLAT_LABEL = _note("flat-label", "KITTI rows have a 2D box and no 3D box")
 
 # Calibration
 IMPOSSIBLE_CAMERA = _error("impossible-camera", "the focal lengths are impossible for images of this size")

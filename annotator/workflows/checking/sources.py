@@ -17,7 +17,7 @@ from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files
-from annotator.workflows.checking.other_software import OtherSoftwareDataset, other_software_dataset
+from annotator.workflows.checking.other_software import OtherSoftwareDataset, labels_alone, other_software_dataset
 from annotator.workflows.checking.unmatched_names import frame_names
 
 MOST_LEVELS = 4
@@ -200,7 +200,9 @@ def find_sources(path: Path) -> Iterator[SourceOrError]:
     for source in _below(path, MOST_LEVELS):
         is_empty = False
         yield source
-    if is_empty:
+    if is_empty and (labels := labels_alone(path)) is not None:
+        yield labels
+    elif is_empty:
         # raises an error that says what the path looks like
         open_recording(path)
 

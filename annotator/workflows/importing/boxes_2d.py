@@ -37,6 +37,7 @@ class Imported:
         replaced: number of images whose boxes, drawn by other authors, were replaced.
         finalised: number of images left unchanged because their frame is finalised.
         renamed: the dataset's only recording, if it was matched with one of another name.
+        around: number of boxes of the images with boxes that are the rectangles around turned boxes or polygons.
         values: what became of the attributes of boxes and images.
     """
 
@@ -50,6 +51,7 @@ class Imported:
     finalised: int = 0
     renamed: Renamed | None = None
     values: TakenValues = field(default_factory=TakenValues)
+    around: int = 0
 
 
 def import_image_boxes(
@@ -144,7 +146,7 @@ def _import(
     drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
     for view in views:
         drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
-    values = ImageValues(project)
+    values, around = ImageValues(project), 0
     for done, image in enumerate(images.matched if images is not None else (), start=1):
         known, base = tally.known(image.boxes), drawn_from[image.frame_id]
         measured = kind or image.labels.box_kind or BoxKind.SILHOUETTE
@@ -152,12 +154,14 @@ def _import(
         tally.add(image.boxes, stored)
         if stored is not Stored.LEFT_ALONE:
             values.take(image, names, importer)
+            around += image.labels.around
         if progress is not None and images is not None:
             progress(done, len(images.matched))
     stored_images = tally.pictures
     revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
     for picture, _ in on_views:
         values.leave_out(picture)
+        around += picture.around
     for view in views:
         measured = kind or view.box_kind or BoxKind.SILHOUETTE
         tally.add(view.boxes, store_on_view(project, view, tally.known(view.boxes), measured, revisions))
@@ -172,6 +176,7 @@ def _import(
         tally.outcomes[Stored.LEFT_ALONE],
         images.renamed if images is not None else None,
         values.taken,
+        around,
     )
 
 

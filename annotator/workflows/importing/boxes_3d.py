@@ -57,6 +57,7 @@ class ImportedLabels:
         not_reviewed: number of boxes on `frames` left out because they are not accepted in the dataset.
         unseen: number of boxes left out because they are outside the images of all frames that were read.
         scores: number of scores on `frames` left out because they are not confidences in 0..1.
+        flat: number of 2D boxes on `frames` left out because they have no 3D box.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         filled: number of values that labels and frames among `already` got.
         renamed: the dataset's only recording, if it was matched with one of another name.
@@ -71,6 +72,7 @@ class ImportedLabels:
     not_reviewed: int = 0
     unseen: int = 0
     scores: int = 0
+    flat: int = 0
     values: Counter[str] = field(default_factory=Counter)
     filled: int = 0
     renamed: Renamed | None = None
@@ -170,6 +172,7 @@ class _Importer:
             left_out = self._dataset.left_out_of(name)
             done.not_reviewed += left_out.not_reviewed
             done.scores += left_out.scores
+            done.flat += left_out.flat
         else:
             done.already += 1
 

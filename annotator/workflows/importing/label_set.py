@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+from jaxtyping import Float64
+
 from annotator.project import Project
 from annotator.types import Frame, Truth
 from annotator.types.label import AttributeValue
@@ -20,11 +23,13 @@ class LeftOut:
         not_reviewed: number of proposed and rejected boxes.
         rejected: number of the rejected ones, which `ProposalSet.suggested` leaves out, too.
         scores: number of scores that are not confidences in 0..1.
+        flat: number of 2D boxes without a 3D box.
     """
 
     not_reviewed: int = 0
     rejected: int = 0
     scores: int = 0
+    flat: int = 0
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,10 @@ class ProposalSet(LabelSet, Protocol):
     @property
     def scores(self) -> ScoreRange | None:
         """The range of the scores of all boxes, as in the files; None without any."""
+
+    @property
+    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
+        """The size of each box, as `OrientedBox.size_m`."""
 
     def classes(self, name: str) -> list[str]:
         """Returns the classes of the boxes that `suggested` may return; no frame is read."""

@@ -36,6 +36,7 @@ class PictureLabels:
         boxes_on: returns the boxes on an image of the given width and height, pixels.
         values: attributes of each box; () if none has any.
         attributes: of the image.
+        around: number of boxes that are the rectangles around turned boxes or polygons.
     """
 
     file_name: str
@@ -46,6 +47,7 @@ class PictureLabels:
     box_kind: BoxKind | None = None
     values: tuple[Values, ...] = ()
     attributes: Values = field(default_factory=dict)
+    around: int = 0
 
     @property
     def stem(self) -> str:
@@ -106,6 +108,7 @@ def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) ->
                 image.box_kind,
                 image.values,
                 image.attributes,
+                image.around,
             )
             for image_folder, images in read_coco_dataset(path)
             for image in images
@@ -128,4 +131,5 @@ def _of_yolo(picture: YoloPicture, folder: Path | None) -> PictureLabels:
         None,
         lambda width_px, height_px: tuple(box.on(width_px, height_px) for box in picture.boxes),
         picture.box_kind,
+        around=sum(box.is_around for box in picture.boxes),
     )

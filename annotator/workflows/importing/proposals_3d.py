@@ -40,7 +40,7 @@ class ImportedProposals:
         rejected: boxes left out because somebody has rejected them.
         other_classes: boxes left out because the project has no such class, by class of the file.
         finalised: number of frames left unchanged because they are finalised.
-        unmatched, unreadable, renamed, values, unseen: as in `ImportedLabels`.
+        unmatched, unreadable, renamed, values, unseen, flat: as in `ImportedLabels`.
         scored: whether any box of the dataset has a score.
         scaled: the range of the scores if they are not confidences; it was scaled to 0..1.
     """
@@ -62,6 +62,7 @@ class ImportedProposals:
     scaled: ScoreRange | None = None
     values: Counter[str] = field(default_factory=Counter)
     unseen: int = 0
+    flat: int = 0
 
 
 def import_proposals(
@@ -148,7 +149,9 @@ class _Importer:
         except FrameError as error:
             self._done.unreadable.append(f"{stored.key}: {error}")
             return
-        self._done.rejected += self._dataset.left_out_of(name).rejected
+        left_out = self._dataset.left_out_of(name)
+        self._done.rejected += left_out.rejected
+        self._done.flat += left_out.flat
         self._waiting[stored.id] = self._chosen(truths, stored.recording_id)
         if len(self._waiting) >= MOST_FRAMES or sum(map(len, self._waiting.values())) >= MOST_BOXES:
             self.store()

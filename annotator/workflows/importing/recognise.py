@@ -36,8 +36,8 @@ Format = FlatFormat | BoxFormat
 PEEK_BYTES = 2**20
 # How many files of a folder are looked at: the first ones may be empty.
 LOOK_AT = 50
-# Fields of a row: YOLO; KITTI's labels and results; KITTI's tracks and their results.
-YOLO_FIELDS, KITTI_FIELDS, TRACK_FIELDS = (5,), (15, 16), (17, 18)
+# Fields of a row: YOLO, and the least of its polygons; KITTI's labels and results; KITTI's tracks and their results.
+YOLO_FIELDS, LEAST_POLYGON, KITTI_FIELDS, TRACK_FIELDS = (5,), 7, (15, 16), (17, 18)
 
 
 def format_of(path: Path) -> Format:
@@ -123,11 +123,12 @@ def _of_row(fields: list[str]) -> list[Format]:
     numbers = [re.fullmatch(r"-?\d+", field) is not None for field in fields[:2]]
     if len(fields) in TRACK_FIELDS and all(numbers):
         return [BoxFormat.KITTI_TRACKING]
-    if len(fields) in KITTI_FIELDS:
+    if len(fields) in KITTI_FIELDS and not numbers[0]:
         return [BoxFormat.KITTI]
     if len(fields) == SUN_FIELDS:
         return [BoxFormat.SUNRGBD]
-    return [FlatFormat.YOLO] if len(fields) in YOLO_FIELDS and numbers[0] else []
+    is_polygon = len(fields) >= LEAST_POLYGON and len(fields) % 2 == 1
+    return [FlatFormat.YOLO] if (len(fields) in YOLO_FIELDS or is_polygon) and numbers[0] else []
 
 
 def _of_archive(file: Path) -> list[Format]:

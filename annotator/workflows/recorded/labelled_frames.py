@@ -21,6 +21,7 @@ from annotator.workflows.recorded.reading import (
     load_truth,
     one_file_a_frame,
 )
+from annotator.workflows.recorded.whole_sets import require_units
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class KnownLabels:
         unmatched: names of labelled frames that the project does not have.
         renamed: set if the dataset's only recording was matched to one of another name.
         one_file_a_frame: True if each frame has its own label file, so that a broken one affects only its frame.
+        flat: number of 2D boxes left out because they have no 3D box.
         not_reviewed: returns the number of a frame's boxes left out because they are not accepted.
     """
 
@@ -41,6 +43,7 @@ class KnownLabels:
     unmatched: tuple[str, ...] = ()
     renamed: Renamed | None = None
     one_file_a_frame: bool = False
+    flat: int = 0
     not_reviewed: Callable[[StoredFrame], int] = lambda stored: 0
 
     def renamed_to(self, names: Mapping[str, str]) -> KnownLabels:
@@ -61,6 +64,7 @@ def labels_beside(project: Project, recordings: Collection[int] | None = None) -
     Raises:
         ConfigError: none of them has labels.
         RecordingError: one of them cannot be read.
+        UnitError: the labels are in another unit than their format has.
     """
     source = FrameSource(project)
     selected = {r.id: r.name for r in project.recordings.all() if recordings is None or r.id in recordings}
@@ -72,6 +76,8 @@ def labels_beside(project: Project, recordings: Collection[int] | None = None) -
     if not indices:
         names = ", ".join(selected.values()) or "there are none"
         raise ConfigError(f"no 3D boxes lie beside the recordings ({names}); name the file or folder that holds them")
+
+    flat = sum(require_units(source.recording(recording_id)) for recording_id in indices)
 
     def has_labels(stored: StoredFrame) -> bool:
         recording = source.recording(stored.recording_id)
@@ -86,7 +92,7 @@ def labels_beside(project: Project, recordings: Collection[int] | None = None) -
 
     separate = all(one_file_a_frame(source.recording(recording_id)) for recording_id in indices)
     frames = tuple(filter(has_labels, project.frames.of(sorted(indices))))
-    return KnownLabels(frames, truths, one_file_a_frame=separate)
+    return KnownLabels(frames, truths, one_file_a_frame=separate, flat=flat)
 
 
 def labels_from(project: Project, dataset: LabelSet, recording: str | None = None) -> KnownLabels:
@@ -110,4 +116,5 @@ def labels_from(project: Project, dataset: LabelSet, recording: str | None = Non
         return dataset.left_out_of(present[stored.id][0]).not_reviewed
 
     frames = tuple(stored for _, stored in present.values())
-    return KnownLabels(frames, truths, known.unmatched, known.renamed, not_reviewed=not_reviewed)
+    flat = sum(dataset.left_out_of(name).flat for name, _ in present.values())
+    return KnownLabels(frames, truths, known.unmatched, known.renamed, flat=flat, not_reviewed=not_reviewed)

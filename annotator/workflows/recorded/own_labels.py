@@ -14,6 +14,7 @@ from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
+from annotator.workflows.recorded.whole_sets import require_units
 from annotator.workflows.rigs import Rigs
 
 # Boxes imported from other datasets have the author "import".
@@ -30,6 +31,7 @@ class OwnLabels:
         of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
+        flat: 2D boxes without a 3D box among the labels of the recording; they are left out.
         are_partial: the recording has virtual cameras, and labels only of what its own camera sees: none is imported,
             since frames would be taken as labelled where nobody looked.
     """
@@ -38,6 +40,7 @@ class OwnLabels:
     other_classes: Counter[str] = field(default_factory=Counter)
     of_other_cameras: int = 0
     unreadable: list[str] = field(default_factory=list)
+    flat: int = 0
     are_partial: bool = False
     values: Counter[str] = field(default_factory=Counter)
 
@@ -72,6 +75,7 @@ def import_own_labels(
 
     Raises:
         FormatError: the label file is broken and holds the labels of all frames.
+        UnitError: the labels are in another unit than their format has.
     """
     source, counts = FrameSource(project), OwnLabels()
     rigs = Rigs(project, source)
@@ -79,6 +83,7 @@ def import_own_labels(
     if not has_truth(recording):
         counts.are_partial = isinstance(recording, LookAround) and has_truth(recording.base)
         return counts
+    counts.flat = require_units(recording)
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
     config = project.config
     classes, reader = set(config.classes), ValueReader(config.attributes)

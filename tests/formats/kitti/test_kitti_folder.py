@@ -17,7 +17,7 @@ from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.frame_class_names import six_digit_ids
 from annotator.formats.kitti.box_rows import kitti_row, rounded_box, upright_row
 from annotator.formats.kitti.label_files import KittiLabel, dump_label_line, label_box, parse_label_line
-from annotator.formats.kitti.label_folders import each_kitti_frame
+from annotator.formats.kitti.label_folders import KittiRows, each_kitti_frame
 from annotator.formats.kitti.object_folder import calibration_text, write_kitti
 from annotator.formats.losses import Losses, Lost
 from annotator.geometry.occlusion import Sight
@@ -143,7 +143,7 @@ def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "training" / "label_2" / "000001.txt").read_text() == ""
     assert (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:] == ["000000,room,7,val", "000001,room,8,test"]
     for path in (tmp_path / "out", tmp_path / "out" / "training" / "label_2"):
-        found = dict(each_kitti_frame(path))
+        found = dict(each_kitti_frame(path, KittiRows()))
         assert {name: [t.label for t in truths] for name, truths in found.items()} == {
             "room/7": ["traffic light", "DontCare"],
             "room/8": [],
@@ -203,20 +203,23 @@ def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, prob
     (folder / "000000.txt").write_text(ROW)
     (folder / "000001.txt").write_text(text)
     with pytest.raises(FormatError, match=problem):
-        dict(each_kitti_frame(tmp_path))
+        dict(each_kitti_frame(tmp_path, KittiRows()))
     (folder / "000001.txt").write_text("")
     (tmp_path / "frames.csv").write_text("id,raw_drive\n000000,2011\n")  # KITTI subsets have such a file, too
-    assert {name: len(truths) for name, truths in dict(each_kitti_frame(folder)).items()} == {"000000": 1, "000001": 0}
+    assert {name: len(truths) for name, truths in dict(each_kitti_frame(folder, KittiRows())).items()} == {
+        "000000": 1,
+        "000001": 0,
+    }
     (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n")
     with pytest.raises(FormatError, match="does not list the frame 000001"):
-        dict(each_kitti_frame(folder))
+        dict(each_kitti_frame(folder, KittiRows()))
     (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,7,\n")
     with pytest.raises(FormatError, match="the ids 000000 and 000001 both name room/7"):
-        dict(each_kitti_frame(folder))
+        dict(each_kitti_frame(folder, KittiRows()))
     (tmp_path / "frames.csv").write_text("id,recording,key,split\n000000,room,7,\n000001,room,8,\n")
     (tmp_path / "classes.txt").write_text("traffic_light\n")
     with pytest.raises(FormatError, match=r"classes\.txt:1: a line must be `WORD CLASS_NAME`"):
-        dict(each_kitti_frame(folder))
+        dict(each_kitti_frame(folder, KittiRows()))
 
 
 def test_dontcare_rows_are_written_unchanged() -> None:
@@ -230,7 +233,7 @@ def test_a_tracking_file_gives_frames_and_tracks(tmp_path: Path) -> None:
         f"0 5 {ROW}0 -1 DontCare -1 -1 -10 1 2 3 4 -1 -1 -1 -1000 -1000 -1000 -10\n3 5 {ROW}4 -1 DontCare" + " -1" * 14
     )
     for path in (tmp_path, file):
-        found = dict(each_kitti_frame(path))
+        found = dict(each_kitti_frame(path, KittiRows()))
         assert {name: [t.track_id for t in truths] for name, truths in found.items()} == {
             "000000": [5],
             "000003": [5],

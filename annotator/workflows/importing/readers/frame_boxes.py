@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.box_csv import read_upright_boxes
 from annotator.formats.boxes_json import boxes_file, each_frame
 from annotator.formats.kitti.box_rows import label_frame
-from annotator.formats.kitti.label_folders import each_kitti_frame, read_kitti_shifts
+from annotator.formats.kitti.label_folders import KittiRows, each_kitti_frame, read_kitti_shifts
 from annotator.formats.kitti.tracking_folder import read_kitti_tracks
 from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
 from annotator.formats.nuscenes import read_nuscenes, read_world_poses
@@ -20,6 +20,7 @@ from annotator.formats.sunrgbd.labels import read_extracted_folder
 from annotator.formats.sunrgbd.meta_table import read_meta
 from annotator.formats.sunrgbd.upright_depth import upright_frame
 from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
+from annotator.formats.units import Angles, AngleUnit
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
 from annotator.types import Frame, Truth
 from annotator.workflows.importing.readers.placed_boxes import PlacedBoxes, Pose, moved_in_world
@@ -33,15 +34,18 @@ def boxes_labels(path: Path) -> PlacedBoxes:
     return PlacedBoxes(path, PackedTruths(each_frame(boxes_file(path))))
 
 
-def kitti_labels(path: Path) -> PlacedBoxes:
+def kitti_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
     """Reads a folder of KITTI object labels. Raises FormatError as `each_kitti_frame` and `read_kitti_shifts`."""
-    return PlacedBoxes(path, PackedTruths(each_kitti_frame(path)), _from_rectified(read_kitti_shifts(path)))
+    found = KittiRows(Angles(angles))
+    objects = PackedTruths(each_kitti_frame(path, found))
+    return PlacedBoxes(path, objects, _from_rectified(read_kitti_shifts(path)), found.flat)
 
 
-def kitti_tracking_labels(path: Path) -> PlacedBoxes:
+def kitti_tracking_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
     """Reads KITTI tracking labels of whole sequences. Raises FormatError as `read_kitti_tracks`."""
-    objects, shifts = read_kitti_tracks(path)
-    return PlacedBoxes(path, PackedTruths(objects.items()), _from_rectified(shifts))
+    found = KittiRows(Angles(angles))
+    objects, shifts = read_kitti_tracks(path, found)
+    return PlacedBoxes(path, PackedTruths(objects.items()), _from_rectified(shifts), found.flat)
 
 
 def _from_rectified(shifts: Mapping[str, np.ndarray]) -> Pose:
@@ -78,9 +82,9 @@ def sunrgbd_labels(path: Path) -> PlacedBoxes:
     return PlacedBoxes(path, objects, _from_upright(poses))
 
 
-def box_csv_labels(path: Path) -> PlacedBoxes:
+def box_csv_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
     """Reads a CSV file of boxes in upright depth. Raises FormatError as `read_upright_boxes`."""
-    return PlacedBoxes(path, PackedTruths(read_upright_boxes(path).items()), _from_upright({}))
+    return PlacedBoxes(path, PackedTruths(read_upright_boxes(path, angles).items()), _from_upright({}))
 
 
 def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
@@ -96,12 +100,12 @@ def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
     return pose
 
 
-def labelcloud_labels(path: Path) -> PlacedBoxes:
+def labelcloud_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
     """Reads a labelCloud project.
 
     Raises FormatError: not a labelCloud project, or a label file that does not follow the format.
     """
-    return of_labelcloud(path, read_labelcloud(path))
+    return of_labelcloud(path, read_labelcloud(path, angles=angles))
 
 
 def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBoxes:
@@ -128,7 +132,7 @@ def nuscenes_tables(path: Path) -> PlacedBoxes:
     return PlacedBoxes(path, PackedTruths(objects), lambda name, read: moved_in_world(poses.get(name), read))
 
 
-def sustechpoints_labels(path: Path) -> PlacedBoxes:
+def sustechpoints_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
     """Reads SUSTechPOINTS' labels, which are in the frames of their clouds.
 
     They are transformed to the camera by the scene's calibration of the camera that the frame has. Without one, they
@@ -136,7 +140,7 @@ def sustechpoints_labels(path: Path) -> PlacedBoxes:
 
     Raises FormatError: as `read_sustechpoints`.
     """
-    frames = read_sustechpoints(path)
+    frames = read_sustechpoints(path, angles)
     cameras = {name: (each.cameras, each.is_export, each.T_world_cloud) for name, each in frames.items()}
 
     def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:

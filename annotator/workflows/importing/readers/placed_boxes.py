@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.attributes import Values
@@ -27,11 +29,13 @@ class PlacedBoxes:
     Attributes:
         objects: objects by frame name, with their scores as in the file.
         pose: None: all are in the camera frame.
+        flat: number of 2D boxes without a 3D box, by frame name.
     """
 
     path: Path
     objects: PackedTruths
     pose: Pose | None = None
+    flat: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def frames(self) -> Sequence[str]:
@@ -40,6 +44,10 @@ class PlacedBoxes:
     @cached_property
     def scores(self) -> ScoreRange | None:
         return ScoreRange.of(self.objects.scores)
+
+    @property
+    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
+        return self.objects.sizes_m
 
     def values_of_boxes(self, name: str) -> Sequence[Values]:
         return [each.attributes for each in self.objects[name]]
@@ -54,7 +62,7 @@ class PlacedBoxes:
         return transformed(self.objects[name], None if self.pose is None else self.pose(name, read))
 
     def left_out_of(self, name: str) -> LeftOut:
-        return LeftOut(scores=lost_scores(self.objects[name], self.scores))
+        return LeftOut(scores=lost_scores(self.objects[name], self.scores), flat=self.flat.get(name, 0))
 
 
 def moved_in_world(T_world_there: RigidTransform | None, read: Callable[[], Frame]) -> RigidTransform | None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.attributes import Values
 from annotator.formats.openlabel import OpenLabelBox, OpenLabelFrame, read_openlabel
 from annotator.formats.rcv import read_rcv
+from annotator.formats.units import AngleUnit
 from annotator.project import REVIEWED
 from annotator.types import Frame, Label, ReviewState, Truth
 from annotator.workflows.importing.label_set import LeftOut, ScoreRange
@@ -54,6 +57,10 @@ class RcvLabels:
     @property
     def scores(self) -> ScoreRange | None:
         return ScoreRange.of(label.score for labels in self.labels.values() for label in labels)
+
+    @property
+    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
+        return (label.box.size_m for labels in self.labels.values() for label in labels)
 
     def classes(self, name: str) -> list[str]:
         return [each.label for each in self.labels[name] if each.state is not ReviewState.REJECTED]
@@ -105,6 +112,10 @@ class OpenLabelLabels:
     def scores(self) -> ScoreRange | None:
         return ScoreRange.of(box.score for each in self.by_frame.values() for box in each.boxes)
 
+    @property
+    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
+        return (box.box.size_m for each in self.by_frame.values() for box in each.boxes)
+
     def values_of_boxes(self, name: str) -> Sequence[Values]:
         return [each.attributes for each in self.by_frame[name].boxes]
 
@@ -153,9 +164,9 @@ def _is_imported(box: OpenLabelBox) -> bool:
     return box.state is None or box.state in REVIEWED
 
 
-def openlabel_labels(path: Path) -> OpenLabelLabels:
+def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> OpenLabelLabels:
     """Reads OpenLABEL documents.
 
     Raises FormatError: not an OpenLABEL document, or one that does not follow the standard.
     """
-    return OpenLabelLabels(path, read_openlabel(path))
+    return OpenLabelLabels(path, read_openlabel(path, angles))

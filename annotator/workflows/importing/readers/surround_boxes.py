@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
 
 from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
 from annotator.formats.attributes import Values
@@ -46,6 +49,10 @@ class _SampleBoxes:
     @cached_property
     def scores(self) -> ScoreRange | None:
         return ScoreRange.of(self.samples.scores)
+
+    @property
+    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
+        return self.samples.sizes_m
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return with_confidences(self.suggested(name, lambda: frame), self.scores)

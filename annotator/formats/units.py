@@ -1,0 +1,180 @@
+"""Whether the numbers of a set of boxes are in the unit, and in the order, that their format has.
+
+Programs write degrees where a format has radians, millimetres where it has metres, quaternions with w last where it has
+w first. One box seldom shows that, but all boxes of a set together do. So a reader hands over the numbers of all boxes
+that belong together, and a set that cannot be right is refused. What can be right is read: a format's unit is doubted
+only where its numbers contradict it.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.types.amounts import amount
+from annotator.types.errors import UnitError, UnitKind
+
+# An angle in radians is at most a full turn; files round to two decimals.
+MOST_RAD = 2 * math.pi + 0.01
+# Limits of the median of the boxes' longest sides, metres: objects of a scene are neither as long nor as short.
+LONGEST_M, SHORTEST_M = 100.0, 0.005
+# The boxes of a level frame stand upright; least cosine of their tilt: slopes, and drives over bumps.
+UPRIGHT = math.cos(math.radians(10))
+# Share of boxes that are upright if their quaternions are read in the other order.
+NEARLY_ALL = 0.95
+
+
+class AngleUnit(StrEnum):
+    """Units of angles."""
+
+    RADIANS = "radians"
+    DEGREES = "degrees"
+
+
+class Angles:
+    """The angles of a set of boxes in a format that has radians; each passes through `radians` while it is read.
+
+    Args:
+        given: the unit that the operator has stated; then nothing is doubted.
+    """
+
+    def __init__(self, given: AngleUnit | None = None) -> None:
+        self._given = given
+        self._count = self._beyond = 0
+        self._worst: tuple[float, Path, int | None] | None = None
+
+    def radians(self, value: float, file: Path, line: int | None = None) -> float:
+        """Returns an angle of a file in radians.
+
+        Args:
+            file, line: where it is, for the message.
+        """
+        if self._given is AngleUnit.DEGREES:
+            return math.radians(value)
+        self._count += value != 0
+        if abs(value) > MOST_RAD:
+            self._beyond += 1
+            if self._worst is None or abs(value) > abs(self._worst[0]):
+                self._worst = (value, file, line)
+        return value
+
+    def problem(self) -> str | None:
+        """Returns what shows that the angles are not in radians; None if nothing does."""
+        if self._worst is None or self._given is not None:
+            return None
+        return (
+            f"{self._worst[0]:g} is no angle in radians, which this format has ({self._beyond} of "
+            f"{amount(self._count, 'angle')} other than 0 beyond a full turn); write radians, or run "
+            f"`annotator import` with --angles {AngleUnit.DEGREES} to convert degrees, or with --angles "
+            f"{AngleUnit.RADIANS} to read the angles as they are"
+        )
+
+    def require(self) -> None:
+        """
+        Raises:
+            UnitError: the angles are not in radians; names the file and line of the largest one.
+        """
+        problem = self.problem()
+        if problem is not None and self._worst is not None:
+            _, file, line = self._worst
+            raise UnitError(UnitKind.ANGLE, file, problem, line)
+
+
+class Lengths:
+    """The sizes of a set of boxes, in a format that has metres."""
+
+    def __init__(self, sizes_m: Iterable[Float64[np.ndarray, "3"]] = ()) -> None:
+        self._longest = array("d", (float(max(size_m)) for size_m in sizes_m))
+
+    def add(self, size_m: Float64[np.ndarray, "3"]) -> None:
+        """Adds the size of a box."""
+        self._longest.append(float(max(size_m)))
+
+    def problem(self) -> str | None:
+        """Returns what shows that the sizes are not in metres; None if nothing does."""
+        longest = np.array(self._longest)
+        if len(longest) == 0 or SHORTEST_M <= (median := float(np.median(longest))) <= LONGEST_M:
+            return None
+        off = (longest > LONGEST_M) if median > LONGEST_M else (longest < SHORTEST_M)
+        boxes = f"{off.sum()} of {amount(len(longest), 'box')} {'is' if off.sum() == 1 else 'are'}"
+        if median > LONGEST_M:
+            unit = "millimetres" if median > 10 * LONGEST_M else "millimetres or centimetres"
+            what = f"longer than {LONGEST_M:g} m (the median is {median:g} m), so they look like {unit}"
+        else:
+            what = f"shorter than {1000 * SHORTEST_M:g} mm (the median is {median:g} m), so they look like kilometres"
+        return f"{boxes} {what}; write centres and sizes in metres"
+
+    def require(self, path: Path) -> None:
+        """
+        Raises:
+            UnitError: the sizes are not in metres.
+        """
+        if (problem := self.problem()) is not None:
+            raise UnitError(UnitKind.LENGTH, path, problem)
+
+
+class Quaternions:
+    """The quaternions of a set of boxes that stand upright in their frame, as they are in the file.
+
+    Args:
+        w_first: the format's order is w x y z; False: x y z w.
+    """
+
+    def __init__(self, *, w_first: bool = True) -> None:
+        self._w_first = w_first
+        self._values = array("d")
+
+    def add(self, quaternion: Iterable[float]) -> None:
+        """Adds the quaternion of a box."""
+        self._values.extend(quaternion)
+
+    def problem(self) -> str | None:
+        """Returns what shows that the quaternions are in the other order; None if nothing does."""
+        values = np.array(self._values).reshape(-1, 4)
+        if len(values) == 0:
+            return None
+        first, last = _upright(values, w_first=True), _upright(values, w_first=False)
+        own, other = (first, last) if self._w_first else (last, first)
+        if other.mean() < NEARLY_ALL or other.sum() <= own.sum():
+            return None
+        orders = ("w x y z", "x y z w") if self._w_first else ("x y z w", "w x y z")
+        tilted = len(own) - int(own.sum())
+        return (
+            f"the quaternions are in the order {orders[1]}, and this format has {orders[0]}: as {orders[0]}, "
+            f"{tilted} of {amount(len(own), 'box is', 'boxes are')} tilted, and as {orders[1]} "
+            f"{len(own) - int(other.sum())}; write them as {orders[0]}"
+        )
+
+    def require(self, path: Path) -> None:
+        """
+        Raises:
+            UnitError: the quaternions are in the other order.
+        """
+        if (problem := self.problem()) is not None:
+            raise UnitError(UnitKind.QUATERNION, path, problem)
+
+
+def _upright(values: Float64[np.ndarray, "n 4"], *, w_first: bool) -> np.ndarray:
+    """Returns which quaternions leave the z axis upright: R[2, 2] = 1 - 2 (x^2 + y^2) of a unit quaternion."""
+    x, y = (values[:, 1], values[:, 2]) if w_first else (values[:, 0], values[:, 1])
+    squares = (values**2).sum(axis=1)
+    return 1 - 2 * (x**2 + y**2) / np.where(squares > 0, squares, 1) > UPRIGHT
+
+
+def rotation_problem(R: Float64[np.ndarray, "3 3"], most_off: float) -> str | None:
+    """Returns why a matrix of a file is no rotation; None if it is one.
+
+    Args:
+        most_off: tolerance for R^T R = identity, since matrices in files are rounded.
+    """
+    if not np.abs(R.T @ R - np.eye(3)).max() <= most_off:
+        return "is not a rotation (its columns must have length 1 and be at right angles)"
+    if np.linalg.det(R) < 0:
+        return "has left-handed axes (it mirrors: its determinant is -1), and annotator's are right-handed; negate one"
+    return None
