@@ -6,6 +6,7 @@ import { count } from "../dom.js";
 import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
+import { copiedText } from "./tracks.js";
 
 /**
  * @param {ModeApp} app
@@ -160,12 +161,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   async function copy() {
     if (app.state.frame?.frame.previous == null) return;
     try {
-      const added = await desk.copyPrevious();
-      app.toast(
-        added > 0
-          ? `${count(added, "box", "boxes")} copied from the previous frame`
-          : "This frame already has all boxes of the previous one.",
-      );
+      const copies = await desk.copyPrevious();
+      desk.select(copies[0].uid);
+      app.toast(...copiedText(copies));
     } catch (error) {
       app.toast(error);
     }
