@@ -168,11 +168,9 @@ def test_no_change_gives_a_track_a_second_box_in_a_frame(
     project: Project, frame: int, three: tuple[str, str, str], change: Callable[[tuple[str, str, str]], Payload]
 ) -> None:
     before = state_of(project)
-    with pytest.raises(
-        TrackTakenError, match=r"frame 2 of recording .*: track 1 has a box in this frame already"
-    ) as it:
+    with pytest.raises(TrackTakenError, match=r"frame 2 of .*: track 1 has a box in this frame already") as refused:
         project.log.append(frame, [change(three)], by_hand(6))
-    assert it.value.track_id == 1
+    assert refused.value.track_id == 1
     assert state_of(project) == before
     # the same, if the other box goes
     project.log.append(frame, [LabelDeleted(uid=three[0]), change(three)], by_hand(6))
@@ -205,15 +203,16 @@ def test_two_boxes_of_a_track_from_an_older_version_can_be_worked_on(
 def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skipped(
     project: Project, frame: int, three: tuple[str, str, str]
 ) -> None:
-    project.labels.reject(frame, three[0], by_hand(6))
-    project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(7, "bob"))
+    project.labels.create(frame, [NewLabel("person", box_at(12.0))], by_hand(6))
+    project.labels.reject(frame, three[0], by_hand(7))
+    project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(8, "bob"))
     before = state_of(project)
     with pytest.raises(HistoryError, match="track 1 has a box in this frame already") as refused:
         project.history.undo("ann")
     assert refused.value.frame_id == frame
     assert state_of(project) == before
     # the one before is undone
-    assert project.history.undo("ann", skip=True).words == "track hand (frame 2)"
+    assert project.history.undo("ann", skip=True).words == "draw person (frame 2)"
 
 
 def test_a_pass_gives_a_track_once(project: Project, frame: int) -> None:
