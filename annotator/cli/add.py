@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from annotator.cli.import_boxes import flat_rows, left_out_values
+from annotator.cli.import_boxes import REPEATED_TRACKS, flat_rows, left_out_values
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
@@ -97,6 +97,8 @@ def _label_lines(imported: OwnLabels, classes: Sequence[str]) -> list[str]:
         for label, number in sorted(imported.other_classes.items())
     ]
     lines += [f"  {line}" for line in left_out_values(imported.values)]
+    if imported.tracks:
+        lines.append(f"  {REPEATED_TRACKS.format(amount(imported.tracks, 'track id'))}")
     if imported.are_partial:
         lines.append("  no labels imported: those of the recording are only of what its own camera sees")
     if imported.flat:

@@ -45,6 +45,7 @@ ADVICE = (
     "it those of a file, and its labels their values"
 )
 OUTSIDE = "skipped: {} outside the images of these frames"
+REPEATED_TRACKS = "dropped: {} that an earlier box of the same frame has"
 # One enumeration of all formats, so that tyro lists them in the help.
 Format = StrEnum("Format", {name.upper(): name for name in (*FLAT, *BoxFormat)})  # type: ignore[misc]
 
@@ -246,6 +247,8 @@ def _proposals(
         print_line("the boxes have no scores, so --min-score has no effect")
     if done.scaled is not None:
         print_line(f"scaled: scores from {done.scaled.low:g} to {done.scaled.high:g} are now 0 to 1")
+    if done.tracks:
+        print_line(REPEATED_TRACKS.format(amount(done.tracks, "track id")))
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     print_renamed(done.renamed)
@@ -279,6 +282,8 @@ def _boxes(
         print_line(flat_rows(done.flat))
     if done.scores:
         print_line(f"dropped: {amount(done.scores, 'score')} outside 0..1")
+    if done.tracks:
+        print_line(REPEATED_TRACKS.format(amount(done.tracks, "track id")))
     for line in done.unreadable:
         print_line(f"unreadable: {line}")
     print_renamed(done.renamed)

@@ -45,7 +45,7 @@ from annotator.project.undo_state import (
 )
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.types import Source
-from annotator.types.errors import HistoryError
+from annotator.types.errors import HistoryError, TrackTakenError
 
 # Events of automatic passes and imports that may change a target after an action.
 PASSES = (
@@ -253,7 +253,12 @@ class History:
                     continue
                 conflict = _removed_class(payloads_by_frame, config) or _conflict(connection, rows, since, allowed)
                 if conflict is None:
-                    break
+                    try:
+                        with connection.begin_nested():
+                            receipts = self._restore(connection, payloads_by_frame, author, step, effort)
+                        break
+                    except TrackTakenError as error:
+                        conflict = f"{error}"
                 if not skip:
                     raise HistoryError(
                         f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
@@ -265,20 +270,28 @@ class History:
                     f"{author} has nothing left to {'undo' if is_undo else 'redo'}: others have changed the same data, "
                     "or its class was removed"
                 )
-            parts = []
-            for frame_id, payloads in payloads_by_frame.items():
-                revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
-                parts.append(
-                    FramePart(frame_id, payloads, WriteContext(revision, author, effort=effort, undoes=step.action))
-                )
-                # counted once, on the first frame
-                effort = None
-            receipts = self._writer.to_frames_in(connection, parts)
-            others = tuple(zip(list(payloads_by_frame)[1:], receipts[1:], strict=True))
+            (first, receipt), *others = zip(payloads_by_frame, receipts, strict=True)
             words = _description(connection, step)
             if left_out:
                 words += f"; without values that the project no longer allows: {', '.join(left_out)}"
-            return Reverted(parts[0].frame_id, receipts[0], words, step.original, others)
+            return Reverted(first, receipt, words, step.original, tuple(others))
+
+    def _restore(
+        self,
+        connection: Connection,
+        payloads_by_frame: dict[int, list[Payload]],
+        author: str,
+        step: Step,
+        effort: Effort | None,
+    ) -> tuple[Receipt, ...]:
+        parts = []
+        for frame_id, payloads in payloads_by_frame.items():
+            revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
+            context = WriteContext(revision, author, effort=effort, undoes=step.action)
+            parts.append(FramePart(frame_id, payloads, context))
+            # counted once, on the first frame
+            effort = None
+        return self._writer.to_frames_in(connection, parts)
 
     @contextmanager
     def _stacks(self, connection: Connection, author: str) -> Iterator[_Stacks]:

@@ -134,9 +134,12 @@ class Proposals:
                 if label.state is not ReviewState.PROPOSED or label.uid in kept
             ]
             covering = covered_by(proposals, [*staying, *others])
-            # two boxes of a frame never share a track: the label that stays keeps it
+            # two boxes of a frame never share a track: the label that stays keeps it, or the first proposal
             taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
-            ids = [None if id in taken else id for id in track_ids or [None] * len(proposals)]
+            ids = list[int | None]()
+            for id, cover in zip(track_ids or [None] * len(proposals), covering, strict=True):
+                ids.append(None if id in taken or cover is not None else id)
+                taken.add(ids[-1])
             with storable(f"{where}: a proposal"):
                 objects = tuple(
                     ProposedObject(

@@ -19,6 +19,7 @@
     │   ├── ReplacedError         the project's database was removed, or replaced while it was open
     │   ├── InUseError            another process has the project open
     │   ├── StaleRevisionError    the frame was changed by someone else first
+    │   ├── TrackTakenError       a track would get a second box in a frame, or its id is in use by now
     │   ├── HistoryError          nothing to undo or redo, or someone else has changed it since
     │   └── FinalisedFrameError   an automatic pass would change a finalised frame
     ├── ComputeError          the device that draws and clusters points is missing or fails
@@ -183,7 +184,15 @@ class StaleRevisionError(ProjectError):
 
 
 class TrackTakenError(ProjectError):
-    """A track id that was free when it was chosen is in use by now."""
+    """A track would get a second box in a frame, or a track id that was free when it was chosen is in use by now.
+
+    Attributes:
+        track_id: of the track.
+    """
+
+    def __init__(self, message: str, track_id: int) -> None:
+        self.track_id = track_id
+        super().__init__(message)
 
 
 class HistoryError(ProjectError):

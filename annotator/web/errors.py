@@ -24,6 +24,7 @@ from annotator.types.errors import (
     NotFoundError,
     ReplacedError,
     StaleRevisionError,
+    TrackTakenError,
 )
 
 LOG = logging.getLogger("annotator.web")
@@ -67,6 +68,7 @@ STATUS: list[tuple[type[AnnotatorError], int]] = [
     (ReplacedError, 409),
     (InUseError, 409),
     (HistoryError, 409),
+    (TrackTakenError, 409),
     (FinalisedFrameError, 409),
     (NotSignedInError, 401),
     (ForbiddenError, 403),
@@ -134,7 +136,8 @@ async def _annotator_error(connection: HTTPConnection, error: Exception) -> Any:
         await connection.close(4000 + status, message.encode()[:120].decode("utf-8", "ignore"))
         # Starlette sends any response, which a closed socket refuses
         return None
-    return error_response(type(error).__name__, message, status)
+    more = {"track": error.track_id} if isinstance(error, TrackTakenError) else {}
+    return error_response(type(error).__name__, message, status, **more)
 
 
 async def _invalid(connection: HTTPConnection, error: Exception) -> JSONResponse:

@@ -19,7 +19,8 @@ from annotator.types.errors import AnnotatorError
 from annotator.web.errors import INTERNAL
 from annotator.web.hub import Hub
 from annotator.web.schemas import Schema
-from annotator.workflows.tracks.follow_run import FollowedTrack, Following, FollowRun
+from annotator.workflows.tracks.follow_objects import FollowedTrack
+from annotator.workflows.tracks.follow_run import Following, FollowRun
 
 LOG = logging.getLogger("annotator.web")
 

@@ -170,8 +170,15 @@ interface Mounted {
   unsaved?(): Unsaved | null;
 }
 
-type ErrorBody = { error?: Api.ErrorBody; state?: FrameState; frame?: number; moved?: Api.MissingRecording };
+type ErrorBody = {
+  error?: Api.ErrorBody;
+  state?: FrameState;
+  frame?: number;
+  track?: number;
+  moved?: Api.MissingRecording;
+};
 type StaleError = Error & { body: { state: FrameState } };
+type TrackTakenError = Error & { body: { track: number } };
 
 interface Mode {
   mount(root: HTMLElement, app: ModeApp): Mounted;

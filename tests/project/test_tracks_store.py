@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
-from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording
+from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording, writing
 from annotator.project.event_types import (
+    LabelAccepted,
+    LabelCreated,
     LabelDeleted,
+    LabelEdited,
     LabelProposed,
     LabelTracked,
     LinkedLabel,
+    Payload,
     ProposedObject,
     TracksLinked,
 )
 from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import ReviewState, Source
-from annotator.types.errors import FinalisedFrameError, HistoryError, ProjectError, StaleRevisionError
+from annotator.types.errors import (
+    FinalisedFrameError,
+    HistoryError,
+    ProjectError,
+    StaleRevisionError,
+    TrackTakenError,
+)
 
 
 def _track(project: Project, uid: str) -> tuple[int | None, bool]:
@@ -124,3 +136,108 @@ def test_an_action_over_several_frames_is_stored_completely_or_not_at_all(
     with pytest.raises(StaleRevisionError):
         project.log.append_to_frames(parts)
     assert all(not project.labels.of_frame(part.frame_id) for part in parts)
+
+
+@pytest.fixture
+def three(project: Project, frame: int) -> tuple[str, str, str]:
+    """Uids of a frame's boxes: of track 1, of none, and a rejected one of track 1."""
+    free, right, gone = (NewLabel("hand", box_at(x)) for x in (3.0, 0.0, 6.0))
+    uids = project.labels.create(frame, [right, free, gone], by_hand()).uids
+    project.labels.edit(frame, uids[2], by_hand(3), label="hand", box=box_at(6.0), track_id=1)
+    project.labels.reject(frame, uids[2], by_hand(4))
+    project.log.append(frame, [LabelTracked(uid=uids[0], track_id=1)], by_hand(5))
+    return uids[0], uids[1], uids[2]
+
+
+BOX = BoxRecord.of(box_at(9.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda uids: LabelTracked(uid=uids[1], track_id=1),
+        lambda uids: LabelEdited(uid=uids[1], label="hand", box=BOX, track_id=1),
+        lambda uids: LabelCreated(uid="new", label="hand", box=BOX, track_id=1),
+        lambda uids: LabelProposed(uid="new", label="person", box=BOX, track_id=1),
+        lambda uids: LabelAccepted(uid=uids[2]),
+        lambda uids: TracksLinked(labels=(LinkedLabel(uid=uids[1], track_id=1),)),
+    ],
+    ids=["tracked", "edited", "created", "proposed", "a rejected one accepted", "linked"],
+)
+def test_no_change_gives_a_track_a_second_box_in_a_frame(
+    project: Project, frame: int, three: tuple[str, str, str], change: Callable[[tuple[str, str, str]], Payload]
+) -> None:
+    before = state_of(project)
+    with pytest.raises(TrackTakenError, match=r"frame 2 of .*: track 1 has a box in this frame already") as refused:
+        project.log.append(frame, [change(three)], by_hand(6))
+    assert refused.value.track_id == 1
+    assert state_of(project) == before
+    # the same, if the other box goes
+    project.log.append(frame, [LabelDeleted(uid=three[0]), change(three)], by_hand(6))
+
+
+def test_boxes_can_change_their_tracks_with_each_other(
+    project: Project, frame: int, three: tuple[str, str, str]
+) -> None:
+    project.log.append(frame, [LabelTracked(uid=three[1], track_id=2)], by_hand(6))
+    swap = [LabelTracked(uid=three[0], track_id=2), LabelTracked(uid=three[1], track_id=1)]
+    project.log.append(frame, swap, by_hand(7))
+    assert [_track(project, uid)[0] for uid in three] == [2, 1, 1]
+
+
+def test_two_boxes_of_a_track_from_an_older_version_can_be_worked_on(
+    project: Project, frame: int, three: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as older:
+        older.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
+        project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(6))
+    project.labels.edit(frame, three[1], by_hand(7), label="hand", box=box_at(4.0), track_id=1)
+    assert project.log.rebuild() > 0
+    with pytest.raises(TrackTakenError):
+        project.labels.accept(frame, three[2], by_hand(8))
+    project.log.append(frame, [LabelTracked(uid=three[1], track_id=None)], by_hand(8))
+    with pytest.raises(TrackTakenError):
+        project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(9))
+
+
+def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skipped(
+    project: Project, frame: int, three: tuple[str, str, str]
+) -> None:
+    project.labels.create(frame, [NewLabel("person", box_at(12.0))], by_hand(6))
+    project.labels.reject(frame, three[0], by_hand(7))
+    project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(8, "bob"))
+    before = state_of(project)
+    with pytest.raises(HistoryError, match="track 1 has a box in this frame already") as refused:
+        project.history.undo("ann")
+    assert refused.value.frame_id == frame
+    assert state_of(project) == before
+    # the one before is undone
+    assert project.history.undo("ann", skip=True).words == "draw person (frame 2)"
+
+
+def test_a_pass_gives_a_track_once(project: Project, frame: int) -> None:
+    found = [proposal_at(), proposal_at(3.0), proposal_at(6.0)]
+    project.labels.create(frame, [NewLabel("hand", box_at())], by_hand())
+    uids = project.proposals.replace(frame, found, by_machine(1), track_ids=[4, 4, 4]).uids
+    # the first one is covered
+    assert [None if uid is None else _track(project, uid)[0] for uid in uids] == [None, 4, None]
+
+
+@pytest.mark.parametrize("ours", [[4, None], [None, None]], ids=["ours has the track", "a reviewed box has it"])
+def test_boxes_of_other_software_get_no_track_of_another_box(
+    project: Project, frame: int, ours: list[int | None]
+) -> None:
+    theirs = [NewLabel("hand", box_at(x), 0.3, 4) for x in (6.0, 9.0)]
+    project.proposals.bring("lidar", {frame: theirs})
+    revision = project.frames.get(frame).revision
+    shown = {label.box.center_m[0]: label.track_id for label in project.labels.of_frame(frame)}
+    assert shown == {6.0: 4, 9.0: None}, "the second box of its track has none"
+    if ours[0] is None:
+        project.log.append(frame, [LabelDeleted(uid=project.labels.of_frame(frame)[0].uid)], by_hand(revision))
+        project.labels.create(frame, [NewLabel("hand", box_at(12.0), track_id=4)], by_hand(revision + 1))
+        project.proposals.bring("lidar", {frame: theirs})
+        revision = project.frames.get(frame).revision
+    project.proposals.replace(frame, [proposal_at(), proposal_at(3.0)], by_machine(revision), track_ids=ours)
+    tracks = [label.track_id for label in project.labels.of_frame(frame)]
+    assert len(tracks) == (4 if ours[0] else 5)
+    assert tracks.count(4) == 1

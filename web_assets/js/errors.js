@@ -44,3 +44,11 @@ export function isStale(error) {
     error.body.state !== undefined
   );
 }
+
+/**
+ * True if a track would get a second box in a frame; `body.track` is its id.
+ *
+ * @param {unknown} error
+ * @returns {error is TrackTakenError}
+ */
+export const isTrackTaken = (error) => error instanceof ApiError && error.kind === "TrackTakenError";

@@ -14,11 +14,11 @@ from annotator.project.classes.kept import kept_proposals
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.labels import NewLabel, stored_label
-from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable
+from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable, track_of
 from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.sources.covering import covered_by
 from annotator.project.sources.lending import borrowed, conflicts, given_back, lent_names, without
-from annotator.project.sources.merge import merged
+from annotator.project.sources.merge import Group, merged
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import BoxKind, ReviewState, Source
 
@@ -111,9 +111,8 @@ def _bring(
     rows, attributes = place.rows, place.config.attributes
     kept = kept_proposals(connection, attributes, place.frame_id) if rows else frozenset[str]()
     staying = [stored_label(row).label for row in rows if not _is_open(row, kept)]
-    taken = {label.track_id for label in staying if label.state is not ReviewState.REJECTED}
     with storable(f"a box of {source}"):
-        new = [_said(source, box, taken) for box in boxes]
+        new = [_said(source, box) for box in boxes]
         covering = covered_by(boxes, staying)
         free = [each for each, uid in zip(new, covering, strict=True) if uid is None]
         covered = [CoveredBox(said=each, by=uid) for each, uid in zip(new, covering, strict=True) if uid]
@@ -167,7 +166,7 @@ def without_classes(
         proposed = _Open.of(_labels(connection, frame_id), staying, kept)
         ours = [each for each in proposed.ours if each.label not in removed]
         hidden = [each for each in proposed.others if each.source == OWN]
-        yield frame_id, _Open(proposed.others, ours, kept, proposed.borrows).after(OWN, hidden, [])
+        yield frame_id, _Open(proposed.others, ours, kept, proposed.taken, proposed.borrows).after(OWN, hidden, [])
 
 
 def _labels(connection: Connection, frame_id: int) -> Sequence[AnyRow]:
@@ -200,7 +199,7 @@ def beside_new_pass(
     proposed = _Open.of(_labels(connection, frame_id), classes, kept)
     if not proposed.others:
         return None
-    return _Open(proposed.others, list(new), kept).after(OWN, [], [])
+    return _Open(proposed.others, list(new), kept, proposed.taken).after(OWN, [], [])
 
 
 @dataclass(frozen=True)
@@ -234,19 +233,33 @@ def source_tracks(writer: Writer, recording_id: int, source: str) -> SourceTrack
     return SourceTracks(frozenset(used), given)
 
 
-def _said(source: str, box: NewLabel, taken: Collection[int | None]) -> SaidRecord:
-    is_free = box.track_id not in taken
+def _said(source: str, box: NewLabel) -> SaidRecord:
     return SaidRecord(
         uid=uuid.uuid4().hex,
         source=source,
         label=box.label,
         score=box.score,
         box=BoxRecord.of(box.box),
-        track_id=box.track_id if is_free else None,
-        file_track_id=box.file_track_id if is_free else None,
+        track_id=box.track_id,
+        file_track_id=box.file_track_id,
         box_kind=box.box_kind,
         attributes=dict(box.attributes),
     )
+
+
+def _with_free_tracks(groups: Sequence[Group], taken: Collection[int | None]) -> tuple[Group, ...]:
+    """The groups without track ids that other labels of the frame have: a track has one box in a frame."""
+    taken, free = set(taken), list[Group]()
+    for group in groups:
+        group = tuple(_without_track(each) if each.track_id in taken else each for each in group)
+        taken.add(track_of(group))
+        taken.discard(None)
+        free.append(group)
+    return tuple(free)
+
+
+def _without_track(said: SaidRecord) -> SaidRecord:
+    return said if said.track_id is None else said.model_copy(update={"track_id": None, "file_track_id": None})
 
 
 @dataclass(frozen=True)
@@ -257,20 +270,24 @@ class _Open:
         others: boxes of other software; boxes of ours that one of them hides, as well.
         ours: our own open proposals.
         kept: uids of proposals that stay as they are; neither list has them.
+        taken: track ids of the labels that stay, except rejected ones.
         borrows: uids of the proposals to which hidden boxes have lent values.
     """
 
     others: list[SaidRecord]
     ours: list[SaidRecord]
     kept: frozenset[str]
+    taken: frozenset[int]
     borrows: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, rows: Iterable[AnyRow], classes: Collection[str], kept: frozenset[str]) -> _Open:
         """Reads them from the rows of a frame's labels, without boxes of classes that the project no longer has."""
-        others, ours, borrows = list[SaidRecord](), list[SaidRecord](), set[str]()
+        others, ours, borrows, taken = list[SaidRecord](), list[SaidRecord](), set[str](), set[int]()
         for row in rows:
             if not _is_open(row, kept):
+                if row.state != ReviewState.REJECTED.value and row.track_id is not None:
+                    taken.add(row.track_id)
                 continue
             said = said_of(row.said)
             present = values_of(row.attributes)
@@ -295,15 +312,17 @@ class _Open:
                         attributes=values,
                     )
                 )
-        return cls([each for each in others if each.label in classes], ours, kept, frozenset(borrows))
+        shown = [each for each in others if each.label in classes]
+        return cls(shown, ours, kept, frozenset(taken), frozenset(borrows))
 
     def after(self, source: str, new: Sequence[SaidRecord], covered: Sequence[CoveredBox]) -> ProposalsImported:
         """Returns the event that replaces what `source` says by `new`."""
         uids = {each.uid for each in self.ours}
         groups = merged([*(each for each in self.others if each.source != source), *new, *self.ours])
+        taken = self.taken.union(group[0].track_id for group in groups if group[0].uid in uids)
         return ProposalsImported(
             source=source,
-            objects=tuple(group for group in groups if group[0].uid not in uids),
+            objects=_with_free_tracks([group for group in groups if group[0].uid not in uids], taken),
             ours=tuple(self._own(*group) for group in groups if group[0].uid in uids),
             hidden=tuple(each.uid for group in groups for each in group[1:] if each.uid in uids),
             covered=tuple(covered),

@@ -276,6 +276,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         else "",
         f"{amount(done.unseen, 'box')} outside the images of these frames left out" if done.unseen else "",
         f"{amount(done.flat, '2D box')} without a 3D box left out" if done.flat else "",
+        f"{amount(done.tracks, 'track id')} that an earlier box of the frame has dropped" if done.tracks else "",
         _left_out(done.values),
         f"{amount(len(done.unmatched), 'frame')} that the project does not have left out" if done.unmatched else "",
         f"{amount(len(done.unreadable), 'frame')} could not be read" if done.unreadable else "",
@@ -337,13 +338,15 @@ def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
 
 def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     """Imports the 3D boxes of recordings."""
-    labels, left_out, values, unreadable, flat = Counter[str](), Counter[str](), Counter[str](), list[str](), 0
+    labels, left_out, values, unreadable = Counter[str](), Counter[str](), Counter[str](), list[str]()
+    tracks = flat = 0
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
         imported = import_own_labels(job.project, recording.id, counter, request.recordings)
         labels += imported.labels
         left_out += imported.other_classes
         values += imported.values
+        tracks += imported.tracks
         unreadable += imported.unreadable
         flat += imported.flat
     message = f"{amount(labels.total(), 'box')} imported"
@@ -353,6 +356,8 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
         message += f", {amount(flat, '2D box')} without a 3D box left out"
     if values:
         message += f", {_left_out(values)}"
+    if tracks:
+        message += f", {amount(tracks, 'track id')} that an earlier box of the frame has dropped"
     if unreadable:
         message += f", those of {amount(len(unreadable), 'frame')} could not be read"
     return Outcome(message, {"labels": labels, "left_out": left_out, "unreadable": unreadable[:MOST_FAILURES]})

@@ -56,9 +56,10 @@ class CopyNextIn(Schema):
 
 
 class CopyNextOut(Schema):
-    """The next frame."""
+    """The next frame, and the copy there."""
 
     frame: int
+    uid: str
 
 
 class CarryIn(Schema):
@@ -137,14 +138,22 @@ def copy_to_next(
     """Propose a box in the next frame, moved along its track; one undo step."""
     project = ctx.project(name)
     effort = None if body.effort is None else body.effort.stored()
-    fit = _box_fitter(ctx, project, _opener(ctx, project, operator))
+    opened = _opener(ctx, project, operator)
     try:
-        done = copy_next(project, frame_id, body.uid, body.revision, operator, fit=fit, effort=effort)
+        done = copy_next(
+            project,
+            frame_id,
+            body.uid,
+            body.revision,
+            operator,
+            read=lambda frame: opened(frame).frame,
+            effort=effort,
+        )
     except StaleRevisionError as error:
         return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     for changed, receipt in done.changed:
         ctx.hub.frame_changed(project, changed, receipt.revision, operator)
-    return CopyNextOut(frame=done.frame_id)
+    return CopyNextOut(frame=done.frame_id, uid=done.uid)
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/carry", response_model=CarryOut, responses=STALE)

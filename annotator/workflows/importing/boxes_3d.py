@@ -58,6 +58,7 @@ class ImportedLabels:
         unseen: number of boxes left out because they are outside the images of all frames that were read.
         scores: number of scores on `frames` left out because they are not confidences in 0..1.
         flat: number of 2D boxes on `frames` left out because they have no 3D box.
+        tracks: number of track ids on `frames` left out because an earlier box of the frame has the same one.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         filled: number of values that labels and frames among `already` got.
         renamed: the dataset's only recording, if it was matched with one of another name.
@@ -73,6 +74,7 @@ class ImportedLabels:
     unseen: int = 0
     scores: int = 0
     flat: int = 0
+    tracks: int = 0
     values: Counter[str] = field(default_factory=Counter)
     filled: int = 0
     renamed: Renamed | None = None
@@ -164,7 +166,7 @@ class _Importer:
         done = self._done
         named = [(t, renamed_class(t.label, self._names)) for t in truths]
         done.other_classes.update(t.label for t, label in named if label not in self._classes)
-        new = self._labels(truths)
+        new, repeated = with_tracks_once(self._labels(truths))
         if create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):
             self._give_frame(name, stored)
             done.frames += 1
@@ -173,6 +175,7 @@ class _Importer:
             done.not_reviewed += left_out.not_reviewed
             done.scores += left_out.scores
             done.flat += left_out.flat
+            done.tracks += repeated
         else:
             done.already += 1
 
@@ -320,6 +323,15 @@ def none_of(path: Path, names: Sequence[str]) -> FormatError:
 def _place(name: str) -> tuple[str, str]:
     recording, _, key = name.partition("/")
     return recording, key
+
+
+def with_tracks_once(new: Sequence[NewLabel]) -> tuple[list[NewLabel], int]:
+    """Returns a frame's labels, the first box of each track with its id, the others without; and how many these are."""
+    taken, kept = set[int | None](), list[NewLabel]()
+    for label in new:
+        kept.append(replace(label, track_id=None, file_track_id=None) if label.track_id in taken else label)
+        taken |= {label.track_id} - {None}
+    return kept, sum(before is not after for before, after in zip(new, kept, strict=True))
 
 
 def create_if_unlabelled(

@@ -13,7 +13,7 @@ from annotator.project.sources.bring import SourceTracks
 from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import Importer, match_frames, near, within_range
+from annotator.workflows.importing.boxes_3d import Importer, match_frames, near, with_tracks_once, within_range
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.label_set import FoundInProject, HasUnseen, ProposalSet, ScoreRange
@@ -40,7 +40,7 @@ class ImportedProposals:
         rejected: boxes left out because somebody has rejected them.
         other_classes: boxes left out because the project has no such class, by class of the file.
         finalised: number of frames left unchanged because they are finalised.
-        unmatched, unreadable, renamed, values, unseen, flat: as in `ImportedLabels`.
+        unmatched, unreadable, renamed, tracks, values, unseen, flat: as in `ImportedLabels`.
         scored: whether any box of the dataset has a score.
         scaled: the range of the scores if they are not confidences; it was scaled to 0..1.
     """
@@ -60,6 +60,7 @@ class ImportedProposals:
     renamed: Renamed | None = None
     scored: bool = False
     scaled: ScoreRange | None = None
+    tracks: int = 0
     values: Counter[str] = field(default_factory=Counter)
     unseen: int = 0
     flat: int = 0
@@ -177,7 +178,10 @@ class _Importer:
         self._done.other_classes.update(
             before.label for before, after in zip(sure, named, strict=True) if after.label not in self._classes
         )
-        return [self._label(each, self._track(recording_id, each.track_id)) for _, each in known]
+        labels = [self._label(each, self._track(recording_id, each.track_id)) for _, each in known]
+        labels, repeated = with_tracks_once(labels)
+        self._done.tracks += repeated
+        return labels
 
     def _label(self, truth: Truth, track_id: int | None) -> NewLabel:
         return NewLabel(

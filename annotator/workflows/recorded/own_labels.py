@@ -12,7 +12,7 @@ from annotator.project.sources.covering import covered_by
 from annotator.recordings.look_around import LookAround
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import create_if_unlabelled
+from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tracks_once
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
 from annotator.workflows.recorded.whole_sets import require_units
 from annotator.workflows.rigs import Rigs
@@ -28,6 +28,7 @@ class OwnLabels:
     Attributes:
         labels: imported labels, by class.
         other_classes: labels left out because the project does not have their class, by class.
+        tracks: as in `ImportedLabels`.
         of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
@@ -38,6 +39,7 @@ class OwnLabels:
 
     labels: Counter[str] = field(default_factory=Counter)
     other_classes: Counter[str] = field(default_factory=Counter)
+    tracks: int = 0
     of_other_cameras: int = 0
     unreadable: list[str] = field(default_factory=list)
     flat: int = 0
@@ -110,8 +112,10 @@ def import_own_labels(
                 here = _of_this_camera(project, rigs, stored, new, together)
                 counts.of_other_cameras += len(new) - len(here)
                 new = here
+            new, repeated = with_tracks_once(new)
             if new and create_if_unlabelled(project, stored.id, new, AUTHOR):
                 counts.labels.update(label.label for label in new)
+                counts.tracks += repeated
         if progress is not None:
             progress(number, len(frames))
     counts.values = reader.left_out

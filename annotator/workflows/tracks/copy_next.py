@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel
-from annotator.project.event_types import LabelTracked
+from annotator.project.event_types import LabelProposed, LabelTracked
 from annotator.project.overview import neighbours, read_page
+from annotator.rcv.follow_object import Look, follow_object
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.motion import predicted
-from annotator.types import OrientedBox
+from annotator.types import Frame, Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.fit_boxes import FitBox
+from annotator.workflows.tracks.follow_frames import DEFAULTS
 from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events
 from annotator.workflows.tracks.times import times_of
+from annotator.workflows.workbench.drawing_steps import frame_config
 
 
 @dataclass(frozen=True)
@@ -25,10 +28,12 @@ class Copied:
 
     Attributes:
         frame_id: the next frame.
+        uid: of the copy.
         changed: the changed frames: (frame id, receipt) each.
     """
 
     frame_id: int
+    uid: str
     changed: tuple[tuple[int, Receipt], ...]
 
 
@@ -39,16 +44,18 @@ def copy_next(
     revision: int,
     author: str,
     *,
-    fit: FitBox | None = None,
+    read: Callable[[StoredFrame], Frame] | None = None,
     effort: Effort | None = None,
 ) -> Copied:
-    """Proposes a label's box in the next frame, moved along its track; a label without a track gets one.
+    """Proposes a label's box in the next frame, moved along its track, as large as it is.
+
+    A label without a track gets one.
 
     Args:
         uid: the label, reviewed or not.
         revision: of the frame, as shown to the operator.
         author: the operator, who can undo this as one action.
-        fit: fits the box to the next frame's points; None = no fit.
+        read: reads a frame; the box is then moved and turned with the points inside, if these are found again.
 
     Raises:
         ConfigError: the recording is not a sequence, there is no next frame, it is finalised, or it has this box.
@@ -74,8 +81,8 @@ def copy_next(
         raise ConfigError(f"frame {next_frame.key} is finalised; reopen it first")
     label = stored.label
     box = _moved(project, frame, stored)
-    if fit is not None:
-        box = fit(next_frame, box, label)
+    if read is not None:
+        box = _registered(project, label, read(frame), read(next_frame), box)
     is_new = label.track_id is None
     track_id = next_track_id(project, frame.recording_id) if label.track_id is None else label.track_id
     proposal = NewProposal(label.label, box, track_id, box_kind=label.box_kind, attributes=label.attributes)
@@ -87,7 +94,15 @@ def copy_next(
         parts.append(part_of(frame, [LabelTracked(uid=uid, track_id=track_id)], author))
     receipts = project.log.append_to_frames(parts, new_tracks=[track_id] if is_new else [])
     changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
-    return Copied(next_frame.id, changed)
+    copy = next(payload.uid for payload in payloads if isinstance(payload, LabelProposed))
+    return Copied(next_frame.id, copy, changed)
+
+
+def _registered(project: Project, label: Label, here: Frame, there: Frame, expected: OrientedBox) -> OrientedBox:
+    """Returns a label's box where its points are found again, or else the expected one."""
+    look, config = Look.of(here.cloud.xyz_m, label.box), frame_config(project, there, None)
+    found = follow_object(there, expected, look, look, label.label, None, config, DEFAULTS).proposal
+    return expected if found is None else OrientedBox(found.box.pose, label.box.size_m)
 
 
 def _moved(project: Project, frame: StoredFrame, stored: StoredLabel) -> OrientedBox:

@@ -47,9 +47,13 @@ class Follower:
         self._reviewed = self._last = Look.of(first.frame.cloud.xyz_m, start)
         self._boxes, self._times = [start], [first.time]
 
+    def expected(self, moment: Moment) -> OrientedBox:
+        """The box at another time, if the object keeps its motion."""
+        return predicted(self._boxes[-MOTION_BOXES:], self._times[-MOTION_BOXES:], moment.time)
+
     def step(self, moment: Moment) -> Followed:
         """Looks for the object in the next frame; after a frame in which it is not found, there is no next step."""
-        guess = predicted(self._boxes[-MOTION_BOXES:], self._times[-MOTION_BOXES:], moment.time)
+        guess = self.expected(moment)
         config = self._settings(moment.frame)
         followed = follow_object(
             moment.frame, guess, self._reviewed, self._last, self._label, self._view, config, self._limits

@@ -11,8 +11,10 @@ from annotator.rcv.follow_object import FollowConfig
 from annotator.types import Label
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.tracks.follow_frames import DEFAULTS
-from annotator.workflows.tracks.follow_run import Following, FollowRun, Stretch, Timeline
+from annotator.workflows.tracks.follow_objects import Stretch
+from annotator.workflows.tracks.follow_run import Following, FollowRun
 from annotator.workflows.tracks.interpolate import KeyFrame, key_frames
+from annotator.workflows.tracks.timeline import Timeline
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 

@@ -2,64 +2,38 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, defaultdict, deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from annotator.geometry.iou import iou_3d
-from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, new_action
-from annotator.project.event_types import LabelProposed, LabelTracked, Payload
+from annotator.project import REVIEWED, Effort, FramePart, Receipt, StoredFrame, StoredLabel, new_action
+from annotator.project.event_types import LabelDeleted, LabelProposed, LabelTracked, Payload
+from annotator.project.overview import read_page
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import FollowConfig
-from annotator.types import Frame, Label, Proposal
-from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError, TrackTakenError
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.follow_frames import DEFAULTS, Follower, Moment
+from annotator.tracking.same_place import overlap_at_place
+from annotator.types import Frame, Label, OrientedBox, Proposal, ReviewState
+from annotator.types.errors import FrameError, NotFoundError, StaleRevisionError, TrackTakenError
+from annotator.workflows.tracks.follow_frames import DEFAULTS, Follower
+from annotator.workflows.tracks.follow_objects import FollowedObject, FollowedTrack, Part, StoppedAt, Stretch, Walk
 from annotator.workflows.tracks.interpolate import KeyFrame
-from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events
-from annotator.workflows.tracks.times import times_of
+from annotator.workflows.tracks.propose_boxes import (
+    NewProposal,
+    blocking,
+    next_track_id,
+    part_of,
+    proposal_events,
+)
+from annotator.workflows.tracks.timeline import Timeline
 from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
-# Boxes found by following forward and backward are the same with at least this IoU.
-SAME_BOX_IOU = 0.5
-# Objects that are followed from the same frame need the same frames at about the same time; others read them again.
-FRAMES_KEPT = 4
 # If a frame changes while boxes are stored in it, its state is read again, at most so often.
 TRIES = 5
+OTHER_TRACK = "a box of {} is here; if it is the same object, give both one track; else draw this object's box here"
 KEY_CHANGED = "the reviewed box was changed in the meantime; follow it again"
-
-
-@dataclass(frozen=True)
-class StoppedAt:
-    """The frame in which an object was not found, and why."""
-
-    frame_id: int
-    key: str
-    reason: str
-
-
-@dataclass(frozen=True)
-class FollowedTrack:
-    """What became of one object.
-
-    Attributes:
-        uid: of its first reviewed label.
-        track_id: None while it has no track.
-        label: its class.
-        boxes: number of new proposals.
-        doubtful: number of frames left out because following forward and backward gave different boxes.
-        stops: where it was lost before the next reviewed box or the end of the recording.
-    """
-
-    uid: str
-    track_id: int | None
-    label: str
-    boxes: int
-    doubtful: int
-    stops: tuple[StoppedAt, ...]
 
 
 @dataclass(frozen=True)
@@ -80,145 +54,7 @@ class Following:
     proposed: tuple[tuple[int, str], ...] = ()
 
 
-class Timeline:
-    """The frames of a recording that follow each other in time, read when they are needed.
-
-    Attributes:
-        frames: in order, without those that are no longer in the recording.
-    """
-
-    def __init__(self, project: Project, recording_id: int) -> None:
-        """
-        Raises:
-            ConfigError: the recording is not a sequence.
-            NotFoundError: no such recording.
-            RecordingError: the recording cannot be opened.
-        """
-        recording = project.recordings.get(recording_id)
-        if not recording.is_sequence:
-            raise ConfigError(f"the frames of {recording.name} do not follow each other in time; it has no tracks")
-        self.project, self.recording_id = project, recording_id
-        self.frames: tuple[StoredFrame, ...] = tuple(
-            frame for frame in project.frames.of([recording_id]) if frame.index is not None
-        )
-        self._source = FrameSource(project)
-        self._times = times_of(self._source.recording(recording_id), self.frames)
-        self._read: OrderedDict[int, Frame] = OrderedDict()
-
-    def moment(self, index: int) -> Moment:
-        """Reads a frame.
-
-        Raises:
-            FrameError: it cannot be read.
-        """
-        if index not in self._read:
-            self._read[index] = self._source.read(self.frames[index])
-            while len(self._read) > FRAMES_KEPT:
-                self._read.popitem(last=False)
-        return Moment(index, self._read[index], float(self._times[index]))
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """The frames between two reviewed boxes of an object, or from its only one to an end of the recording (None)."""
-
-    before: KeyFrame | None
-    after: KeyFrame | None
-
-    @property
-    def keys(self) -> tuple[KeyFrame, ...]:
-        """Its reviewed boxes."""
-        return tuple(key for key in (self.before, self.after) if key is not None)
-
-    def inside(self, frames: int) -> range:
-        """Indices of its frames, in a recording with so many frames."""
-        first = 0 if self.before is None else self.before.index + 1
-        return range(first, frames if self.after is None else self.after.index)
-
-
-@dataclass(eq=False)
-class _Walk:
-    """An object on its way from one reviewed box; `left` are the frames still to come."""
-
-    key: KeyFrame
-    left: deque[int]
-    follower: Follower | None = None
-    boxes: dict[int, Proposal] = field(default_factory=dict)
-
-
-@dataclass(eq=False)
-class _Object:
-    """An object, and its result so far; `walks` holds one or two walks for each stretch."""
-
-    track_id: int | None
-    keys: tuple[KeyFrame, ...]
-    walks: list[list[_Walk]]
-    boxes: int = 0
-    doubtful: int = 0
-    stops: list[StoppedAt] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, stretches: Sequence[Stretch], frames: int) -> _Object:
-        walks = []
-        for stretch in stretches:
-            inside = stretch.inside(frames)
-            both = [] if stretch.before is None else [_Walk(stretch.before, deque(inside))]
-            both += [] if stretch.after is None else [_Walk(stretch.after, deque(reversed(inside)))]
-            walks.append(both)
-        keys = {key.label.uid: key for stretch in stretches for key in stretch.keys}
-        ordered = tuple(sorted(keys.values(), key=lambda key: key.index))
-        return cls(ordered[0].label.track_id, ordered, walks)
-
-    @property
-    def label(self) -> Label:
-        return self.keys[0].label
-
-    def take(self, ended: bool) -> dict[int, Proposal]:
-        """Returns the boxes that can be stored now.
-
-        Those between two reviewed boxes can be stored once both directions are done, or once the run has ended.
-        """
-        taken: dict[int, Proposal] = {}
-        for walks in self.walks:
-            if len(walks) == 1:
-                taken |= walks[0].boxes
-            elif ended or not any(walk.left for walk in walks):
-                taken |= self._agreed(*walks)
-            else:
-                continue
-            for walk in walks:
-                walk.boxes = {}
-        return taken
-
-    def _agreed(self, ahead: _Walk, back: _Walk) -> dict[int, Proposal]:
-        """Returns the boxes that both directions agree on, each from the nearer reviewed box; or the only ones."""
-        agreed = dict(ahead.boxes)
-        for index, other in back.boxes.items():
-            own = agreed.get(index)
-            if own is None or (iou_3d(own.box, other.box) >= SAME_BOX_IOU and _is_nearer(back, ahead, index)):
-                agreed[index] = other
-            elif iou_3d(own.box, other.box) < SAME_BOX_IOU:
-                del agreed[index]
-                self.doubtful += 1
-        return agreed
-
-    def give_up(self, stop: StoppedAt) -> None:
-        """Ends all its walks. Called again, while the boxes of others are being stored, it does nothing."""
-        if stop in self.stops:
-            return
-        self.stops.append(stop)
-        for walk in (walk for walks in self.walks for walk in walks):
-            walk.left.clear()
-            walk.boxes.clear()
-
-    def result(self) -> FollowedTrack:
-        return FollowedTrack(
-            self.label.uid, self.track_id, self.label.label, self.boxes, self.doubtful, tuple(self.stops)
-        )
-
-
-def _is_nearer(walk: _Walk, other: _Walk, index: int) -> bool:
-    return abs(walk.key.index - index) < abs(other.key.index - index)
+_OnWay = tuple[FollowedObject, Part, Walk]
 
 
 class FollowRun:
@@ -248,9 +84,10 @@ class FollowRun:
         """
         self._timeline, self._view, self._author = timeline, view, author
         self._effort, self._limits = effort, limits
-        self._objects = [_Object.of(stretches, len(timeline.frames)) for stretches in objects]
+        self._objects = [FollowedObject.of(stretches, len(timeline.frames)) for stretches in objects]
         self.action = new_action()
         self._total = self._left()
+        self._last_event = timeline.project.log.last()
 
     @property
     def state(self) -> Following:
@@ -265,8 +102,12 @@ class FollowRun:
     ) -> Following:
         """Follows all objects to their ends.
 
+        An object that meets a reviewed box of its class at its place goes on from that box, which gets its track. If
+        that box has another track, the object stops there. Where the run has looked for an object, boxes that earlier
+        runs, copies or interpolations have proposed for it are removed.
+
         Args:
-            progress: called after each round, in which every object has moved on by one frame.
+            progress: called after each round, in which objects have moved on by one frame.
             stopped: asked before each frame.
 
         After a stop or an error the boxes found so far are stored, between two reviewed boxes also those that were
@@ -278,18 +119,38 @@ class FollowRun:
             DetectionError: the detector fails.
         """
         try:
-            while self._left() and not stopped():
-                for item in self._objects:
-                    for walk in [walk for walks in item.walks for walk in walks if walk.left]:
-                        if stopped():
-                            break
-                        self._step(item, walk)
+            while (front := self._front()) and not stopped():
+                for item, part, walk in front:
+                    if stopped():
+                        break
+                    if walk.left:  # else another object has ended it
+                        self._step(item, part, walk)
                 self._report(progress, *self._store())
         finally:
             changed, proposed = self._store(ended=True)
             if changed:
                 self._report(progress, changed, proposed)
         return self.state
+
+    def _front(self) -> list[_OnWay]:
+        """The walks that move on next.
+
+        Those to an end of the recording are side by side in time, first those forward, then those backward: so the
+        first of several reviewed boxes of an object reaches the others before these are followed.
+        """
+        ahead, back, between = list[_OnWay](), list[_OnWay](), list[_OnWay]()
+        for item in self._objects:
+            for part, walk in item.walks():
+                if walk.left:
+                    kind = between if not part.is_open else back if walk.is_backward else ahead
+                    kind.append((item, part, walk))
+        if ahead:
+            first = min(walk.left[0] for _, _, walk in ahead)
+            return between + [each for each in ahead if each[2].left[0] == first]
+        if between or not back:
+            return between
+        last = max(walk.left[0] for _, _, walk in back)
+        return [each for each in back if each[2].left[0] == last]
 
     def _report(
         self,
@@ -301,10 +162,11 @@ class FollowRun:
             progress(replace(self.state, changed=changed, proposed=proposed))
 
     def _left(self) -> int:
-        return sum(len(walk.left) for item in self._objects for walks in item.walks for walk in walks)
+        return sum(len(walk.left) for item in self._objects for _, walk in item.walks())
 
-    def _step(self, item: _Object, walk: _Walk) -> None:
+    def _step(self, item: FollowedObject, part: Part, walk: Walk) -> None:
         index = reading = walk.left.popleft()
+        item.passed.add(index)
         try:
             if walk.follower is None:
                 reading = walk.key.index
@@ -312,17 +174,56 @@ class FollowRun:
                 view = self._view if self._view is not None and _measures(self._view, label) else None
                 walk.follower = Follower(start, label.box, label.label, view, self._settings, self._limits)
                 reading = index
-            followed = walk.follower.step(self._timeline.moment(index))
+            moment = self._timeline.moment(index)
+            expected = walk.follower.expected(moment)
+            followed = walk.follower.step(moment)
         except FrameError as error:
             self._stop(item, walk, reading, str(error))
             return
-        if followed.proposal is not None:
-            walk.boxes[index] = followed.proposal
-        else:
+        box = expected if followed.proposal is None else followed.proposal.box
+        if (there := self._standing_at(item, index, box)) is not None:
+            self._meet(item, part, walk, KeyFrame(index, there))
+        elif followed.proposal is None:
             why = followed.stop.value if followed.stop is not None else ""
             self._stop(item, walk, index, f"{why} ({followed.detail})" if followed.detail else why)
+        elif any(self._collides(item, other, index, box) for other in self._objects):
+            self._stop(item, walk, index, OTHER_TRACK.format("another followed object"))
+        else:
+            walk.find(index, followed.proposal)
 
-    def _stop(self, item: _Object, walk: _Walk, index: int, reason: str) -> None:
+    def _standing_at(self, item: FollowedObject, index: int, box: OrientedBox) -> Label | None:
+        """Returns the label at a place beside which no box of an object is proposed, or None."""
+        labels = read_page(self._timeline.project, self._timeline.frames[index].id).labels
+        label = blocking(NewProposal(item.label.label, box, item.track_id), labels)
+        # a reviewed box of the track may be elsewhere in the frame
+        return label if label is not None and overlap_at_place([box], [label.box]).any() else None
+
+    def _meet(self, item: FollowedObject, part: Part, walk: Walk, key: KeyFrame) -> None:
+        """Goes on through a reviewed box, or stops at a box of another object."""
+        label = key.label
+        others = [other for other in self._objects if other is not item and other.has(label.uid)]
+        is_own = label.track_id == item.track_id if label.track_id is not None else item.has(label.uid)
+        is_free = label.track_id is None and not any(other.track_id is not None or other.met for other in others)
+        if label.state not in REVIEWED or not (is_own or is_free):
+            name = "another followed object" if label.track_id is None else f"track {label.track_id}"
+            self._stop(item, walk, key.index, OTHER_TRACK.format(name))
+            return
+        for other in others:
+            # the same object: nothing of it is stored yet
+            other.end()
+            self._objects.remove(other)
+            item.stops += other.stops
+        self._total += item.meet(key, part, walk)
+
+    @staticmethod
+    def _collides(item: FollowedObject, other: FollowedObject, index: int, box: OrientedBox) -> bool:
+        """Whether another object of the run, of the same class, was found at the same place."""
+        if other is item or other.label.label != item.label.label:
+            return False
+        found = [walk.boxes[index].box for _, walk in other.walks() if index in walk.boxes]
+        return bool(overlap_at_place([box], found).any())
+
+    def _stop(self, item: FollowedObject, walk: Walk, index: int, reason: str) -> None:
         walk.left.clear()
         frame = self._timeline.frames[index]
         item.stops.append(StoppedAt(frame.id, frame.key, reason))
@@ -336,24 +237,26 @@ class FollowRun:
         Raises:
             StaleRevisionError, TrackTakenError: others change the frames, or take the track ids, again and again.
         """
-        found = [(item, boxes) for item in self._objects if (boxes := item.take(ended))]
+        found = [(item, item.take(ended)) for item in self._objects]
+        found = [(item, boxes) for item, boxes in found if boxes or item.met or ended]
         for attempt in range(TRIES):
             try:
-                return self._try_to_store(found)
+                return self._try_to_store(found, ended)
             except (StaleRevisionError, TrackTakenError):
                 if attempt == TRIES - 1:
                     raise
         raise AssertionError
 
     def _try_to_store(
-        self, found: Sequence[tuple[_Object, dict[int, Proposal]]]
+        self, found: Sequence[tuple[FollowedObject, dict[int, Proposal]]], ended: bool
     ) -> tuple[tuple[tuple[int, Receipt], ...], tuple[tuple[int, str], ...]]:
         project, frames = self._timeline.project, self._timeline.frames
         # each frame is read once, before its labels: so a change after that is noticed when the events are appended
-        needed = {index for item, boxes in found for index in (*boxes, item.keys[0].index)}
+        needed = {index for item, boxes in found for index in (*boxes, *(key.index for key in item.keys))}
+        needed.update(*(item.passed for item, _ in found if ended))
         read = {index: project.frames.get(frames[index].id) for index in needed}
         new: dict[int, list[NewProposal]] = defaultdict(list)
-        owners: dict[int, _Object] = {}
+        owners: dict[int, FollowedObject] = {}
         untracked: set[int] = set()
         for item, boxes in found:
             label = self._present(item)
@@ -373,31 +276,82 @@ class FollowRun:
             if not read[index].finalised:
                 payloads[index] += proposal_events(project, read[index], proposals)
         proposed = [
-            (frames[index].id, payload)
+            (index, payload)
             for index, events in payloads.items()
             for payload in events
             if isinstance(payload, LabelProposed)
         ]
-        given = untracked & {payload.track_id for _, payload in proposed}
-        for track_id in given:
-            key = owners[track_id].keys[0]
-            payloads[key.index].append(LabelTracked(uid=key.label.uid, track_id=track_id))
+        given = untracked & {
+            *(payload.track_id for _, payload in proposed),
+            *(track_id for track_id, item in owners.items() if item.met),
+        }
+        for track_id, item in owners.items():
+            for key in (*item.keys[: track_id in given], *item.met):
+                payloads[key.index] += self._given_track(key, track_id)
+            for index, events in self._without_stale(item, track_id, read).items() if ended else ():
+                payloads[index] += events
         parts: list[FramePart] = []
         for index, events in sorted(payloads.items()):
             if events:
-                parts.append(part_of(read[index], events, self._author, None if parts else self._effort))
+                parts.append(part_of(read[index], _once(events), self._author, None if parts else self._effort))
         if not parts:
             return (), ()
         receipts = project.log.append_to_frames(parts, self.action, given)
         self._effort = None
-        for _, payload in proposed:
+        for track_id, item in owners.items():
+            if track_id not in untracked or track_id in given:
+                item.track_id = track_id
+            item.met.clear()
+        for index, payload in proposed:
             if payload.track_id is not None:
-                owners[payload.track_id].track_id = payload.track_id
-                owners[payload.track_id].boxes += 1
+                owners[payload.track_id].proposed[index] = payload.uid
+                owners[payload.track_id].uids.add(payload.uid)
         changed = tuple((part.frame_id, receipt) for part, receipt in zip(parts, receipts, strict=True))
-        return changed, tuple((frame_id, payload.uid) for frame_id, payload in proposed)
+        return changed, tuple((frames[index].id, payload.uid) for index, payload in proposed)
 
-    def _present(self, item: _Object) -> Label | None:
+    def _given_track(self, key: KeyFrame, track_id: int) -> list[Payload]:
+        """Returns the events that give a reviewed label its track, in place of open proposals of the track."""
+        project = self._timeline.project
+        labels = project.labels.of_frame(self._timeline.frames[key.index].id)
+        same = [label for label in labels if label.track_id == track_id]
+        if any(label.uid == key.label.uid or label.state in REVIEWED for label in same):
+            return []
+        replaced = [LabelDeleted(uid=label.uid) for label in same if label.state is ReviewState.PROPOSED]
+        return [*replaced, LabelTracked(uid=key.label.uid, track_id=track_id)]
+
+    def _without_stale(
+        self, item: FollowedObject, track_id: int, read: Mapping[int, StoredFrame]
+    ) -> dict[int, list[Payload]]:
+        """Returns the events that remove what the run has not confirmed where it has looked for an object, by frame.
+
+        That is: boxes that earlier runs, copies or interpolations have proposed for it, and the run's own ones that
+        following in the other direction has contradicted.
+        """
+        project = self._timeline.project
+        indices = {self._timeline.frames[index].id: index for index in item.passed}
+        events: dict[int, list[Payload]] = {}
+        is_open = project.labels.select(
+            states=[ReviewState.PROPOSED], recordings=[self._timeline.recording_id], tracks=[track_id]
+        )
+        for stored in is_open:
+            uid, index = stored.label.uid, indices.get(stored.frame_id)
+            if index is None or item.proposed.get(index) == uid or read[index].finalised:
+                continue
+            if uid in item.uids or (self._was_asked_for(stored) and uid not in project.labels.kept(stored.frame_id)):
+                events.setdefault(index, []).append(LabelDeleted(uid=uid))
+        return events
+
+    def _was_asked_for(self, stored: StoredLabel) -> bool:
+        """Whether an operator has asked for a proposal before this run; automatic passes propose others."""
+        events = self._timeline.project.log.of_frame(stored.frame_id)
+        return any(
+            isinstance(event.payload, LabelProposed)
+            and event.payload.uid == stored.label.uid
+            and event.id <= self._last_event
+            for event in events
+        )
+
+    def _present(self, item: FollowedObject) -> Label | None:
         """Returns an object's first reviewed label as it is now.
 
         Returns None, and gives the object up, if one of its reviewed labels has changed.
@@ -414,6 +368,12 @@ class FollowRun:
                 return None
             first = first or label
         return first
+
+
+def _once(events: Sequence[Payload]) -> list[Payload]:
+    """Returns the events without repeated deletions of one label."""
+    gone = [event.uid if isinstance(event, LabelDeleted) else None for event in events]
+    return [event for n, event in enumerate(events) if gone[n] is None or gone[n] not in gone[:n]]
 
 
 def _measures(view: ReadyDetector, label: Label) -> bool:

@@ -154,7 +154,14 @@ class _Recording:
         for index, (frame, labels) in enumerate(zip(self.frames, self.labels, strict=True)):
             if frame.finalised:
                 continue
-            entries = [self._change(stored, frame, ids[index, number]) for number, stored in enumerate(labels)]
+            # an id that another class of the frame has from a person or a file is not given again
+            given = {_given(stored, frame) for stored in labels}
+            entries = [
+                self._change(
+                    stored, frame, stored.label.track_id if ids[index, number] in given else ids[index, number]
+                )
+                for number, stored in enumerate(labels)
+            ]
             changed = tuple(entry for entry in entries if entry is not None)
             if changed:
                 context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
@@ -168,7 +175,7 @@ class _Recording:
             summary.changed += sum(counts[first : first + FRAMES_PER_WRITE])
         return True
 
-    def _change(self, stored: StoredLabel, frame: StoredFrame, number: int) -> LinkedLabel | None:
+    def _change(self, stored: StoredLabel, frame: StoredFrame, number: int | None) -> LinkedLabel | None:
         label = stored.label
         is_given = _given(stored, frame) is not None
         is_new = not is_given and label.track_id != number

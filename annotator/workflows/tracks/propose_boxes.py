@@ -14,6 +14,7 @@ from annotator.project.event_types import LabelAttributesSet, LabelDeleted, Labe
 from annotator.project.overview import read_page
 from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.sources.covering import SAME_OBJECT_IOU, covered_by
+from annotator.tracking.same_place import overlap_at_place
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.label import AttributeValue
 
@@ -41,19 +42,24 @@ class NewProposal:
     said: tuple[SaidRecord, ...] = ()
 
 
-def proposal_events(project: Project, frame: StoredFrame, boxes: Sequence[NewProposal]) -> list[Payload]:
+def proposal_events(
+    project: Project, frame: StoredFrame, boxes: Sequence[NewProposal], *, where_rejected: bool = False
+) -> list[Payload]:
     """Returns the events that propose boxes in a frame; empty if all boxes are left out.
 
-    A box is left out if a reviewed or rejected label covers it (3D IoU 0.5 or more), or if its track has a reviewed box
-    in the frame. Unreviewed proposals of the same objects are replaced; values that a person has set of them stay.
+    A box is left out if its track has a reviewed box in the frame, or if its place is taken: by a reviewed label of its
+    class (`overlap_at_place`), by a rejected one (3D IoU 0.5 or more), or by a proposal of another track. Unreviewed
+    proposals of the same objects are replaced; values that a person has set of them stay.
 
     Args:
         frame: the frame before the change.
+        where_rejected: propose boxes also where a label was rejected.
     """
     labels = read_page(project, frame.id).labels
-    decided = [stored.label for stored in labels if stored.label.state is not ReviewState.PROPOSED]
-    covers = covered_by(boxes, decided)
-    new = [box for box, cover in zip(boxes, covers, strict=True) if cover is None and not _is_reviewed(box, decided)]
+    new = [box for box in _once(boxes) if blocking(box, labels) is None]
+    if not where_rejected:
+        rejected = [stored.label for stored in labels if stored.label.state is ReviewState.REJECTED]
+        new = [box for box, cover in zip(new, covered_by(new, rejected), strict=True) if cover is None]
     if not new:
         return []
     replaced = [LabelDeleted(uid=stored.label.uid) for stored in labels if _is_replaced(stored, new)]
@@ -92,9 +98,32 @@ def next_track_id(project: Project, recording_id: int) -> int:
     return max([0, *(number for number in known if number is not None)]) + 1
 
 
-def _is_reviewed(box: NewProposal, decided: Sequence[Label]) -> bool:
-    track = box.track_id
-    return track is not None and any(label.track_id == track and label.state in REVIEWED for label in decided)
+def blocking(box: NewProposal, labels: Sequence[StoredLabel]) -> Label | None:
+    """Returns the label of a frame beside which a box is not proposed, or None.
+
+    That is a reviewed label of its track; or a label of its class at its place, if it is reviewed, or a proposal to
+    which a person, a file or following has given another track.
+    """
+    for stored in labels:
+        label = stored.label
+        if label.state in REVIEWED and label.track_id is not None and label.track_id == box.track_id:
+            return label
+    near = [stored for stored in labels if stored.label.label == box.label and _stays(stored, box)]
+    overlaps = overlap_at_place([box.box], [stored.label.box for stored in near])[0]
+    return near[int(np.argmax(overlaps))].label if overlaps.any() else None
+
+
+def _stays(stored: StoredLabel, box: NewProposal) -> bool:
+    label = stored.label
+    if label.state is ReviewState.PROPOSED:
+        return label.track_id not in (None, box.track_id) and not stored.track_linked
+    return label.state in REVIEWED
+
+
+def _once(boxes: Sequence[NewProposal]) -> list[NewProposal]:
+    """Returns the boxes without those whose track an earlier one has."""
+    tracks = [box.track_id for box in boxes]
+    return [box for n, box in enumerate(boxes) if box.track_id is None or box.track_id not in tracks[:n]]
 
 
 def _is_replaced(stored: StoredLabel, new: Sequence[NewProposal]) -> bool:

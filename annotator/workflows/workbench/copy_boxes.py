@@ -1,22 +1,18 @@
-"""Copies reviewed boxes from one frame to another: exact for objects at rest, a start for moving ones."""
+"""Proposes the reviewed boxes of one frame in another one: right for objects at rest, a start for moving ones."""
 
 from __future__ import annotations
 
-from annotator.geometry.iou import iou_3d_matrix
-from annotator.project import REVIEWED, NewLabel, Origin, Project, Receipt, WriteContext
+from annotator.project import REVIEWED, Project, Receipt, WriteContext
 from annotator.project.overview import neighbours
-from annotator.types import Label
 from annotator.types.errors import ConfigError
-
-# 3D IoU from which two boxes of the same class are taken for the same object.
-SAME_OBJECT_IOU = 0.3
+from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events
 
 
 def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: WriteContext) -> Receipt:
-    """Copies the reviewed boxes of a frame, with their track ids, as one action.
+    """Proposes the reviewed boxes of a frame, as they are, with their track ids and values, as one action.
 
-    A box is left out if the frame already has a reviewed box of the same track, or one of the same class that overlaps
-    it. Proposed and rejected boxes of the frame are ignored.
+    A box is left out if the frame has a reviewed box of the same track, or one of its class at its place. Unreviewed
+    proposals of the same objects are replaced.
 
     Args:
         source_id: the frame to copy from; None = the previous one of the recording.
@@ -35,27 +31,13 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
         raise ConfigError(f"frame {frame.key} cannot be copied into itself")
     source = project.frames.get(source_id)
     boxes = [label for label in project.labels.of_frame(source_id) if label.state in REVIEWED]
-    present = [label for label in project.labels.of_frame(frame_id) if label.state in REVIEWED]
-    new = [label for label in boxes if not _is_present(label, present)]
-    if not new:
+    copies = [
+        NewProposal(label.label, label.box, label.track_id, box_kind=label.box_kind, attributes=label.attributes)
+        for label in boxes
+    ]
+    # the operator asks for them, also where a wrong box was rejected
+    payloads = proposal_events(project, frame, copies, where_rejected=True)
+    if not payloads:
         why = "has no reviewed boxes" if not boxes else "has only boxes that this frame has already"
         raise ConfigError(f"frame {source.key} {why}; nothing was copied")
-    copies = [
-        NewLabel(
-            label.label,
-            label.box,
-            track_id=label.track_id,
-            origin=Origin.COPIED,
-            box_kind=label.box_kind,
-            attributes=label.attributes,
-        )
-        for label in new
-    ]
-    return project.labels.create(frame_id, copies, context).receipt
-
-
-def _is_present(label: Label, present: list[Label]) -> bool:
-    if label.track_id is not None and any(other.track_id == label.track_id for other in present):
-        return True
-    same_class = [other.box for other in present if other.label == label.label]
-    return bool(same_class) and float(iou_3d_matrix([label.box], same_class).max()) >= SAME_OBJECT_IOU
+    return project.log.append(frame_id, payloads, context)

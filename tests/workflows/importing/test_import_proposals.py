@@ -18,7 +18,15 @@ from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
+from annotator.workflows.importing import (
+    BoxFormat,
+    ImportedLabels,
+    ImportedProposals,
+    format_of,
+    import_labels,
+    import_proposals,
+    read_labels,
+)
 from annotator.workflows.workbench.review_queue import Order, queue
 
 
@@ -276,3 +284,23 @@ def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewe
         for state, x in reviewed.items():
             (label,) = people.labels.select(states=[state])
             assert (label.label.box.center_m[0], label.label.uid) == (x, uids[x])
+
+
+@pytest.mark.parametrize("run", [import_labels, import_proposals])
+def test_a_track_that_a_file_has_twice_in_a_frame_is_kept_once_and_counted(
+    people: Project, tmp_path: Path, run: Callable[..., ImportedLabels | ImportedProposals]
+) -> None:
+    first, second = people.frames.of()[:2]
+    path = boxes_file(
+        tmp_path / "theirs.json",
+        {
+            first.key: [("person", 0.0, 0.5), ("person", 1.0, 0.5), ("person", 2.0, 0.5)],
+            second.key: [("person", 0.0, 0.5)],
+        },
+    )
+    content = {key: [each | {"track": 7} for each in boxes] for key, boxes in json.loads(path.read_text()).items()}
+    path.write_text(json.dumps(content))
+    done = run(people, read_labels(BoxFormat.BOXES, path))
+    assert done.tracks == 2
+    tracks = [[label.track_id for label in people.labels.of_frame(frame.id)] for frame in (first, second)]
+    assert tracks == [[7, None, None], [7]]

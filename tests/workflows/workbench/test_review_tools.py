@@ -10,15 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import box_corners, contains
+from annotator.geometry.oriented_box import box_corners, contains, same_box
 from annotator.geometry.outline import box_on_image
-from annotator.project import NewLabel, Origin, Project, WriteContext
+from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.event_types import LabelRejected
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.drawing import BACKGROUND
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, Frame, OrientedBox, PointCloud, Truth
+from annotator.types import BoxKind, Frame, OrientedBox, PointCloud, ReviewState, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
@@ -203,10 +203,11 @@ def test_boxes_of_the_previous_frame_are_copied_once(people: Project) -> None:
     receipt = copy_boxes(people, second.id, None, WriteContext(1, "ann"))
     assert receipt.revision == 2
     (copied,) = [s for s in people.labels.select() if s.frame_id == second.id and s.label.author == "ann"]
-    assert copied.origin is Origin.COPIED
-    assert copied.label.box.center_m[0] == 2.0
+    assert (copied.label.state, copied.label.track_id) == (ReviewState.PROPOSED, None)
+    assert same_box(copied.label.box, label_at(2.0).box)
+    people.labels.accept(second.id, copied.label.uid, WriteContext(2, "ann"))
     with pytest.raises(ConfigError, match="has only boxes that this frame has already"):
-        copy_boxes(people, second.id, None, WriteContext(2, "ann"))
+        copy_boxes(people, second.id, None, WriteContext(3, "ann"))
     with pytest.raises(ConfigError, match="is the first of its recording"):
         copy_boxes(people, first.id, None, WriteContext(4, "ann"))
     with pytest.raises(ConfigError, match="cannot be copied into itself"):
@@ -214,3 +215,24 @@ def test_boxes_of_the_previous_frame_are_copied_once(people: Project) -> None:
     with pytest.raises(StaleRevisionError):
         copy_boxes(people, third.id, first.id, WriteContext(5, "ann"))
     assert copy_boxes(people, third.id, first.id, WriteContext(0, "ann")).revision == 2
+
+
+def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_rejected(people: Project) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [label_at(0.0, 7), label_at(2.0), label_at(4.0)], WriteContext(0, "ann"))
+    copy_boxes(people, second.id, None, WriteContext(0, "ann"))
+    moved, wrong, right = people.labels.of_frame(second.id)
+    people.labels.edit(second.id, right.uid, WriteContext(3, "ann"), label="person", box=label_at(4.3).box)
+    people.labels.reject(second.id, wrong.uid, WriteContext(4, "ann"))
+    copy_boxes(people, second.id, None, WriteContext(5, "ann"))
+    labels = people.labels.of_frame(second.id)
+    # that of track 7 anew, and another one where one was rejected; the reviewed box at the third place covers the copy
+    assert [(label.state, label.box.center_m[0], label.track_id) for label in labels] == [
+        (ReviewState.REJECTED, 2.0, None),
+        (ReviewState.EDITED, 4.3, None),
+        (ReviewState.PROPOSED, 0.0, 7),
+        (ReviewState.PROPOSED, 2.0, None),
+    ]
+    assert moved.uid not in {label.uid for label in labels}
+    people.history.undo("ann")
+    assert [label.uid for label in people.labels.of_frame(second.id)] == [moved.uid, wrong.uid, right.uid]

@@ -7,6 +7,7 @@ import { currentFrame } from "../frame_state.js";
 import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
 import { mostDoubtful } from "./opening.js";
+import { copiedText } from "./tracks.js";
 
 /**
  * @param {ModeApp} app
@@ -201,12 +202,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   async function copy() {
     if (app.state.frame?.frame.previous == null) return;
     try {
-      const added = await desk.copyPrevious();
-      app.toast(
-        added > 0
-          ? `${count(added, "box", "boxes")} copied from the previous frame`
-          : "This frame already has all boxes of the previous one.",
-      );
+      const copies = await desk.copyPrevious();
+      desk.select(copies[0].uid);
+      app.toast(...copiedText(copies));
     } catch (error) {
       app.toast(error);
     }

@@ -10,9 +10,10 @@
 
 import { copyBox, sameBox } from "../box3d.js";
 import { count } from "../dom.js";
-import { isStale, messageOf } from "../errors.js";
+import { isStale, isTrackTaken, messageOf } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
 import { resolveStale } from "./stale.js";
+import { chooseBox } from "./which_stays.js";
 
 /**
  * True if a label has not been reviewed yet.
@@ -109,8 +110,13 @@ export function createDesk(app) {
     try {
       app.frames.take(await app.api.change(app.path("frames", id, "changes"), body));
     } catch (error) {
-      if (!isStale(error)) throw error;
-      await resolveStale(app, error, { changes, subject, take: app.frames.take });
+      if (isStale(error)) {
+        await resolveStale(app, error, { changes, subject, take: app.frames.take });
+        return;
+      }
+      const merged = isTrackTaken(error) ? await chooseBox(labels(), changes, error) : null;
+      if (merged === null) throw error;
+      if (merged.length > 0) await post(id, merged, subject);
     }
   }
 
@@ -495,12 +501,12 @@ export function createDesk(app) {
       });
     },
 
-    /** Copies reviewed boxes of the previous frame that this one lacks; resolves to their number. */
+    /** Copies reviewed boxes of the previous frame that this one lacks, as proposals; resolves to them. */
     copyPrevious() {
       const { id } = currentFrame(app).frame;
       app.effort.action();
       return enqueue(async () => {
-        const before = labels().length;
+        let before = labels();
         /** @returns {Promise<FrameState>} */
         const copy = () =>
           app.api.change(app.path("frames", id, "copy"), { revision: currentFrame(app).frame.revision, from: null });
@@ -510,9 +516,10 @@ export function createDesk(app) {
           if (!isStale(error)) throw error;
           // tried again without asking: boxes are only added, so nothing of the others' version is lost
           app.frames.take(error.body.state);
+          before = labels();
           app.frames.take(await copy());
         }
-        return labels().length - before;
+        return labels().filter(({ uid }) => before.every((known) => known.uid !== uid));
       });
     },
 

@@ -7,10 +7,26 @@ import { trackColor } from "../colors.js";
 import { count, h } from "../dom.js";
 import { isStale } from "../errors.js";
 import { currentFrame } from "../frame_state.js";
-import { makeHash } from "../router.js";
+
+/** A copy with fewer points inside stands on nothing. */
+const LEAST_POINTS = 5;
 
 /** Frames of an object that are shown around the current one. */
 const SHOWN = 40;
+
+/**
+ * What to say about boxes that were copied from the previous frame, and how.
+ *
+ * @param {PageLabel[]} copies
+ * @returns {[string, "good" | "warn"]}
+ */
+export function copiedText(copies) {
+  const empty = copies.filter(({ points }) => points < LEAST_POINTS).length;
+  const what = `${count(copies.length, "box", "boxes")} copied from the previous frame, to be reviewed.`;
+  if (empty === 0) return [what, "good"];
+  const which = copies.length === 1 ? "It holds" : `${count(empty, "copy holds", "copies hold")}`;
+  return [`${what} ${which} no points here: move or delete ${empty === 1 ? "it" : "them"}.`, "warn"];
+}
 
 /**
  * `open` shows a box in its frame, `sheet` the contact sheet. `onCarried` is called when later proposals have changed.
@@ -103,8 +119,9 @@ export function createTracks(host, app, desk, { open, sheet, onCarried }) {
       known.boxes.findIndex(({ uid }) => uid === label.uid),
     );
     const from = Math.max(0, Math.min(at - SHOWN / 2, known.boxes.length - SHOWN));
-    title.textContent = `Track ${id} (${known.boxes.length})`;
-    title.title = `${count(known.boxes.length, "box", "boxes")} in this recording`;
+    const frames = new Set(known.boxes.filter(({ state }) => state !== "rejected").map(({ frame }) => frame)).size;
+    title.textContent = `Track ${id} (${frames})`;
+    title.title = `In ${count(frames, "frame")} of this recording`;
     title.style.color = trackColor(id);
     alike.disabled = desk.formerBox(label.uid) === null;
     fill.disabled = label.state !== "accepted" && label.state !== "edited";
@@ -164,8 +181,9 @@ export function createTracks(host, app, desk, { open, sheet, onCarried }) {
           uid: label.uid,
         }),
       );
-      app.toast("The box was copied from the previous frame.", "good");
-      app.go(makeHash(app.state.route.project, "review", done.frame));
+      await open(done);
+      const copies = desk.labels().filter(({ uid }) => uid === done.uid);
+      app.toast(...copiedText(copies));
     } catch (error) {
       await refused(error);
     }

@@ -1,0 +1,243 @@
+"""The objects that are followed: their reviewed boxes, the walks from these, and what was found on the way."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+from annotator.geometry.iou import iou_3d
+from annotator.types import Label, Proposal
+from annotator.workflows.tracks.follow_frames import Follower
+from annotator.workflows.tracks.interpolate import KeyFrame
+
+# Boxes found by following forward and backward are the same with at least this IoU.
+SAME_BOX_IOU = 0.5
+
+
+@dataclass(frozen=True)
+class StoppedAt:
+    """The frame in which an object was not found, and why."""
+
+    frame_id: int
+    key: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class FollowedTrack:
+    """What became of one object.
+
+    Attributes:
+        uid: of its first reviewed label.
+        track_id: None while it has no track.
+        label: its class.
+        boxes: number of new proposals.
+        doubtful: number of frames left out because following forward and backward gave different boxes.
+        stops: where it was lost before the next reviewed box or the end of the recording.
+    """
+
+    uid: str
+    track_id: int | None
+    label: str
+    boxes: int
+    doubtful: int
+    stops: tuple[StoppedAt, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The frames between two reviewed boxes of an object, or from its only one to an end of the recording (None)."""
+
+    before: KeyFrame | None
+    after: KeyFrame | None
+
+    @property
+    def keys(self) -> tuple[KeyFrame, ...]:
+        """Its reviewed boxes."""
+        return tuple(key for key in (self.before, self.after) if key is not None)
+
+    def inside(self, frames: int) -> range:
+        """Indices of its frames, in a recording with so many frames."""
+        first = 0 if self.before is None else self.before.index + 1
+        return range(first, frames if self.after is None else self.after.index)
+
+
+@dataclass(eq=False)
+class Walk:
+    """An object on its way from one reviewed box.
+
+    Attributes:
+        left: the frames still to come.
+        boxes: those found, by frame; without their traces once they are taken.
+        new: the frames whose boxes are not taken.
+    """
+
+    key: KeyFrame
+    left: deque[int]
+    follower: Follower | None = None
+    boxes: dict[int, Proposal] = field(default_factory=dict)
+    new: set[int] = field(default_factory=set)
+
+    @property
+    def is_backward(self) -> bool:
+        """Whether the frames still to come are before its reviewed box."""
+        return bool(self.left) and self.left[0] < self.key.index
+
+    def find(self, index: int, proposal: Proposal) -> None:
+        """Adds the box of a frame."""
+        self.boxes[index] = proposal
+        self.new.add(index)
+
+    def take(self, index: int) -> Proposal:
+        """Returns the box of a frame to be stored."""
+        self.new.discard(index)
+        taken, self.boxes[index] = self.boxes[index], replace(self.boxes[index], trace=())
+        return taken
+
+    def end(self) -> None:
+        """Ends it; boxes that are not taken are dropped."""
+        self.left.clear()
+        for index in self.new:
+            del self.boxes[index]
+        self.new.clear()
+
+
+@dataclass(eq=False)
+class Part:
+    """A stretch on which an object is followed: from both of its reviewed boxes, or from its only one."""
+
+    walks: list[Walk]
+    is_taken: bool = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it goes to an end of the recording."""
+        return len(self.walks) == 1
+
+
+@dataclass(eq=False)
+class FollowedObject:
+    """An object, and its result so far.
+
+    Attributes:
+        keys: its reviewed boxes; those at the start in order, then those met on the way.
+        met: the latter, until their track is stored.
+        passed: the frames in which it was looked for.
+        proposed: uid of its new proposal, by frame.
+        uids: of all its new proposals, also replaced ones.
+        doubtful: the frames in which following forward and backward gave different boxes.
+    """
+
+    track_id: int | None
+    keys: tuple[KeyFrame, ...]
+    parts: list[Part]
+    met: list[KeyFrame] = field(default_factory=list)
+    passed: set[int] = field(default_factory=set)
+    proposed: dict[int, str] = field(default_factory=dict)
+    uids: set[str] = field(default_factory=set)
+    doubtful: set[int] = field(default_factory=set)
+    stops: list[StoppedAt] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, stretches: Sequence[Stretch], frames: int) -> FollowedObject:
+        """An object at its start, in a recording with so many frames."""
+        parts = []
+        for stretch in stretches:
+            inside = stretch.inside(frames)
+            both = [] if stretch.before is None else [Walk(stretch.before, deque(inside))]
+            both += [] if stretch.after is None else [Walk(stretch.after, deque(reversed(inside)))]
+            parts.append(Part(both))
+        keys = {key.label.uid: key for stretch in stretches for key in stretch.keys}
+        ordered = tuple(sorted(keys.values(), key=lambda key: key.index))
+        return cls(ordered[0].label.track_id, ordered, parts)
+
+    @property
+    def label(self) -> Label:
+        """Its first reviewed label."""
+        return self.keys[0].label
+
+    def walks(self) -> Iterator[tuple[Part, Walk]]:
+        """Its walks, each with its part."""
+        return ((part, walk) for part in self.parts for walk in part.walks)
+
+    def has(self, uid: str) -> bool:
+        """Whether a label is one of its reviewed boxes."""
+        return any(key.label.uid == uid for key in self.keys)
+
+    def meet(self, key: KeyFrame, part: Part, walk: Walk) -> int:
+        """Goes on from a reviewed box on the way, which from now on is its own; follows it back from there, too.
+
+        Returns:
+            The number of frames to go back.
+        """
+        if not self.has(key.label.uid):
+            self.keys += (key,)
+            self.met.append(key)
+        between = range(*sorted((walk.key.index, key.index)))[1:]
+        back = between if key.index < walk.key.index else reversed(between)
+        beyond = [Walk(key, deque(walk.left))]
+        for other in part.walks:
+            if other is not walk:
+                other.left = deque(index for index in other.left if index in walk.left)
+                beyond.append(other)
+        walk.left.clear()
+        part.walks = [walk, Walk(key, deque(back))]
+        self.parts.append(Part(beyond))
+        return len(between)
+
+    def take(self, ended: bool) -> dict[int, Proposal]:
+        """Returns the boxes that can be stored now, and have not been taken.
+
+        Those between two reviewed boxes can be stored once both directions are done, or once the run has ended.
+        """
+        taken: dict[int, Proposal] = {}
+        for part in self.parts:
+            if part.is_open:
+                found = dict.fromkeys(part.walks[0].new, part.walks[0])
+            elif not part.is_taken and (ended or not any(walk.left for walk in part.walks)):
+                found, part.is_taken = self._agreed(*part.walks), True
+            else:
+                continue
+            taken |= {index: walk.take(index) for index, walk in found.items() if index in walk.new}
+        return taken
+
+    def _agreed(self, ahead: Walk, back: Walk) -> dict[int, Walk]:
+        """Returns who has found each box: of two that agree, the one from the nearer reviewed box."""
+        agreed = dict.fromkeys(ahead.boxes, ahead)
+        for index, other in back.boxes.items():
+            own = ahead.boxes.get(index)
+            if own is None or (iou_3d(own.box, other.box) >= SAME_BOX_IOU and _is_nearer(back, ahead, index)):
+                agreed[index] = back
+            elif iou_3d(own.box, other.box) < SAME_BOX_IOU:
+                del agreed[index]
+                self.doubtful.add(index)
+                self.proposed.pop(index, None)
+        return agreed
+
+    def give_up(self, stop: StoppedAt) -> None:
+        """Ends all its walks. Called again, while the boxes of others are being stored, it does nothing."""
+        if stop in self.stops:
+            return
+        self.stops.append(stop)
+        self.end()
+
+    def end(self) -> None:
+        """Ends all its walks."""
+        for _, walk in self.walks():
+            walk.end()
+
+    def result(self) -> FollowedTrack:
+        """What became of it so far."""
+        return FollowedTrack(
+            self.label.uid,
+            self.track_id,
+            self.label.label,
+            len(self.proposed),
+            len(self.doubtful),
+            tuple(self.stops),
+        )
+
+
+def _is_nearer(walk: Walk, other: Walk, index: int) -> bool:
+    return abs(walk.key.index - index) < abs(other.key.index - index)
