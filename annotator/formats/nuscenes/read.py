@@ -97,7 +97,7 @@ def read_world_poses(path: Path) -> dict[str, RigidTransform]:
     if not origins:
         return {}
     labels = _Labels(folder)
-    stems = ((PurePosixPath(row.filename).stem, index, row) for index, row in enumerate(labels.data.values()))
+    stems = ((normal(stem_of(row.filename)), index, row) for index, row in enumerate(labels.data.values()))
     poses = {
         origins[stem].name: labels.T_global_camera(index, row)
         for stem, index, row in stems

@@ -19,7 +19,7 @@ from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
 from annotator.types import OrientedBox
 from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, UnitError, UnitKind
-from annotator.workflows.checking.box_rules import LEAST_POINTS, SIZE_FACTOR, size_text
+from annotator.workflows.checking.box_rules import LEAST_POINTS, SIZE_FACTOR, size_message
 from annotator.workflows.checking.findings import Findings
 from annotator.workflows.checking.label_files import FoundLabel
 from annotator.workflows.checking.rules import (
@@ -127,7 +127,7 @@ class SizeOrders:
         if order is not None:
             self._orders[order] += 1
             self._clear += max(usual.size_m) > CLEAR_FACTOR * min(usual.size_m)
-            self._example.setdefault(order, f"{label} of {size_text(size_m)} (length, width, height)")
+            self._example.setdefault(order, size_message(label, size_m))
 
     def problem(self) -> str | None:
         """Returns which order most boxes show; None if it is the right one."""
