@@ -99,19 +99,21 @@ class CloudFolder(KeyedFrames):
         clouds: the folder of the cloud files.
         images: the folder of the images; None without images.
         times_ns: capture times from `timestamps.csv`; None without that file.
+        told: what was found in that file.
         scans: reads the clouds that are `.bin` files.
     """
 
     clouds: Path
     images: Path | None
     times_ns: Times | None = None
+    told: tuple[str, ...] = ()
     scans: Scans = field(default_factory=Scans)
     format: ClassVar[str] = "cloud_folder"
     is_sequence: ClassVar[bool] = True
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self.scans.notes
+        return (*self.told, *self.scans.notes)
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
@@ -213,7 +215,7 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
             if images is None and keys & stems(clouds, IMAGE_SUFFIXES):
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
-            return CloudFolder(path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns))
+            return CloudFolder(path, ordered, clouds, images, *read_times(path, ordered), Scans(options.columns))
     return NotFound(LOOKED_FOR)
 
 

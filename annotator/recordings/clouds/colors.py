@@ -55,7 +55,7 @@ def depth_bits(highest: float) -> int:
 
 def eight_bits(channels: Sequence[np.ndarray]) -> Colors | None:
     """Returns colours of three columns of any type; None if no value is finite."""
-    values = np.stack(channels, axis=1)
+    values = _native(np.stack(channels, axis=1))
     if values.dtype in (np.uint8, np.int8):
         return values.view(np.uint8), None
     if values.dtype == np.int16 and (values < 0).any():
@@ -80,10 +80,16 @@ def _finite(values: np.ndarray) -> Float[np.ndarray, "..."] | None:
     return np.where(known, levels, 0.0) if known.any() or not levels.size else None
 
 
+def _native(values: np.ndarray) -> np.ndarray:
+    """Returns values in the machine's byte order, NaNs with the same bits."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+
 def _unpacked(packed: np.ndarray) -> UInt8[np.ndarray, "n 3"] | None:
+    packed = _native(packed)
+    if packed.dtype.itemsize < 4:
+        return None
     if packed.dtype.kind in "iu":
-        if packed.dtype.itemsize < 4:
-            return None
         bits = packed.astype(np.int64 if packed.dtype.kind == "i" else np.uint64).view(np.uint64)
     else:
         numbers = _finite(packed)

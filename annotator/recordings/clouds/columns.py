@@ -290,7 +290,9 @@ def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
     """Returns the fields of a table by their names in lower case; of those with several values, only colours."""
     columns: dict[str, np.ndarray] = {}
     for name in rows.dtype.names or ():
-        if rows[name].ndim == 1 and rows[name].dtype.kind in "fiu":
+        if rows[name].dtype.kind not in "fiu":
+            continue
+        if rows[name].ndim == 1:
             columns[name.lower()] = rows[name]
         elif rows[name].ndim == 2:
             columns |= split_colors(name.lower(), rows[name])
