@@ -118,6 +118,8 @@ def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
         FrameError: they are all points, or many along one axis only: what was measured did not fit the type.
     """
     stored = [_at_limit(values) for values in xyz]
+    if not any(limited.any() for limited in stored):
+        return stored[0]
     # all three: what NaN became, or a driver's "no return"
     some, every = np.any(stored, axis=0), np.all(stored, axis=0)
     for name, values, limited in zip("xyz", xyz, stored, strict=True):
