@@ -178,16 +178,20 @@ class CloudFolder(KeyedFrames):
         )
 
     def _image_size(self, key: str) -> Size | None:
-        """Returns the size that the calibration says; None for KITTI's, which does not."""
-        source = self._cloud_camera(key, None)
-        return None if source is None or source.kitti else (source.camera.width_px, source.camera.height_px)
+        """Returns the size that the calibration says; None for KITTI's, which does not, and without one."""
+        path = self.path / FILE_NAME
+        return read_camera(path).size if self._kitti_file(key) is None and path.is_file() else None
+
+    def _kitti_file(self, key: str) -> Path | None:
+        files = (self.path / "calib" / f"{key}.txt", self.path / "calib.txt")
+        return next((path for path in files if path.is_file()), None)
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""
-        for path in (self.path / "calib" / f"{key}.txt", self.path / "calib.txt"):
-            if path.is_file():
-                camera = _kitti_camera(path, rgb)
-                return replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera
+        calibration = self._kitti_file(key)
+        if calibration is not None:
+            camera = _kitti_camera(calibration, rgb)
+            return replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera
         path = self.path / FILE_NAME
         return _json_camera(path, rgb) if path.is_file() else None
 
