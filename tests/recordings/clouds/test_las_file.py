@@ -137,6 +137,25 @@ def test_coordinates_at_the_limits_of_their_type_are_no_points(axes: str, count:
         parse_las(Path("a.las"), content)
 
 
+def test_a_saturated_laz_file_is_refused_in_the_same_words():
+    content = laspy.read(io.BytesIO(saturated("y", COUNT, LIMITS[0])))
+    out = io.BytesIO()
+    content.write(out, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+    with pytest.raises(FrameError, match=rf"a\.laz: its coordinates are saturated: y is .* {COUNT} points; save it"):
+        parse_las(Path("a.laz"), out.getvalue())
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_colours_use_their_own_range(bits: int):
+    header = laspy.LasHeader(point_format=2, version="1.2")
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = XYZ.T
+    cloud.red, cloud.green, cloud.blue = np.floor(RGB.T * ((2**bits - 1) / 255) + 0.5).astype(np.uint16)
+    out = io.BytesIO()
+    cloud.write(out)
+    np.testing.assert_array_equal(parse_las(Path("a.las"), out.getvalue()).rgb, RGB)
+
+
 def test_an_intensity_of_255_everywhere_is_none():
     header = laspy.LasHeader(point_format=3, version="1.2")
     cloud = laspy.LasData(header)
