@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from annotator.exif import UPRIGHT, Size, box_as_stored, described, orientation_of, turned_size
+from annotator.files import open_file
 from annotator.formats.reading import read_picture
-from annotator.frame_limits import read_frame_file
 from annotator.image_bytes import declared_size
 from annotator.project import FramePart, Project, StoredFrame, WriteContext
 from annotator.project.event_types import ImageBoxesSet
@@ -28,6 +28,8 @@ from annotator.workflows.views.follow_image_boxes import view_followers
 
 # Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
 ROUNDED_PX = 0.01
+# Of a JPEG file, this holds the segment with its EXIF orientation, which has at most 64 KiB and is one of the first.
+HEAD_BYTES = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -152,11 +154,11 @@ def no_frame(path: Path) -> FormatError:
 
 
 def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, ...]:
-    """Returns an image's boxes in the frame's pixels, if these are as stored and the boxes for the image as shown, too.
+    """Returns an image's boxes in the frame's pixels, also if its EXIF orientation was applied to the boxes only.
 
     Raises:
-        FormatError: the labelled image is a scaled or cropped copy, whose boxes would be misplaced, or it is not known
-            for which of both they are (`annotator.exif`).
+        FormatError: the labelled image is a scaled or cropped copy, whose boxes would be misplaced; or it is not known
+            whether the boxes are for the image as stored or as shown (`annotator.exif`).
     """
     size_px = (frame.camera.width_px, frame.camera.height_px)
     file = picture.file(path)
@@ -193,12 +195,13 @@ def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, 
 
 
 def _content(file: Path, is_decoded: bool) -> tuple[bytes, tuple[int, int]]:
-    """Returns an image file's bytes, and the height and width that viewers show; (0, 0) unless it is decoded."""
+    """Returns an image file's bytes, and the height and width as shown; if not decoded, its head, and (0, 0)."""
     if is_decoded:
         content, bgr = read_picture(file)
         return content, (bgr.shape[0], bgr.shape[1])
     try:
-        return read_frame_file(file), (0, 0)
+        with open_file(file) as opened:
+            return opened.read(HEAD_BYTES), (0, 0)
     except OSError:  # its size is known without it
         return b"", (0, 0)
 
