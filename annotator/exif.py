@@ -32,6 +32,8 @@ HOW = {
     7: "mirrored and turned by a quarter",
     8: "turned by a quarter",
 }
+# The others are their own inverses.
+INVERSE = {6: 8, 8: 6}
 APP1, EXIF_MARK, ORIENTATION_TAG, SHORT = 0xE1, b"Exif\0\0", 0x0112, 3
 ENTRY_BYTES = 12
 
@@ -74,7 +76,7 @@ def turned_size(orientation: int, size: Size) -> Size:
 def turned(image: np.ndarray, orientation: int) -> np.ndarray:
     """Returns an image (h, w, ...) as viewers show it."""
     flipped = image.swapaxes(0, 1) if orientation >= 5 else image
-    # orientation: is the picture's left at the right, its top at the bottom
+    # then from left to right, and from top to bottom
     if orientation in (2, 3, 6, 7):
         flipped = flipped[:, ::-1]
     if orientation in (3, 4, 7, 8):
@@ -85,10 +87,6 @@ def turned(image: np.ndarray, orientation: int) -> np.ndarray:
 def as_stored(image: np.ndarray, orientation: int) -> np.ndarray:
     """Returns the pixels as stored of an image (h, w, ...) as viewers show it."""
     return turned(image, INVERSE.get(orientation, orientation))
-
-
-# The others are their own inverses.
-INVERSE = {6: 8, 8: 6}
 
 
 def box_as_stored(box: Box2D, orientation: int, stored: Size) -> Box2D:

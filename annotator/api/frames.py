@@ -45,8 +45,8 @@ def frame_from_rgbd(
         rgb: (H, W, 3) in RGB order: uint8, or floats in 0..1, which are converted to uint8. The single channel of a
             grey image is repeated three times, and a fourth channel is dropped. The order of the channels cannot be
             checked: convert BGR (OpenCV) with `rgb[..., ::-1]`.
-        depth: (H, W) z of each pixel of the image; 0, NaN and infinity mean no depth. Without `depth_scale`, floats are
-            metres and integers millimetres.
+        depth: (H, W) z of each pixel of the image; 0, NaN, infinity, and 65504 and 65535 (saturated) mean no depth.
+            Without `depth_scale`, floats are metres and integers millimetres.
         intrinsics: of the camera that took the image; the depth must be registered to it.
         depth_scale: units per metre, such as 1000 for millimetres or 5000 for the TUM datasets.
         distortion: OpenCV's coefficients, as in `Camera`.

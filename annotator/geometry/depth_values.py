@@ -11,6 +11,8 @@ SATURATED = (65504, 65535)
 
 def measured(values: np.ndarray) -> Bool[np.ndarray, "h w"]:
     """True where raw depths of any type are measurements: positive, finite, and not the highest of a type."""
+    if values.dtype.kind == "f":
+        values = values.astype(np.float32, copy=False)
     found = (values > 0) & (values != SATURATED[0]) & (values != SATURATED[1])
     if values.dtype.kind == "f":
         return np.asarray(found & (values < np.inf))

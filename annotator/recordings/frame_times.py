@@ -10,6 +10,7 @@ from pathlib import Path
 
 from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
+from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
 from annotator.types.times import LATEST_NS, too_late
 
@@ -17,6 +18,7 @@ FILE_NAME = "timestamps.csv"
 HEADER = "key,timestamp_ns"
 REMEDY = "correct the line, or remove the file to use the frames without times"
 LONGEST_TIME = 40
+DAY_NS = 86_400 * 10**9
 
 Times = tuple[int | None, ...]
 
@@ -26,17 +28,28 @@ def line(key: str, timestamp_ns: int) -> str:
     return f"{key},{timestamp_ns}\n"
 
 
-def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
-    """Returns the times of a folder's frames in order, None for frames without a line; None without the file.
+def known_times(times_ns: Times) -> Times:
+    """Returns the times of frames in order, None for those that are 0: not set by their writer.
 
-    Lines of missing frames are ignored.
+    A clock that starts with the recording has 0 once, at its first frame, and the next time within a day.
+    """
+    unset = [i for i, time in enumerate(times_ns) if time == 0]
+    if unset == [0] and len(times_ns) > 1 and 0 < (times_ns[1] or 0) < DAY_NS:
+        return times_ns
+    return tuple(time or None for time in times_ns)
+
+
+def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[str, ...]]:
+    """Returns the times of a folder's frames in order, None for frames without one; None without the file. And notes.
+
+    Lines of missing frames are ignored, and times that are not set (`known_times`).
 
     Raises:
         RecordingError: an invalid header, a line that is not a key and a whole number, or a key that occurs twice.
     """
     path = folder / FILE_NAME
     if not path.is_file():
-        return None
+        return None, ()
     try:
         lines = read_text_file(path, TABLE_BYTES).splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -56,4 +69,8 @@ def read_times(folder: Path, keys: Sequence[str]) -> Times | None:
         if normal(key) in times:
             raise RecordingError(f"{path}:{number}: frame {key} already has a line; {REMEDY}")
         times[normal(key)] = int(time)
-    return tuple(times.get(normal(key)) for key in keys)
+    written = tuple(times.get(normal(key)) for key in keys)
+    known = known_times(written)
+    unset = sum(time is not None for time in written) - sum(time is not None for time in known)
+    note = f"The time of {amount(unset, 'frame')} in {FILE_NAME} is 0, which is taken as unknown."
+    return known, (note,) if unset else ()

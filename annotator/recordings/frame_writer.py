@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from annotator.files import TABLE_BYTES, read_text_file
+from annotator.geometry.depth_values import SATURATED
 from annotator.geometry.projection import camera_key
 from annotator.recordings import frame_times
 from annotator.recordings.rgbd_camera import FILE_NAME as CAMERA_FILE
@@ -28,7 +29,8 @@ from annotator.types.errors import RecordingError
 JPEG_QUALITY = 95
 # Fast compression; files are a few percent larger.
 PNG_COMPRESSION = 1
-MM_PER_M, MOST_MM = 1000.0, 2**16 - 1
+# Readers take higher numbers for no measurement (`depth_values`).
+MM_PER_M, MOST_MM = 1000.0, SATURATED[0] - 1
 COLOR, DEPTH, CLOUDS, GRAVITY = "color", "depth", "clouds", "gravity.json"
 # Suffix of files that are being written; readers ignore it.
 UNFINISHED = ".part"
@@ -150,7 +152,7 @@ def _jpeg(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 def _png(depth_m: np.ndarray) -> bytes:
-    """Encodes depth in whole millimetres; values beyond 16 bits become 0 (no depth)."""
+    """Encodes depth in whole millimetres; values beyond `MOST_MM` become 0 (no depth)."""
     import cv2
 
     depth_mm = np.rint(depth_m * np.float32(MM_PER_M))

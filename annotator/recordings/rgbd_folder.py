@@ -52,10 +52,12 @@ class RgbdFolder(KeyedFrames):
     Attributes:
         color: the folder of the colour images.
         times_ns: capture times from `timestamps.csv`; None without that file.
+        told: what was found in that file.
     """
 
     color: Path
     times_ns: Times | None = None
+    told: tuple[str, ...] = ()
     format: ClassVar[str] = "rgbd_folder"
     is_sequence: ClassVar[bool] = True
     is_parallel: ClassVar[bool] = True
@@ -96,10 +98,11 @@ class RgbdFolder(KeyedFrames):
                 size = declared_size(opened.read(PNG_HEAD_BYTES))
             depth = read_depth_camera(self.path, color, first, size) if all(size) else None
         except (OSError, FrameError, StopIteration):  # each frame reports it
-            return ()
+            return self.told
         if depth is None or depth.path != color.path:
-            return ()
+            return self.told
         return (
+            *self.told,
             f"The depth images of {size[0]} x {size[1]} pixels are taken to show the same as the colour images of "
             f"{color.size[0]} x {color.size[1]}; if another camera took them, write depth_intrinsic.json.",
         )
@@ -122,7 +125,7 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
         return NotFound(LOOKED_FOR)
     keys = joined(stems(color, IMAGE_SUFFIXES), stems(depth, (".png",)))
     ordered = sorted_keys(path, keys, f"images in {color.name}/ and depth/")
-    return RgbdFolder(path, ordered, color, read_times(path, ordered))
+    return RgbdFolder(path, ordered, color, *read_times(path, ordered))
 
 
 def read_images(

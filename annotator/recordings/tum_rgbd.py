@@ -233,6 +233,11 @@ def _listed(path: Path) -> tuple[Int64[np.ndarray, "n"], list[str]]:
             raise RecordingError(f"{path}:{number}: must be a time and a PNG or JPEG file; {REMEDY}")
         images.append((_time_ns(path, number, time), name))
     images.sort()
+    unset = sum(time == 0 for time, _ in images)
+    if unset > 1:
+        raise RecordingError(
+            f"{path}: the time of {amount(unset, 'image')} is 0, so they have no partners by time; write their times"
+        )
     return np.array([time for time, _ in images], np.int64), [name for _, name in images]
 
 

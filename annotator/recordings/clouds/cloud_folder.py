@@ -102,6 +102,7 @@ class CloudFolder(KeyedFrames):
         clouds: the folder of the cloud files.
         images: the folder of the images; None without images.
         times_ns: capture times from `timestamps.csv`; None without that file.
+        told: what was found in that file.
         scans: reads the clouds that are `.bin` files.
         given_origin: the option `origin`.
     """
@@ -109,6 +110,7 @@ class CloudFolder(KeyedFrames):
     clouds: Path
     images: Path | None
     times_ns: Times | None = None
+    told: tuple[str, ...] = ()
     scans: Scans = field(default_factory=Scans)
     given_origin: Place | None = None
     format: ClassVar[str] = "cloud_folder"
@@ -116,7 +118,7 @@ class CloudFolder(KeyedFrames):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self.scans.notes
+        return (*self.told, *self.scans.notes)
 
     def files(self, i: int) -> tuple[Path, ...]:
         key = self.key(i)
@@ -211,16 +213,20 @@ class CloudFolder(KeyedFrames):
         return CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
 
     def _image_size(self, key: str) -> Size | None:
-        """Returns the size that the calibration says; None for KITTI's, which does not."""
-        source = self._cloud_camera(key, None)
-        return None if source is None or source.kitti else (source.camera.width_px, source.camera.height_px)
+        """Returns the size that the calibration says; None for KITTI's, which does not, and without one."""
+        path = self.path / FILE_NAME
+        return read_camera(path).size if self._kitti_file(key) is None and path.is_file() else None
+
+    def _kitti_file(self, key: str) -> Path | None:
+        files = (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt")
+        return next((path for path in files if path.is_file()), None)
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""
-        for path in (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt"):
-            if path.is_file():
-                camera = _kitti_camera(path, rgb)
-                return _in_world(replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera)
+        calibration = self._kitti_file(key)
+        if calibration is not None:
+            camera = _kitti_camera(calibration, rgb)
+            return _in_world(replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera)
         path = self.path / FILE_NAME
         return _in_world(_json_camera(path, rgb)) if path.is_file() else None
 
@@ -248,9 +254,8 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
             if images is None and {*map(normal, keys)} & {*map(normal, stems(clouds, IMAGE_SUFFIXES))}:
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
-            return CloudFolder(
-                path, ordered, clouds, images, read_times(path, ordered), Scans(options.columns), options.origin
-            )
+            times = read_times(path, ordered)
+            return CloudFolder(path, ordered, clouds, images, *times, Scans(options.columns), options.origin)
     return NotFound(LOOKED_FOR)
 
 

@@ -21,8 +21,8 @@ PACKED_NAMES = ("rgb", "rgba")
 SPLIT_NAMES = tuple(tuple(f"{name}_{channel}" for channel in range(3)) for name in (*PACKED_NAMES, "color", "colors"))
 # Depths of cameras and scanners, bits; numbers of 16 bits may use fewer.
 DEPTHS = (8, 10, 12, 14, 16, 32)
-# Fractions may exceed 1 by rounding.
-MOST_FRACTION = 1.005
+# Fractions may exceed 1 by rounding; or this share does not.
+MOST_FRACTION, FRACTIONS = 1.005, 0.99
 # The bits of NaN as programs write it; other bits of NaNs are colours with alpha.
 NAN_BITS = 0x7FC00000
 
@@ -55,7 +55,7 @@ def depth_bits(highest: float) -> int:
 
 def eight_bits(channels: Sequence[np.ndarray]) -> Colors | None:
     """Returns colours of three columns of any type; None if no value is finite."""
-    values = np.stack(channels, axis=1)
+    values = _native(np.stack(channels, axis=1))
     if values.dtype in (np.uint8, np.int8):
         return values.view(np.uint8), None
     if values.dtype == np.int16 and (values < 0).any():
@@ -64,12 +64,17 @@ def eight_bits(channels: Sequence[np.ndarray]) -> Colors | None:
     if levels is None:
         return None
     highest = float(levels.max(initial=0.0))
-    if values.dtype.kind == "f" and highest <= MOST_FRACTION:
+    if values.dtype.kind == "f" and (highest <= MOST_FRACTION or _are_fractions(levels)):
         return np.rint(np.clip(levels, 0, 1) * 255).astype(np.uint8), 1.0
     bits = depth_bits(highest)
     # of more bits, the upper eight: exact both for c * 257 and for c * 256
     levels = np.rint(levels) if bits == 8 else np.floor(levels / 2 ** (bits - 8))
     return np.clip(levels, 0, 255).astype(np.uint8), 2.0**bits - 1
+
+
+def _are_fractions(levels: np.ndarray) -> bool:
+    """True if only highlights exceed 1; numbers of 8 bits and more are whole as a rule, and most are larger."""
+    return bool(np.quantile(levels, FRACTIONS) <= 1 and (np.rint(levels) != levels).any())
 
 
 def _finite(values: np.ndarray) -> Float[np.ndarray, "..."] | None:
@@ -80,10 +85,16 @@ def _finite(values: np.ndarray) -> Float[np.ndarray, "..."] | None:
     return np.where(known, levels, 0.0) if known.any() or not levels.size else None
 
 
+def _native(values: np.ndarray) -> np.ndarray:
+    """Returns values in the machine's byte order, NaNs with the same bits."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+
 def _unpacked(packed: np.ndarray) -> UInt8[np.ndarray, "n 3"] | None:
+    packed = _native(packed)
+    if packed.dtype.itemsize < 4:
+        return None
     if packed.dtype.kind in "iu":
-        if packed.dtype.itemsize < 4:
-            return None
         bits = packed.astype(np.int64 if packed.dtype.kind == "i" else np.uint64).view(np.uint64)
     else:
         numbers = _finite(packed)

@@ -119,6 +119,8 @@ def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
         FrameError: they are all points, or many along one axis only: what was measured did not fit the type.
     """
     stored = [_at_limit(values) for values in xyz]
+    if not any(limited.any() for limited in stored):
+        return stored[0]
     # all three: what NaN became, or a driver's "no return"
     some, every = np.any(stored, axis=0), np.all(stored, axis=0)
     for name, values, limited in zip("xyz", xyz, stored, strict=True):
@@ -289,7 +291,9 @@ def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
     """Returns the fields of a table by their names in lower case; of those with several values, only colours."""
     columns: dict[str, np.ndarray] = {}
     for name in rows.dtype.names or ():
-        if rows[name].ndim == 1 and rows[name].dtype.kind in "fiu":
+        if rows[name].dtype.kind not in "fiu":
+            continue
+        if rows[name].ndim == 1:
             columns[name.lower()] = rows[name]
         elif rows[name].ndim == 2:
             columns |= split_colors(name.lower(), rows[name])

@@ -197,7 +197,8 @@ class Record3D(KeyedFrames):
     def _time_ns(self, i: int) -> int | None:
         times, fps = self.metadata.frameTimestamps, self.metadata.fps
         place = self._place(i, len(times))
-        if place is not None:
+        # all 0: not set
+        if place is not None and any(times):
             return round(times[place] * S_TO_NS)
         time_ns = None if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
         return None if time_ns is None or time_ns > LATEST_NS else time_ns

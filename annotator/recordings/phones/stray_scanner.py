@@ -96,7 +96,7 @@ class StrayScanner(KeyedFrames):
         cloud, in_color_m = phone_cloud(
             depth_path, camera, rgb, depth_m, self._confidence(key, depth_m), self.min_confidence
         )
-        time_ns = round(self._numbers(i, ("timestamp",))[0] * S_TO_NS)
+        time_ns = round(self._numbers(i, ("timestamp",))[0] * S_TO_NS) or None
         return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=time_ns)
 
     def _image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:

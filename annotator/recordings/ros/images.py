@@ -7,7 +7,8 @@ bytes, then PNG or RVL; floats are quantised inverse depths).
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from annotator.frame_limits import require_pixels
 from annotator.geometry.depth_values import in_metres
 from annotator.image_bytes import decode_image
 from annotator.recordings.deep_images import Levels, contrast_levels, depth_levels, eight_bits
-from annotator.recordings.ros.decode import byte_array
+from annotator.recordings.ros.decode import FIELD_ERRORS, byte_array
 from annotator.recordings.ros.rvl import decode_rvl
 
 # bytes per value and channels of the encodings without colour conversion
@@ -105,6 +106,24 @@ def color_image(content: Any, common: Callable[[Levels], Levels] = lambda own: o
         values = np.repeat(values, 3, axis=2)
     is_bgr = encoding.startswith(("bgr", "8UC"))
     return np.ascontiguousarray(values[:, :, 2::-1] if is_bgr else values[:, :, :3])
+
+
+def levels_of(read: Callable[[int], Any], numbers: Sequence[int]) -> list[Levels]:
+    """Returns the levels of those of some messages that have more than 8 bits.
+
+    Args:
+        read: returns a message; one that is damaged is left to its own frame.
+    """
+    found: list[Levels] = []
+
+    def note(own: Levels) -> Levels:
+        found.append(own)
+        return own
+
+    for number in numbers:
+        with suppress(*FIELD_ERRORS, OSError):
+            color_image(read(number), note)
+    return found
 
 
 def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray, "h w"]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -37,7 +37,7 @@ from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_came
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 from annotator.recordings.ros.files import LOOKED_FOR, open_bag
 from annotator.recordings.ros.gravity import up_near
-from annotator.recordings.ros.images import color_image, depth_image
+from annotator.recordings.ros.images import color_image, depth_image, levels_of
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
 from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
@@ -178,17 +178,7 @@ class RosBag(KeyedFrames):
     def _levels_of(self, topic: Topic) -> list[Levels]:
         """Returns the levels of a topic's first pictures of more than 8 bits."""
         if topic not in self.levels:
-            found: list[Levels] = []
-
-            def note(own: Levels) -> Levels:
-                found.append(own)
-                return own
-
-            for first in self.pairs.image[:FIRST].tolist():
-                # a damaged message, which its own frame tells
-                with suppress(*FIELD_ERRORS, OSError):
-                    color_image(message(topic, first), note)
-            self.levels[topic] = found
+            self.levels[topic] = levels_of(lambda number: message(topic, number), self.pairs.image[:FIRST].tolist())
         return self.levels[topic]
 
     def _contents(self, image: Topic, number: int, partner_number: int) -> tuple[Any, Any]:

@@ -10,12 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
+from annotator.exif import UPRIGHT, Size, box_as_stored, described, orientation_of, turned_size
+from annotator.files import open_file
 from annotator.formats.reading import read_picture
+from annotator.image_bytes import declared_size
 from annotator.project import FramePart, Project, StoredFrame, WriteContext
 from annotator.project.event_types import ImageBoxesSet
 from annotator.project.overview import read_page
 from annotator.project.records import storable
-from annotator.types import Box2D, BoxKind, Camera, Source
+from annotator.types import Box2D, BoxKind, Camera, Frame, Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import Importer
@@ -25,6 +28,8 @@ from annotator.workflows.views.follow_image_boxes import view_followers
 
 # Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
 ROUNDED_PX = 0.01
+# Of a JPEG file, this holds the segment with its EXIF orientation, which has at most 64 KiB and is one of the first.
+HEAD_BYTES = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -79,8 +84,8 @@ def checked_images(
         recording: name of the only recording to search.
 
     Raises:
-        FormatError: an image fits several recordings, occurs twice, or has another size than the frame; or no image
-            has a frame in the project.
+        FormatError: an image fits several recordings, occurs twice, has another size than the frame, or has an EXIF
+            orientation that its boxes may take into account or not; or no image has a frame in the project.
         NotFoundError: no such recording.
     """
     matched, unmatched, renamed = _matched(project, dataset, pictures, recording)
@@ -88,7 +93,7 @@ def checked_images(
     ready, unreadable = [], []
     for picture, stored in matched:
         try:
-            camera = source.read(stored).camera
+            frame = source.read(stored)
         except FrameError as error:
             # without the frame, a size given by the dataset cannot be checked and is used as it is
             if picture.size_px is not None:
@@ -96,9 +101,7 @@ def checked_images(
             else:
                 unreadable.append(f"{stored.key}: {error}")
             continue
-        size_px = (camera.width_px, camera.height_px)
-        _require_size(dataset.path, picture, size_px)
-        ready.append(OnImage(stored.id, picture, picture.boxes_on(*size_px), camera))
+        ready.append(OnImage(stored.id, picture, _boxes_on(dataset.path, picture, frame), frame.camera))
     return CheckedImages(tuple(ready), tuple(unmatched), tuple(unreadable), renamed)
 
 
@@ -150,28 +153,64 @@ def no_frame(path: Path) -> FormatError:
     )
 
 
-def _require_size(path: Path, picture: PictureLabels, size_px: tuple[int, int]) -> None:
-    """Raises FormatError for boxes of a scaled or cropped copy of the frame's image, which would be misplaced."""
-    width_px, height_px = size_px
-    if picture.size_px is not None:
-        if picture.size_px != size_px:
-            raise FormatError(
-                path,
-                f"{picture.file_name} is {picture.size_px[0]} x {picture.size_px[1]} pixels, but the frame is "
-                f"{width_px} x {height_px}; label the image itself, not a scaled copy",
-            )
-        return
+def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, ...]:
+    """Returns an image's boxes in the frame's pixels, also if its EXIF orientation was applied to the boxes only.
+
+    Raises:
+        FormatError: the labelled image is a scaled or cropped copy, whose boxes would be misplaced; or it is not known
+            whether the boxes are for the image as stored or as shown (`annotator.exif`).
+    """
+    size_px = (frame.camera.width_px, frame.camera.height_px)
     file = picture.file(path)
-    if file is None:
-        return
-    height, width = read_picture(file)[1].shape[:2]
-    # tolerance for the rounding of a scaled copy to whole pixels
-    if abs(width * height_px - height * width_px) > max(width_px, height_px):
+    said, orientation, is_as_stored = picture.size_px, frame.exif_orientation, True
+    if file is not None:
+        content, (height, width) = _content(file, is_decoded=said is None)
+        own = orientation_of(content)
+        if said is None and own == UPRIGHT:
+            said = (width, height)
+        if orientation == UPRIGHT:
+            orientation, is_as_stored = own, declared_size(content) == size_px
+    shown_px = turned_size(orientation, size_px)
+    is_exact = picture.size_px is not None
+    fits, fits_shown = (said is not None and _fits(said, size, is_exact) for size in (size_px, shown_px))
+    if orientation != UPRIGHT and (said is None or (fits_shown and (fits or not is_as_stored))):
         raise FormatError(
             path,
-            f"{picture.file_name} is {width} x {height} pixels, but the frame is {width_px} x {height_px}: another "
-            "aspect ratio; label the whole image, neither cropped nor padded",
+            f"{picture.file_name} has the {described(orientation)}, and its boxes may be for the image as stored or as "
+            "shown; save the recording's images without this tag and label them, or give the boxes in COCO's format "
+            "with the images' sizes, if these differ",
         )
+    if orientation != UPRIGHT and fits_shown:
+        return tuple(box_as_stored(box, orientation, size_px) for box in picture.boxes_on(*shown_px))
+    if said is not None and not fits:
+        remedy = "label the image itself, not a scaled copy"
+        if not is_exact:
+            remedy = "another aspect ratio; label the whole image, neither cropped nor padded"
+        raise FormatError(
+            path,
+            f"{picture.file_name} is {said[0]} x {said[1]} pixels, but the frame is {size_px[0]} x {size_px[1]}"
+            f"{'; ' if is_exact else ': '}{remedy}",
+        )
+    return picture.boxes_on(*size_px)
+
+
+def _content(file: Path, is_decoded: bool) -> tuple[bytes, tuple[int, int]]:
+    """Returns an image file's bytes, and the height and width as shown; if not decoded, its head, and (0, 0)."""
+    if is_decoded:
+        content, bgr = read_picture(file)
+        return content, (bgr.shape[0], bgr.shape[1])
+    try:
+        with open_file(file) as opened:
+            return opened.read(HEAD_BYTES), (0, 0)
+    except OSError:  # its size is known without it
+        return b"", (0, 0)
+
+
+def _fits(size: Size, other: Size, is_exact: bool) -> bool:
+    """True for the same size, or for the proportions of a copy that was scaled to whole pixels."""
+    if is_exact:
+        return size == other
+    return abs(size[0] * other[1] - size[1] * other[0]) <= max(other)
 
 
 def store_on_image(

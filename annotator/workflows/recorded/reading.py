@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.exif import UPRIGHT, as_stored, described, is_turned
 from annotator.file_names import normal, spelled
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
@@ -153,7 +154,16 @@ def load_mask(recording: Recording, frame: Frame) -> UInt8[np.ndarray, "h w"] | 
     if folder is None:
         return None
     path = spelled(folder, f"{frame.key}.png")
-    mask = read_mask(path)
+    mask, size = read_mask(path), frame.rgb.shape[1::-1]
+    if frame.exif_orientation != UPRIGHT:
+        is_shown = is_turned(frame.exif_orientation, size, mask.shape[::-1])
+        if is_shown is None and mask.shape[::-1] == size:
+            raise FormatError(
+                path,
+                f"its image has the {described(frame.exif_orientation)}, and the mask may be for the image as stored "
+                "or as shown; save the images without this tag",
+            )
+        mask = as_stored(mask, frame.exif_orientation) if is_shown else mask
     if mask.shape != frame.rgb.shape[:2]:
         raise FormatError(path, f"the mask is {mask.shape[::-1]} pixels, the image {frame.rgb.shape[1::-1]}")
     return mask

@@ -99,6 +99,73 @@ def test_clouds_in_map_coordinates_are_seen_from_the_median_of_their_points(tmp_
     assert frame.rgb[v[inside], u[inside]].any(axis=1).all()
 
 
+LIMITS = (2**31 - 1, -(2**31))
+
+
+def saturated(axes: str, count: int, limit: int) -> bytes:
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.scales = [0.001] * 3
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = XYZ.T
+    for axis in axes:
+        cloud[axis.upper()][:count] = limit
+    out = io.BytesIO()
+    cloud.write(out)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+@pytest.mark.parametrize(
+    ("axes", "count", "left"),
+    [
+        ("y", 2, COUNT - 2),
+        ("y", COUNT, 0),
+        ("z", COUNT // 50, 0),
+        ("xyz", COUNT // 2, COUNT - COUNT // 2),
+        ("xyz", COUNT, 0),
+    ],
+)
+def test_coordinates_at_the_limits_of_their_type_are_no_points(axes: str, count: int, left: int, limit: int):
+    """Few: left out. Many of one axis: saturated. Any number of all three axes: no return."""
+    content = saturated(axes, count, limit)
+    if left:
+        np.testing.assert_allclose(parse_las(Path("a.las"), content).xyz_m, XYZ[count:], atol=1e-9)
+        return
+    with pytest.raises(
+        FrameError, match=rf"saturated: {axes[0]} is at the limit of int32 in {count} of {COUNT} points"
+    ):
+        parse_las(Path("a.las"), content)
+
+
+def test_a_saturated_laz_file_is_refused_in_the_same_words():
+    content = laspy.read(io.BytesIO(saturated("y", COUNT, LIMITS[0])))
+    out = io.BytesIO()
+    content.write(out, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+    with pytest.raises(FrameError, match=rf"a\.laz: its coordinates are saturated: y is .* {COUNT} points; save it"):
+        parse_las(Path("a.laz"), out.getvalue())
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_colours_use_their_own_range(bits: int):
+    header = laspy.LasHeader(point_format=2, version="1.2")
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = XYZ.T
+    cloud.red, cloud.green, cloud.blue = np.floor(RGB.T * ((2**bits - 1) / 255) + 0.5).astype(np.uint16)
+    out = io.BytesIO()
+    cloud.write(out)
+    np.testing.assert_array_equal(parse_las(Path("a.las"), out.getvalue()).rgb, RGB)
+
+
+def test_an_intensity_of_255_everywhere_is_none():
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = XYZ.T
+    cloud.intensity = np.full(COUNT, 255)
+    out = io.BytesIO()
+    cloud.write(out)
+    assert parse_las(Path("a.las"), out.getvalue()).reflectance is None
+
+
 def test_the_items_of_each_point_format_are_those_of_the_compressor():
     for point_format, items in laz_check.ITEMS.items():
         record = lazrs.LazVlr.new_for_compression(point_format, 5).record_data()

@@ -414,6 +414,19 @@ def test_a_dark_cloud_has_the_reflectance_scale_of_the_first_ones(tmp_path: Path
         assert reflectance is not None and reflectance.max() == pytest.approx(most, rel=1e-5)
 
 
+def test_a_dark_picture_of_16_bits_has_the_range_of_the_first_ones(tmp_path: Path):
+    deep = np.floor(IMAGE * (4095 / 255) + 0.5).astype(np.uint16)
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_mount(bag)
+        for i, pixels in enumerate((np.full_like(deep, 15), deep)):
+            write_scan(bag, START_NS + i * 100 * MS)
+            bag.info("/cam/camera_info", START_NS + i * 100 * MS, SIZE, K, frame="camera")
+            bag.image("/cam/image_raw", START_NS + i * 100 * MS, pixels, "rgb16", "camera")
+    recording = open_recording(bag.path)
+    np.testing.assert_array_equal(recording.frame(0).rgb, np.zeros_like(IMAGE))
+    np.testing.assert_array_equal(recording.frame(1).rgb, IMAGE)
+
+
 def test_two_publishers_of_a_topic_are_told(tmp_path: Path):
     with BagWriter(tmp_path, "ros1") as bag:
         write_take(bag)

@@ -1,0 +1,311 @@
+"""Colours of points are the same three in every format, type of number, depth and encoding."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.recordings.clouds.columns import RawCloud, from_columns
+from annotator.recordings.clouds.common_scale import CommonScale
+from annotator.recordings.ros.point_clouds import ROS_TYPES
+from annotator.recordings.ros.point_clouds import read_cloud as read_message
+from annotator.types.errors import FrameError
+
+N = 12
+XYZ = np.random.default_rng(4).uniform(-9, 9, (N, 3)).round(3)
+RGB = np.tile(np.array([[224, 16, 16], [16, 224, 16], [16, 16, 224], [255, 0, 7]], np.uint8), (N // 4, 1))
+PACKED = RGB.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+NAMES = ("red", "green", "blue")
+
+
+def of_depth(bits: int) -> np.ndarray:
+    """The colours as numbers of so many bits, as writers scale them: the upper bits repeated below."""
+    return np.floor(RGB * ((2**bits - 1) / 255) + 0.5)
+
+
+# type, colours in it
+COLUMNS = [
+    ("u1", RGB), ("i1", RGB.view(np.int8)),
+    ("u2", RGB), ("u2", of_depth(10)), ("u2", of_depth(12)), ("u2", of_depth(14)), ("u2", of_depth(16)),
+    ("u2", RGB.astype(np.uint16) << 8),
+    ("i2", RGB), ("i2", of_depth(12)), ("i2", of_depth(16).astype(np.uint16).view(np.int16)),
+    ("u4", RGB), ("u4", of_depth(16)), ("u4", of_depth(32)), ("i4", RGB), ("i4", of_depth(16)),
+    ("f4", RGB), ("f4", RGB / 255), ("f4", of_depth(16)), ("f8", RGB), ("f8", RGB / 255), ("f8", of_depth(10)),
+]  # fmt: skip
+PLY_NAMES = {"u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "f4": "float",
+             "f8": "double"}  # fmt: skip
+PCD_KINDS = {"u": "U", "i": "I", "f": "F"}
+
+
+def table(kind: str, columns: np.ndarray, names: Sequence[str], order: str = "<") -> np.ndarray:
+    fields = [*((name, f"{order}f8") for name in "xyz"), *((name, order + kind) for name in names)]
+    rows = np.zeros(N, fields)
+    for name, values in zip(("x", "y", "z", *names), [*XYZ.T, *columns.reshape(N, -1).T], strict=True):
+        rows[name] = values
+    return rows
+
+
+def as_text(rows: np.ndarray) -> bytes:
+    return "".join(" ".join(format(value, ".17g") for value in row) + "\n" for row in rows.tolist()).encode()
+
+
+def ply(rows: np.ndarray, form: str) -> bytes:
+    kinds = [(name, PLY_NAMES[rows.dtype[name].str[1:]]) for name in rows.dtype.names or ()]
+    head = f"ply\nformat {form} 1.0\nelement vertex {N}\n" + "".join(f"property {k} {n}\n" for n, k in kinds)
+    return head.encode() + b"end_header\n" + (as_text(rows) if form == "ascii" else rows.tobytes())
+
+
+def pcd(rows: np.ndarray, form: str, body: bytes | None = None) -> bytes:
+    kinds = [rows.dtype[name] for name in rows.dtype.names or ()]
+    head = f"VERSION 0.7\nFIELDS {' '.join(rows.dtype.names or ())}\nSIZE {' '.join(str(k.itemsize) for k in kinds)}\n"
+    head += f"TYPE {' '.join(PCD_KINDS[k.kind] for k in kinds)}\nWIDTH {N}\nHEIGHT 1\nPOINTS {N}\nDATA {form}\n"
+    if body is None:
+        body = as_text(rows) if form == "ascii" else rows.tobytes()
+    if form == "binary_compressed":
+        plain = b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in rows.dtype.names or ())
+        packed = b"".join(
+            bytes([len(part) - 1]) + part for part in (plain[i : i + 32] for i in range(0, len(plain), 32))
+        )
+        body = struct.pack("<II", len(packed), len(plain)) + packed
+    return head.encode() + body
+
+
+def npy(rows: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    np.save(out, rows)
+    return out.getvalue()
+
+
+def message(rows: np.ndarray) -> RawCloud:
+    numbers = {name: number for number, name in ROS_TYPES.items()}
+    fields = [
+        SimpleNamespace(
+            name=name, offset=rows.dtype.fields[name][1], datatype=numbers[rows.dtype[name].str[1:]], count=1
+        )
+        for name in rows.dtype.names or ()
+    ]
+    content = SimpleNamespace(
+        width=N,
+        height=1,
+        row_step=0,
+        point_step=rows.dtype.itemsize,
+        fields=fields,
+        is_bigendian=rows.dtype["x"].str[0] == ">",
+        data=np.frombuffer(rows.tobytes(), np.uint8),
+    )
+    return read_message(Path("bag"), content)
+
+
+def read(tmp_path: Path, form: str, rows: np.ndarray) -> RawCloud:
+    kind, _, encoding = form.partition(" ")
+    if kind == "ros":
+        return message(rows)
+    content = npy(rows) if kind == "npy" else {"ply": ply, "pcd": pcd}[kind](rows, encoding)
+    (tmp_path / f"a.{kind}").write_bytes(content)
+    return read_cloud(tmp_path / f"a.{kind}")
+
+
+FORMS = ["ply ascii", "ply binary_little_endian", "ply binary_big_endian", "pcd ascii", "pcd binary",
+         "pcd binary_compressed", "npy", "ros", "ros big"]  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(("kind", "colors"), COLUMNS, ids=lambda each: each if isinstance(each, str) else "")
+def test_three_columns(tmp_path: Path, form: str, kind: str, colors: np.ndarray):
+    order = ">" if form.endswith(("big", "big_endian")) else "<"
+    cloud = read(tmp_path, form, table(kind, colors, NAMES, order))
+    np.testing.assert_array_equal(cloud.rgb, RGB)
+    np.testing.assert_allclose(cloud.xyz_m, XYZ)
+
+
+ALPHA = np.uint32(0xFF000000)
+WHOLE = [(kind, PACKED | alpha) for kind in ("u4", "i4") for alpha in (0, ALPHA, np.uint32(0x7F000000))]
+BITS = [("f4", (PACKED | alpha).view(np.float32)) for alpha in (0, ALPHA)]
+NUMBERS = [("f4", PACKED.astype(np.float32)), ("f8", PACKED.astype(float)), ("f8", (PACKED | ALPHA).astype(float))]
+
+
+@pytest.mark.parametrize("form", [form for form in FORMS if form != "ply ascii" and form != "pcd ascii"])
+@pytest.mark.parametrize("name", ["rgb", "rgba"])
+@pytest.mark.parametrize(
+    ("kind", "packed"), WHOLE + BITS + NUMBERS, ids=lambda each: each if isinstance(each, str) else ""
+)
+def test_packed_colours(tmp_path: Path, form: str, name: str, kind: str, packed: np.ndarray):
+    order = ">" if form.endswith(("big", "big_endian")) else "<"
+    rows = table(kind, np.zeros((N, 1)), [name], order)
+    rows[name] = packed.view(np.int32) if kind == "i4" else packed
+    np.testing.assert_array_equal(read(tmp_path, form, rows).rgb, RGB)
+
+
+def lines(texts: Sequence[str]) -> bytes:
+    return "".join(f"{x} {y} {z} {text}\n" for (x, y, z), text in zip(XYZ.tolist(), texts, strict=True)).encode()
+
+
+FLOATS = PACKED.view(np.float32)
+TEXTS = [
+    pytest.param("f4", [str(each) for each in PACKED], id="whole"),
+    pytest.param("u4", [str(each) for each in PACKED], id="whole-U"),
+    pytest.param("f4", [str(each) for each in PACKED | ALPHA], id="alpha"),
+    pytest.param("u4", [str(each) for each in (PACKED | ALPHA).view(np.int32)], id="negative-U"),
+    pytest.param("i4", [str(each) for each in PACKED | ALPHA], id="large-I"),
+    pytest.param("f4", [f"{each:.1f}" for each in PACKED], id="decimal"),
+    pytest.param("f4", [f"{each:.9e}" for each in PACKED], id="scientific"),
+    pytest.param("f4", [f"{each:.9g}" for each in FLOATS], id="bits"),
+    pytest.param("f8", [f"{each:.9g}" for each in FLOATS], id="bits-8"),
+    pytest.param("f4", [f"0x{each:06X}" for each in PACKED], id="hexadecimal"),
+    pytest.param("u4", [f"0xff{each:06x}" for each in PACKED], id="hexadecimal-alpha"),
+    pytest.param("u4", [f"#{each:06x}" for each in PACKED], id="hash"),
+]
+
+
+@pytest.mark.parametrize(("kind", "texts"), TEXTS)
+def test_packed_colours_in_text(tmp_path: Path, kind: str, texts: list[str]):
+    (tmp_path / "a.pcd").write_bytes(pcd(table(kind, np.zeros((N, 1)), ["rgb"]), "ascii", lines(texts)))
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
+
+
+@pytest.mark.parametrize(
+    "nan", ["nan", "-nan", "NaN", "-1.#IND", "1.#QNAN", "-1.#IND00", "1.#R", "nan(ind)", "-nan(ind)"]
+)
+def test_nan_is_black_among_colours_and_no_point_among_coordinates(tmp_path: Path, nan: str):
+    texts = [nan, *map(str, PACKED[1:])]
+    body = lines(texts).splitlines(keepends=True)
+    body[1] = f"1 {nan} 2 7\n".encode()
+    (tmp_path / "a.pcd").write_bytes(pcd(table("f4", np.zeros((N, 1)), ["rgb"]), "ascii", b"".join(body)))
+    cloud = read_cloud(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(cloud.rgb, [[0, 0, 0], *RGB[2:]])
+    np.testing.assert_array_equal(cloud.xyz_m, np.delete(XYZ, 1, 0))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("rgb", "f4"), ("rgb", "f8"), ("red", "f4")])
+def test_a_cloud_whose_colours_are_all_nan_has_none(name: str, kind: str):
+    nan = np.full(N, np.nan, kind)
+    columns = dict(zip("xyz", XYZ.T, strict=True)) | (dict.fromkeys(NAMES, nan) if name == "red" else {name: nan})
+    assert from_columns(Path("a"), columns).rgb is None
+
+
+def test_a_text_that_is_no_number_is_named_plainly(tmp_path: Path):
+    (tmp_path / "a.pcd").write_bytes(
+        pcd(table("f4", np.zeros((N, 1)), ["rgb"]), "ascii", lines(["1"] * 7 + ["red"] * 5))
+    )
+    with pytest.raises(FrameError, match="point 8: 'red' is not a number"):
+        read_cloud(tmp_path / "a.pcd")
+
+
+@pytest.mark.parametrize("form", ["pcd binary", "pcd ascii", "npy"])
+def test_colours_of_one_field_with_three_or_four_values(tmp_path: Path, form: str):
+    rows = np.zeros(N, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgba", "u1", 4)])
+    rows["x"], rows["y"], rows["z"], rows["rgba"][:, :3] = *XYZ.T, RGB
+    if form == "npy":
+        (tmp_path / "a.npy").write_bytes(npy(rows))
+        np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy").rgb, RGB)
+        return
+    head = f"FIELDS x y z rgba\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 4\nPOINTS {N}\nDATA {form[4:]}\n"
+    body = rows.tobytes() if form == "pcd binary" else lines([f"{r} {g} {b} 0" for r, g, b in RGB.tolist()])
+    (tmp_path / "a.pcd").write_bytes(head.encode() + body)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").rgb, RGB)
+
+
+def test_highlights_do_not_turn_fractions_into_bytes():
+    bright = np.repeat(RGB, 20, axis=0) / 255
+    bright[7, 1] = 3.5
+    columns = dict(zip(NAMES, bright.T, strict=True)) | dict.fromkeys("xyz", np.ones(len(bright)))
+    rgb = np.asarray(from_columns(Path("a"), columns).rgb)
+    expected = np.repeat(RGB, 20, axis=0)
+    expected[7, 1] = 255
+    np.testing.assert_array_equal(rgb, expected)
+
+
+def test_a_dark_scan_has_the_scale_of_the_others():
+    """16 bits, of which the dark scan uses eight."""
+    scans = [of_depth(16), np.full((N, 3), 200.0)]
+
+    def cloud(number: int) -> RawCloud:
+        columns = dict(zip(("x", "y", "z", *NAMES), [*XYZ.T, *scans[number].astype(np.uint16).T], strict=True))
+        return from_columns(Path("a"), columns)
+
+    assert cloud(1).rgb is not None and (cloud(1).rgb == 200).all()
+    scaled = CommonScale().apply("place", cloud(1), lambda: (0, 1), cloud)
+    assert scaled.rgb is not None and (scaled.rgb == 1).all()
+
+
+@pytest.mark.parametrize("highest", [255, 65535])
+def test_reflectances_that_are_all_saturated_are_none(highest: int):
+    columns = dict(zip("xyz", XYZ.T, strict=True)) | {"intensity": np.full(N, highest, np.uint16)}
+    assert from_columns(Path("a"), columns).reflectance is None
+    columns["intensity"][0] = 5
+    assert from_columns(Path("a"), columns).reflectance is not None
+
+
+LIST_TYPES = [("uchar", "u1", "float", "f4"), ("uint", "u4", "float64", "f8"), ("int16", "i2", "uint8", "u1")]
+
+
+def with_lists(form: str, lengths: Sequence[int], kinds: tuple[str, str, str, str], place: str) -> bytes:
+    length_name, length_kind, value_name, value_kind = kinds
+    order = ">" if "big" in form else "<"
+    head = f"ply\nformat {form} 1.0\n"
+    listed = f"property list {length_name} {value_name} d\n"
+    if place == "before":
+        head += f"element other {N}\n{listed}"
+    head += f"element vertex {N}\nproperty float x\n" + (listed if place == "inside" else "")
+    head += "property float y\nproperty float z\n" + "".join(f"property uchar {name}\n" for name in NAMES)
+    above, rows = [], []
+    for (x, y, z), color, length in zip(XYZ.tolist(), RGB.tolist(), lengths, strict=True):
+        values = [0.5] * length if value_kind[0] == "f" else [3] * length
+        if form == "ascii":
+            item = f"{length} {' '.join(map(str, values))} ".encode()
+            x_first, rest = f"{x} ".encode(), f"{y} {z} {color[0]} {color[1]} {color[2]}\n".encode()
+            end = b"\n"
+        else:
+            item = np.array(length, order + length_kind).tobytes() + np.array(values, order + value_kind).tobytes()
+            x_first, rest = np.array(x, order + "f4").tobytes(), np.array([y, z], order + "f4").tobytes() + bytes(color)
+            end = b""
+        above.append(item + end)
+        rows.append(x_first + (item if place == "inside" else b"") + rest)
+    return (head + "end_header\n").encode() + b"".join(above if place == "before" else []) + b"".join(rows)
+
+
+@pytest.mark.parametrize("place", ["inside", "before"])
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("kinds", LIST_TYPES)
+def test_ply_is_read_without_lists(tmp_path: Path, place: str, form: str, kinds: tuple[str, str, str, str]):
+    for lengths in ([2] * N, [0] * N, *([[*range(N)]] if form == "ascii" else [])):
+        (tmp_path / "a.ply").write_bytes(with_lists(form, lengths, kinds, place))
+        cloud = read_cloud(tmp_path / "a.ply")
+        np.testing.assert_allclose(cloud.xyz_m, XYZ, rtol=1e-6)
+        np.testing.assert_array_equal(cloud.rgb, RGB)
+
+
+@pytest.mark.parametrize(("place", "named"), [("inside", "vertex"), ("before", "other")])
+def test_lists_of_different_lengths_in_a_binary_ply_are_named(tmp_path: Path, place: str, named: str):
+    content = with_lists("binary_little_endian", [2] * (N - 1) + [3], LIST_TYPES[0], place)
+    (tmp_path / "a.ply").write_bytes(content)
+    with pytest.raises(
+        FrameError, match=rf"its {named} elements have lists of different lengths \(d\).*save it without"
+    ):
+        read_cloud(tmp_path / "a.ply")
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    "file",
+    ["04_pcd_text_colours/float/000000.pcd", "04_pcd_text_colours/integer_in_F/000000.pcd",
+     "05_ply_odd/ushort_16_bits_text/000000.ply"],
+)  # fmt: skip
+def test_the_collected_colours(shared: Path, file: str):
+    rgb = read_cloud(shared / "cases" / file).rgb
+    expected = [[224, 16, 16], [16, 224, 16], [16, 16, 224]]
+    np.testing.assert_array_equal(rgb, np.tile(np.array(expected, np.uint8), (400, 1)))
+
+
+@pytest.mark.shared
+def test_the_collected_lists_and_saturated_coordinates(shared: Path):
+    assert len(read_cloud(shared / "cases" / "05_ply_odd" / "list_in_vertex" / "000000.ply").xyz_m) == 1200
+    with pytest.raises(FrameError, match="its coordinates are saturated: y is at the limit of int32"):
+        read_cloud(shared / "cases" / "14_las" / "saturated" / "000000.las")
