@@ -114,7 +114,7 @@ class CloudFolder(KeyedFrames):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self.scans.notes
+        return (*self.scans.notes, *self._origin.notes)
 
     def frame(self, i: int) -> Frame:
         """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.

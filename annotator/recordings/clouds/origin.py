@@ -26,7 +26,9 @@ from annotator.types.errors import FrameError
 # A LiDAR may see farther, but the middle of what it sees is nearer.
 FARTHEST_MIDDLE_M = 500.0
 STEP_M = 100.0
-# 32-bit floats of coordinates within this distance of the camera are exact to 0.1 mm.
+# Rounding of coordinates that users should know.
+LEAST_STEP_M = 1e-3
+# Points that give the middle of a cloud.
 MOST_POINTS = 10_000
 # If this many frames at the beginning are unreadable, the others are not tried.
 FRAMES_TRIED = 5
@@ -40,11 +42,15 @@ class Origin:
         given: the option `origin`, x y z in the clouds' coordinates; None: the first readable cloud decides.
         clouds: reads the recording's clouds in order; FrameError and ValueError = one is damaged, which its own frame
             tells.
+
+    Attributes:
+        notes: what was found in the clouds that were read.
     """
 
     def __init__(self, given: Place | None, clouds: Callable[[], Iterable[Callable[[], RawCloud]]]) -> None:
         self._given, self._clouds = given, clouds
         self._found: Float64[np.ndarray, "3"] | None = None if given is None else np.array(given)
+        self.notes: tuple[str, ...] = ()
 
     @property
     def xyz_m(self) -> Float64[np.ndarray, "3"]:
@@ -58,6 +64,7 @@ class Origin:
         middle = _middle(raw)
         if self._given is None and not is_far(middle):
             return NOWHERE
+        self.notes = self.notes or _rounding_note(raw)
         away = middle - self.xyz_m
         reach = STEP_M if self.xyz_m.any() else FARTHEST_MIDDLE_M
         return self.xyz_m if np.linalg.norm(away) <= reach else self.xyz_m + STEP_M * np.round(away / STEP_M)
@@ -84,6 +91,18 @@ def is_far(xyz_m: Float64[np.ndarray, "3"]) -> bool:
 def _middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:
     """Returns the median of a cloud's points (of every n-th one, if they are many)."""
     return np.asarray(np.median(raw.xyz_m[:: len(raw.xyz_m) // MOST_POINTS + 1], axis=0))
+
+
+def _rounding_note(raw: RawCloud) -> tuple[str, ...]:
+    """Returns a note on the points of a file that was saved with 32-bit floats, if these are too coarse."""
+    highest = float(np.abs(raw.xyz_m).max())
+    step_m = float(np.spacing(np.float32(highest)))
+    if step_m < LEAST_STEP_M or (raw.xyz_m != raw.xyz_m.astype(np.float32)).any():
+        return ()
+    return (
+        f"its coordinates, up to {highest:,.0f} m, are rounded to {step_m:.2g} m, as 32-bit floats are; save clouds "
+        "with 64-bit floats, or relative to an origin",
+    )
 
 
 def _far_middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:

@@ -93,7 +93,7 @@ class RosBag(KeyedFrames):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self.told
+        return (*self.told, *self._origin.notes)
 
     @property
     def times_ns(self) -> tuple[int, ...]:
