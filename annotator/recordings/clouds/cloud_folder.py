@@ -32,7 +32,7 @@ from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.origin import Origin, world_pose
+from annotator.recordings.clouds.origin import Origin, without_strays, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_rgb
@@ -127,7 +127,7 @@ class CloudFolder(KeyedFrames):
         cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
         raw = read_cloud(cloud_path, self.scans)
         if self.images is None:
-            source = self._camera(key, raw)
+            source, raw = self._seen(key, raw)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
                 raise FrameError(source.path, f"its camera's image is {problem}", "correct the calibration")
@@ -164,8 +164,7 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        raw = self._raw(key)
-        source = self._camera(key, raw)
+        source, raw = self._seen(key, self._raw(key))
         return Scan(
             raw.xyz_m,
             raw.rgb,
@@ -191,14 +190,15 @@ class CloudFolder(KeyedFrames):
     def _raw(self, key: str) -> RawCloud:
         return read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"), self.scans)
 
-    def _camera(self, key: str, raw: RawCloud) -> CloudCamera:
-        """Returns the camera of a frame without an image: that of the calibration, or a virtual one."""
+    def _seen(self, key: str, raw: RawCloud) -> tuple[CloudCamera, RawCloud]:
+        """Returns the camera of a frame without an image, that of the calibration or a virtual one, and its points."""
         calibrated = self._cloud_camera(key, None)
         if calibrated is not None:
-            return calibrated
+            return calibrated, raw
         place_m = self._origin.of(raw)
         T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
-        return CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
+        camera = CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
+        return camera, without_strays(raw, place_m)
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""

@@ -47,6 +47,15 @@ class RawCloud:
     reflectance: Float32[np.ndarray, "n"] | None = None
     scale: float | None = None
 
+    def select(self, keep: np.ndarray) -> RawCloud:
+        """Returns the points of a mask (n,), of which one is true at least."""
+        return replace(
+            self,
+            xyz_m=self.xyz_m[keep],
+            rgb=None if self.rgb is None else self.rgb[keep],
+            reflectance=None if self.reflectance is None else self.reflectance[keep],
+        )
+
     def with_scale(self, least: float) -> RawCloud:
         """Returns the cloud with at least this scale of reflectance."""
         if self.reflectance is None or self.scale is None or self.scale >= least:
@@ -82,12 +91,7 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
         problem = NO_RETURN if len(valid) else "has no points"
         raise FrameError(path, problem, CLOUD_REMEDY)
     rgb, (reflectance, scale) = _colors(columns), _reflectance(columns)
-    return RawCloud(
-        xyz_m[valid],
-        rgb=None if rgb is None else rgb[valid],
-        reflectance=None if reflectance is None else reflectance[valid],
-        scale=scale,
-    )
+    return RawCloud(xyz_m, rgb, reflectance, scale).select(valid)
 
 
 def fractions(values: Float[np.ndarray, "n"]) -> tuple[Float32[np.ndarray, "n"], float]:

@@ -26,6 +26,8 @@ from annotator.types.errors import FrameError
 # A LiDAR may see farther, but the middle of what it sees is nearer.
 FARTHEST_MIDDLE_M = 500.0
 STEP_M = 100.0
+# No cloud reaches so far from a camera in it.
+FARTHEST_POINT_M = 100_000.0
 # Rounding of coordinates that users should know.
 LEAST_STEP_M = 1e-3
 # Points that give the middle of a cloud.
@@ -75,6 +77,20 @@ class Origin:
                 yield read()
             except (FrameError, ValueError):
                 continue
+
+
+def without_strays(raw: RawCloud, place_m: Float64[np.ndarray, "3"]) -> RawCloud:
+    """Returns a cloud in map coordinates without points that are no returns, but are not exactly (0, 0, 0) either.
+
+    Some drivers add the sensor's height to all points, or write -9999.
+
+    Args:
+        place_m: of the camera; zeros in a sensor's own coordinates, in which such points cannot be told.
+    """
+    if not place_m.any():
+        return raw
+    near = (np.abs(raw.xyz_m - place_m) < FARTHEST_POINT_M).all(axis=1)
+    return raw if near.all() or not near.any() else raw.select(near)
 
 
 def world_pose(T_camera_cloud: RigidTransform) -> RigidTransform | None:
