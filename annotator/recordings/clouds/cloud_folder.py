@@ -124,16 +124,15 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        cloud_path = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
-        raw = read_cloud(cloud_path, self.scans)
         if self.images is None:
-            source, raw = self._seen(key, raw)
+            source, raw = self._seen(key)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
                 raise FrameError(source.path, f"its camera's image is {problem}", "correct the calibration")
             cloud = source.to_camera(raw)
             rgb = virtual_image(source.camera, cloud)
         else:
+            cloud_path, raw = self._cloud_path(key), self._raw(key)
             image_path = frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud_path.name}")
             rgb = read_rgb(image_path)
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
@@ -164,7 +163,7 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        source, raw = self._seen(key, self._raw(key))
+        source, raw = self._seen(key)
         return Scan(
             raw.xyz_m,
             raw.rgb,
@@ -187,12 +186,15 @@ class CloudFolder(KeyedFrames):
     def _origin(self) -> Origin:
         return Origin(self.given_origin, lambda: (partial(self._raw, key) for key in self.keys))
 
-    def _raw(self, key: str) -> RawCloud:
-        return read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"), self.scans)
+    def _cloud_path(self, key: str) -> Path:
+        return frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
 
-    def _seen(self, key: str, raw: RawCloud) -> tuple[CloudCamera, RawCloud]:
+    def _raw(self, key: str) -> RawCloud:
+        return read_cloud(self._cloud_path(key), self.scans)
+
+    def _seen(self, key: str) -> tuple[CloudCamera, RawCloud]:
         """Returns the camera of a frame without an image, that of the calibration or a virtual one, and its points."""
-        calibrated = self._cloud_camera(key, None)
+        raw, calibrated = self._raw(key), self._cloud_camera(key, None)
         if calibrated is not None:
             return calibrated, raw
         place_m = self._origin.of(raw)

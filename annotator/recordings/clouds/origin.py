@@ -42,8 +42,8 @@ class Origin:
 
     Args:
         given: the option `origin`, x y z in the clouds' coordinates; None: the first readable cloud decides.
-        clouds: reads the recording's clouds in order; FrameError and ValueError = one is damaged, which its own frame
-            tells.
+        clouds: reads the recording's clouds in order; FrameError, ValueError and OSError = one is damaged, which its
+            own frame tells.
 
     Attributes:
         notes: what was found in the clouds that were read.
@@ -75,7 +75,7 @@ class Origin:
         for read in islice(self._clouds(), FRAMES_TRIED):
             try:
                 yield read()
-            except (FrameError, ValueError):
+            except (FrameError, ValueError, OSError):
                 continue
 
 

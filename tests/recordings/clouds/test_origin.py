@@ -68,12 +68,12 @@ STRAYS: dict[str, tuple[int, float | tuple[float, ...]]] = {
 WRITERS = {"npy": write_npy, "ply": write_ply, "pcd": write_pcd, "las": write_las}
 
 
-@pytest.mark.parametrize("strays", STRAYS)
-@pytest.mark.parametrize("write", WRITERS)
+@pytest.mark.parametrize(
+    ("write", "strays"),
+    [(write, strays) for write in WRITERS for strays in STRAYS if (write, strays) != ("las", "nan")],
+)
 def test_points_without_a_return_neither_move_the_origin_nor_stay(tmp_path: Path, write: str, strays: str):
     count, value = STRAYS[strays]
-    if write == "las" and np.isnan(value).any():
-        pytest.skip("LAS has whole numbers")
     xyz = XYZ + UTM_M
     xyz[:count] = value
     WRITERS[write](tmp_path / "7", xyz)
