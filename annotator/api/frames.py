@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.api.inputs import camera_of, depth_of, image_of, points_of, transform_of, up_of
 from annotator.geometry.projection import inside_image, pixel_colors, project, unproject_depth
+from annotator.recordings.clouds.origin import world_pose
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ArgumentError
 
@@ -82,8 +83,8 @@ def frame_from_points(
 ) -> Frame:
     """A frame from a camera image and a point cloud, such as a LiDAR scan.
 
-    Points that are not finite, are nearer than 0.1 m, or lie outside the image are dropped. The others get the colour
-    of their pixel.
+    Points that are not finite or exactly (0, 0, 0), nearer than 0.1 m, or outside the image are dropped. The others get
+    the colour of their pixel.
 
     Args:
         rgb, intrinsics, distortion, up, key, index, timestamp_ns: as for `frame_from_rgbd`.
@@ -98,8 +99,8 @@ def frame_from_points(
     """
     image = image_of(rgb)
     camera = camera_of(intrinsics, image.shape, distortion)
-    points, rows = points_of(xyz_m)
     T = transform_of(T_camera_points)
+    points, rows = points_of(xyz_m, T)
     seen, px = _on_image(camera, T.apply(points))
     if len(seen) < max(LEAST_SHARE_ON_IMAGE * len(points), 1):
         raise ArgumentError(_why_unseen(camera, points, T, len(seen)))
@@ -108,7 +109,7 @@ def frame_from_points(
         rgb=image[px[:, 1], px[:, 0]],
         reflectance=None if reflectance is None else _reflectance(reflectance, np.shape(xyz_m)[0])[rows[seen]],
     )
-    return Frame(key, index, camera, image, cloud, None, up_of(up), None, timestamp_ns)
+    return Frame(key, index, camera, image, cloud, None, up_of(up), None, timestamp_ns, T_world_camera=world_pose(T))
 
 
 def _on_image(camera: Camera, xyz_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ from jaxtyping import Float32, Float64, UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.depth_values import measured
+from annotator.recordings.plausible import are_returns
 from annotator.types import Box2D, Camera
 from annotator.types.errors import ArgumentError
 
@@ -163,8 +164,11 @@ def _guessed_scale(known: np.ndarray) -> float:
     return 1.0
 
 
-def points_of(xyz_m: Any) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
-    """The finite points of an array (N, 3), and the indices of their rows.
+def points_of(xyz_m: Any, T_camera_points: RigidTransform) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
+    """The points of an array (N, 3) that are returns (`are_returns`), and the indices of their rows.
+
+    Args:
+        T_camera_points: to the camera, since map coordinates are large in metres, too.
 
     Raises:
         ArgumentError: a wrong shape, no finite point, or points that seem to be in millimetres.
@@ -182,14 +186,15 @@ def points_of(xyz_m: Any) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
         elif points.ndim == 3 and points.shape[2] == 3:
             hint = "; pass xyz.reshape(-1, 3)"
         raise ArgumentError(f"xyz_m must have shape (N, 3), not {points.shape}{hint}")
-    rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+    rows = np.flatnonzero(are_returns(points))
     if not len(rows):
-        raise ArgumentError("xyz_m has no finite point")
+        raise ArgumentError("xyz_m has no finite point other than (0, 0, 0)")
     points = points[rows]
-    median_m = float(np.median(np.linalg.norm(points, axis=1)))
+    median_m = float(np.median(np.linalg.norm(T_camera_points.apply(points), axis=1)))
     if median_m > LONGEST_MEDIAN_RANGE_M:
         raise ArgumentError(
-            f"xyz_m has a median distance of {median_m:g}, too large for metres; pass metres, not millimetres"
+            f"xyz_m has a median distance of {median_m:g} from the camera, too large for metres; pass metres, not "
+            "millimetres, and for map coordinates the T_camera_points from the map to the camera"
         )
     return points, rows
 

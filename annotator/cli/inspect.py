@@ -76,7 +76,7 @@ def _frame_rows(frame: FrameReport) -> Iterator[tuple[str, object]]:
     yield "image", f"{frame.width_px} x {frame.height_px} px" + (", with depth image" if frame.has_depth_image else "")
     yield "camera", f"fx {frame.fx:g}, fy {frame.fy:g}, cx {frame.cx:g}, cy {frame.cy:g} px"
     if frame.place is not None:
-        yield "camera at", f"{_metres(frame.place)} m in the map coordinates of the clouds"
+        yield "camera at", f"{_metres(frame.place)} m in map coordinates"
     yield "distortion", " ".join(f"{k:g}" for k in frame.distortion) if any(frame.distortion) else "none"
     extras = [name for name, known in (("colour", frame.has_colour), ("reflectance", frame.has_reflectance)) if known]
     yield "points", f"{frame.points} with {' and '.join(extras) or 'coordinates only'}"

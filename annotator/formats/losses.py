@@ -37,7 +37,7 @@ class Lost(StrEnum):
     CUT: points of a scan outside the camera's view.
     ATTRIBUTE: values of attributes.
     SAID: what sources of boxes, such as detectors, said of objects before the review.
-    ORIGIN: places of cameras in map coordinates; boxes and points were written relative to the camera.
+    ORIGIN: the place of the camera in map coordinates; boxes and points were written relative to the camera.
     UNREADABLE: frames whose files cannot be read, left out on request.
     """
 
@@ -112,7 +112,7 @@ _WORDS = {
     Lost.CUT: ("frame has", "frames have", "a scan with points outside the camera's view, which were left out"),
     Lost.ATTRIBUTE: ("attribute value", "attribute values", "cannot be stored in this format"),
     Lost.SAID: ("box was", "boxes were", "proposed by other software; this format cannot store which one"),
-    Lost.ORIGIN: ("frame is", "frames are", "in map coordinates; boxes and points were written relative to the camera"),
+    Lost.ORIGIN: ("frame has", "frames have", "a place in a map; boxes and points were written relative to the camera"),
     Lost.UNREADABLE: ("frame cannot be read and was", "frames cannot be read and were", "left out"),
 }
 

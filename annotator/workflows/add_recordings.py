@@ -100,7 +100,7 @@ def add_recordings(
         _require_unchanged(project.path.name, known, name, up)
         if known is None:
             if frame.T_world_camera is not None:
-                options = options.model_copy(update={"origin": origin_of(recording)})
+                options = options.model_copy(update={"origin": origin_of(recording) or options.origin})
             if not as_new:
                 require_not_moved(project, recording, options)
         ready.append((recording, options, frame))

@@ -22,7 +22,7 @@ class FrameReport(BaseModel):
 
     Attributes:
         scanned, seen: points of the LiDAR's whole scan, and how many of them the image shows; None without a LiDAR.
-        place: where the camera stands in the map coordinates of the clouds; None if they have none.
+        place: where the camera stands in map coordinates; None without such.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -187,6 +187,19 @@ def test_a_transform_is_a_matrix_or_a_rigid_transform_and_defaults_to_the_identi
     assert (cloud(T.apply(lidar_points()), T=None).cloud.xyz_m == expected).all()
 
 
+def test_points_in_map_coordinates_are_precise_and_zeros_are_no_returns() -> None:
+    near = cloud()
+    place = np.array([701_378.25, 4_485_513.5, 640.75])
+    T = T_CAMERA_LIDAR.copy()
+    T[:3, 3] -= T[:3, :3] @ place
+    points = np.vstack([np.zeros((500, 3)), lidar_points() + place])
+    far = cloud(points, T=T)
+    np.testing.assert_allclose(far.cloud.xyz_m, near.cloud.xyz_m, atol=1e-4)
+    assert near.T_world_camera is None and far.T_world_camera is not None
+    np.testing.assert_allclose(far.T_world_camera.translation, place, atol=1e-6)
+    refused(lambda: cloud(points, T=T_CAMERA_LIDAR), "for map coordinates the T_camera_points")
+
+
 @pytest.mark.parametrize(
     ("T", "words"),
     [

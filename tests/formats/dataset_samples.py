@@ -45,12 +45,16 @@ def make_item(
     up: tuple[float, float, float] | None = (0.0, -1.0, 0.0),
     camera: Camera = CAMERA,
     timestamp_ns: int | None = 1_700_000_000_123_456_789,
+    T_world_camera: RigidTransform | None = None,
 ) -> DatasetItem:
     """A frame of 6 x 4 pixels and five coloured points."""
     rng = np.random.default_rng(index)
     cloud = PointCloud(rng.normal(size=(5, 3)).astype(np.float32), rng.integers(0, 256, (5, 3), np.uint8))
     rgb = rng.integers(0, 256, (4, 6, 3), np.uint8)
-    frame = Frame(key, index, camera, rgb, cloud, up=None if up is None else np.array(up), timestamp_ns=timestamp_ns)
+    against = None if up is None else np.array(up)
+    frame = Frame(
+        key, index, camera, rgb, cloud, up=against, timestamp_ns=timestamp_ns, T_world_camera=T_world_camera
+    )  # fmt: skip
     return DatasetItem(recording, frame, labels, split)
 
 

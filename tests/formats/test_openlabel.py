@@ -11,7 +11,7 @@ import pytest
 from dataset_samples import BOXES, assert_same_box, make_box, make_item, make_label
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.openlabel import read_openlabel, write_openlabel
 from annotator.formats.openlabel.model import Document
@@ -21,6 +21,7 @@ from annotator.formats.openlabel.write import dump
 from annotator.types import BoxKind, Camera, OrientedBox, ReviewState, Suggestion
 from annotator.types.errors import FormatError
 
+PLACE_IN_MAP = RigidTransform.from_components([701_378.25, 4_485_513.5, 640.0], Rotation.from_rotvec([1, -0.5, 0.25]))
 # 4 x 2 x 1.5 m, 1 m ahead, rotated by 90 degrees about the camera's y axis (right-hand rule: x becomes -z).
 TURNED = make_box((0.0, 0.5, 1.0), (0.0, np.pi / 2, 0.0), (4.0, 2.0, 1.5))
 
@@ -77,7 +78,7 @@ def test_the_document_follows_the_schema(tmp_path: Path) -> None:
     items = [
         make_item([make_label(track_id=1), make_label(track_id=1, uid="u2")], index=0, key="a"),
         make_item([make_label(track_id=1, uid="u3")], index=2, key="c", camera=other, timestamp_ns=None),
-        make_item(index=5, key="d"),
+        make_item([make_label(track_id=1, uid="u4")], index=5, key="d", T_world_camera=PLACE_IN_MAP),
     ]
     write_openlabel(tmp_path / "out", items, "annotator 1")
     result = core.check_file(str(tmp_path / "out" / "rec.json"))

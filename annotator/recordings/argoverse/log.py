@@ -101,7 +101,8 @@ class ArgoverseLog(KeyedFrames):
                 f"check {MOUNTS} and {POSES}",
             )
         up = T_city_camera.rotation.inv().apply(UP)
-        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_ego, int(self.images[i]))
+        time_ns = int(self.images[i])
+        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_ego, time_ns, T_world_camera=T_city_camera)
 
     def scan(self, i: int) -> Scan:
         """Reads the whole sweep of frame `i`.
@@ -112,10 +113,11 @@ class ArgoverseLog(KeyedFrames):
         """
         key = self.key(i)
         xyz_m, reflectance = self._sweep(key)
-        up = self._T_city_ego(key).rotation.inv().apply(UP)
+        T_city_ego = self._T_city_ego(key)
+        up = T_city_ego.rotation.inv().apply(UP)
         place_m = self._mount(LIDAR).translation
         R_level_ego, T_ego_label = level_turn(up, AHEAD), RigidTransform.identity()
-        return Scan(xyz_m, None, reflectance, R_level_ego, place_m, T_ego_label, timestamp_ns=int(key))
+        return Scan(xyz_m, None, reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
     def intrinsics(self, i: int) -> Camera:
         """Returns the camera of frame `i`, with the size that the calibration names.

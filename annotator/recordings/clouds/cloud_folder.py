@@ -34,7 +34,7 @@ from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.origin import Origin, world_pose
+from annotator.recordings.clouds.origin import Origin, without_strays, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
@@ -118,11 +118,11 @@ class CloudFolder(KeyedFrames):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return (*self.told, *self.scans.notes)
+        return (*self.told, *self.scans.notes, *self._origin.notes)
 
     def files(self, i: int) -> tuple[Path, ...]:
         key = self.key(i)
-        cloud = frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
+        cloud = self._cloud_path(key)
         if self.images is None:
             return (cloud,)
         return cloud, frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud.name}")
@@ -136,16 +136,16 @@ class CloudFolder(KeyedFrames):
         """
         key = self.key(i)
         cloud_path, *images = self.files(i)
-        raw, exif_orientation = read_cloud(cloud_path, self.scans), UPRIGHT
+        exif_orientation = UPRIGHT
         if not images:
-            source = self._camera(key, raw)
+            source, raw = self._seen(key)
             problem = memory_problem(pixels=source.camera.width_px * source.camera.height_px)
             if problem:
                 raise FrameError(source.path, f"its camera's image is {problem}", "correct the calibration")
             cloud = source.to_camera(raw)
             rgb = virtual_image(source.camera, cloud)
         else:
-            image = read_color_image(images[0], self._image_size(key))
+            raw, image = self._raw(key), read_color_image(images[0], self._image_size(key))
             rgb, exif_orientation = image.rgb, image.exif_orientation
             source = self._cloud_camera(key, rgb) or self._raise_no_calibration(key)
             cloud = cloud_in_image(source.camera, source.to_camera(raw), rgb)
@@ -176,8 +176,7 @@ class CloudFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        raw = self._raw(key)
-        source = self._camera(key, raw)
+        source, raw = self._seen(key)
         return Scan(
             raw.xyz_m,
             raw.rgb,
@@ -200,17 +199,21 @@ class CloudFolder(KeyedFrames):
     def _origin(self) -> Origin:
         return Origin(self.given_origin, lambda: (partial(self._raw, key) for key in self.keys))
 
-    def _raw(self, key: str) -> RawCloud:
-        return read_cloud(frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds"), self.scans)
+    def _cloud_path(self, key: str) -> Path:
+        return frame_file(self.clouds, key, CLOUD_SUFFIXES, "the other clouds")
 
-    def _camera(self, key: str, raw: RawCloud) -> CloudCamera:
-        """Returns the camera of a frame without an image: that of the calibration, or a virtual one."""
-        calibrated = self._cloud_camera(key, None)
+    def _raw(self, key: str) -> RawCloud:
+        return read_cloud(self._cloud_path(key), self.scans)
+
+    def _seen(self, key: str) -> tuple[CloudCamera, RawCloud]:
+        """Returns the camera of a frame without an image, that of the calibration or a virtual one, and its points."""
+        raw, calibrated = self._raw(key), self._cloud_camera(key, None)
         if calibrated is not None:
-            return calibrated
+            return calibrated, raw
         place_m = self._origin.of(raw)
         T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
-        return CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
+        camera = CloudCamera(self.path, T, VIRTUAL_CAMERA, UP, in_world=bool(place_m.any()))
+        return camera, without_strays(raw, place_m)
 
     def _image_size(self, key: str) -> Size | None:
         """Returns the size that the calibration says; None for KITTI's, which does not, and without one."""

@@ -62,6 +62,15 @@ class RawCloud:
         """Both scales; 0 = said by the file, or not there."""
         return self.scale or 0.0, self.color_scale or 0.0
 
+    def select(self, keep: np.ndarray) -> RawCloud:
+        """Returns the points of a mask (n,), of which one is true at least."""
+        return replace(
+            self,
+            xyz_m=self.xyz_m[keep],
+            rgb=None if self.rgb is None else self.rgb[keep],
+            reflectance=None if self.reflectance is None else self.reflectance[keep],
+        )
+
     def with_scales(self, least: Scales) -> RawCloud:
         """Returns the cloud with at least these scales of reflectance and colours."""
         cloud = self
@@ -103,13 +112,7 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
         raise FrameError(path, problem, CLOUD_REMEDY)
     colors, (reflectance, scale) = point_colors(columns), _reflectance(columns)
     rgb, color_scale = (None, None) if colors is None else colors
-    return RawCloud(
-        xyz_m[valid],
-        rgb=None if rgb is None else rgb[valid],
-        reflectance=None if reflectance is None else reflectance[valid],
-        scale=scale,
-        color_scale=color_scale,
-    )
+    return RawCloud(xyz_m, rgb, reflectance, scale, color_scale).select(valid)
 
 
 def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:

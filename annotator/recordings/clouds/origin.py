@@ -26,7 +26,11 @@ from annotator.types.errors import FrameError
 # A LiDAR may see farther, but the middle of what it sees is nearer.
 FARTHEST_MIDDLE_M = 500.0
 STEP_M = 100.0
-# 32-bit floats of coordinates within this distance of the camera are exact to 0.1 mm.
+# No cloud reaches so far from a camera in it.
+FARTHEST_POINT_M = 100_000.0
+# Rounding of coordinates that users should know.
+LEAST_STEP_M = 1e-3
+# Points that give the middle of a cloud.
 MOST_POINTS = 10_000
 # If this many frames at the beginning are unreadable, the others are not tried.
 FRAMES_TRIED = 5
@@ -38,13 +42,17 @@ class Origin:
 
     Args:
         given: the option `origin`, x y z in the clouds' coordinates; None: the first readable cloud decides.
-        clouds: reads the recording's clouds in order; FrameError and ValueError = one is damaged, which its own frame
-            tells.
+        clouds: reads the recording's clouds in order; FrameError, ValueError and OSError = one is damaged, which its
+            own frame tells.
+
+    Attributes:
+        notes: what was found in the clouds that were read.
     """
 
     def __init__(self, given: Place | None, clouds: Callable[[], Iterable[Callable[[], RawCloud]]]) -> None:
         self._given, self._clouds = given, clouds
         self._found: Float64[np.ndarray, "3"] | None = None if given is None else np.array(given)
+        self.notes: tuple[str, ...] = ()
 
     @property
     def xyz_m(self) -> Float64[np.ndarray, "3"]:
@@ -58,6 +66,7 @@ class Origin:
         middle = _middle(raw)
         if self._given is None and not is_far(middle):
             return NOWHERE
+        self.notes = self.notes or _rounding_note(raw)
         away = middle - self.xyz_m
         reach = STEP_M if self.xyz_m.any() else FARTHEST_MIDDLE_M
         return self.xyz_m if np.linalg.norm(away) <= reach else self.xyz_m + STEP_M * np.round(away / STEP_M)
@@ -66,8 +75,22 @@ class Origin:
         for read in islice(self._clouds(), FRAMES_TRIED):
             try:
                 yield read()
-            except (FrameError, ValueError):
+            except (FrameError, ValueError, OSError):
                 continue
+
+
+def without_strays(raw: RawCloud, place_m: Float64[np.ndarray, "3"]) -> RawCloud:
+    """Returns a cloud in map coordinates without points that are no returns, but are not exactly (0, 0, 0) either.
+
+    Some drivers add the sensor's height to all points, or write -9999.
+
+    Args:
+        place_m: of the camera; zeros in a sensor's own coordinates, in which such points cannot be told.
+    """
+    if not place_m.any():
+        return raw
+    near = (np.abs(raw.xyz_m - place_m) < FARTHEST_POINT_M).all(axis=1)
+    return raw if near.all() or not near.any() else raw.select(near)
 
 
 def world_pose(T_camera_cloud: RigidTransform) -> RigidTransform | None:
@@ -84,6 +107,18 @@ def is_far(xyz_m: Float64[np.ndarray, "3"]) -> bool:
 def _middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:
     """Returns the median of a cloud's points (of every n-th one, if they are many)."""
     return np.asarray(np.median(raw.xyz_m[:: len(raw.xyz_m) // MOST_POINTS + 1], axis=0))
+
+
+def _rounding_note(raw: RawCloud) -> tuple[str, ...]:
+    """Returns a note on the points of a file that was saved with 32-bit floats, if these are too coarse."""
+    highest = float(np.abs(raw.xyz_m).max())
+    step_m = float(np.spacing(np.float32(highest)))
+    if step_m < LEAST_STEP_M or (raw.xyz_m != raw.xyz_m.astype(np.float32)).any():
+        return ()
+    return (
+        f"its coordinates, up to {highest:,.0f} m, are rounded to {step_m:.2g} m, as 32-bit floats are; save clouds "
+        "with 64-bit floats, or relative to an origin",
+    )
 
 
 def _far_middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:

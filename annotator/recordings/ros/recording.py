@@ -25,7 +25,7 @@ from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.common_scale import FIRST, CommonScale
-from annotator.recordings.clouds.origin import Origin, world_pose
+from annotator.recordings.clouds.origin import Origin, without_strays, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.deep_images import Levels
 from annotator.recordings.kitti.frame import UP
@@ -96,7 +96,7 @@ class RosBag(KeyedFrames):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self.told
+        return (*self.told, *self._origin.notes)
 
     @property
     def times_ns(self) -> tuple[int, ...]:
@@ -129,6 +129,7 @@ class RosBag(KeyedFrames):
     def _cloud_frame(self, key: str, i: int) -> Frame:
         raw = self._raw(int(self.pairs.cloud[i]))
         place_m = self._origin.of(raw)
+        raw = without_strays(raw, place_m)
         T = T_CAMERA_LIDAR * RigidTransform.from_translation(-place_m)
         cloud = PointCloud(T.apply(raw.xyz_m).astype(np.float32), raw.rgb, raw.reflectance)
         rgb = virtual_image(VIRTUAL_CAMERA, cloud)
@@ -315,6 +316,7 @@ class ScanBag(RosBag):
             R_level_scan, knows_up = Rotation.identity(), True
             if self.chosen.image is None:
                 place_m = self._origin.of(raw)
+                raw = without_strays(raw, place_m)
             else:
                 number, time_ns = int(self.pairs.image[i]), int(self.pairs.time_ns[i])
                 log_ns = int(self.chosen.image.topic.log_ns[number])

@@ -1,0 +1,250 @@
+"""Clouds in map coordinates: one origin a recording, precise points, and a virtual camera where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import laspy
+import numpy as np
+import pytest
+from cloud_samples import camera_file
+from kitti_samples import OBJECT_CALIB
+
+from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.recordings.clouds.columns import RawCloud
+from annotator.recordings.clouds.origin import FARTHEST_MIDDLE_M, STEP_M, Origin
+from annotator.recordings.recording import origin_of
+from annotator.recordings.ros import point_clouds
+from annotator.recordings.scan_file import Scans
+from annotator.types import Frame
+from annotator.types.errors import ConfigError, FrameError
+from benchmarks.bag_writer import BagWriter, structured
+
+UTM_M = np.array([701_378.25, 4_485_513.5, 640.75])
+# The coordinates of a floor and a wall around (0, 0, 0); UTM coordinates need 64 bits.
+XYZ = np.random.default_rng(3).uniform((-10, -10, -1.6), (10, 10, 0), (1001, 3))
+
+
+def write_npy(path: Path, xyz: np.ndarray) -> None:
+    np.save(path.with_suffix(".npy"), xyz)
+
+
+def write_ply(path: Path, xyz: np.ndarray) -> None:
+    head = "".join(f"property double {axis}\n" for axis in "xyz")
+    text = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\n{head}end_header\n"
+    path.with_suffix(".ply").write_bytes(text.encode() + xyz.astype("<f8").tobytes())
+
+
+def write_pcd(path: Path, xyz: np.ndarray) -> None:
+    head = f"FIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nPOINTS {len(xyz)}\nDATA ascii\n"
+    path.with_suffix(".pcd").write_text(head + "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in xyz.tolist()))
+
+
+def write_las(path: Path, xyz: np.ndarray) -> None:
+    header = laspy.LasHeader(point_format=0, version="1.2")
+    header.scales = np.full(3, 2.5e-3)
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = xyz.T
+    cloud.write(path.with_suffix(".las"))
+
+
+def placed(frame: Frame) -> np.ndarray:
+    """The points of a frame in the coordinates of its file."""
+    assert frame.T_world_camera is not None
+    assert frame.T_camera_label is not None
+    there = frame.T_world_camera.apply(frame.cloud.xyz_m.astype(float))
+    np.testing.assert_allclose(frame.T_camera_label.inv().apply(frame.cloud.xyz_m.astype(float)), there, atol=1e-8)
+    return there
+
+
+# How many of 1001 points are a driver's "no return", and how it writes them.
+STRAYS: dict[str, tuple[int, float | tuple[float, ...]]] = {
+    "none": (0, 0.0), "one": (1, 0.0), "negative": (1, -0.0), "most": (900, 0.0), "nan": (900, np.nan),
+    "raised": (20, (0, 0, 1.73)), "number": (20, -9999.0),
+}  # fmt: skip
+WRITERS = {"npy": write_npy, "ply": write_ply, "pcd": write_pcd, "las": write_las}
+
+
+@pytest.mark.parametrize(
+    ("write", "strays"),
+    [(write, strays) for write in WRITERS for strays in STRAYS if (write, strays) != ("las", "nan")],
+)
+def test_points_without_a_return_neither_move_the_origin_nor_stay(tmp_path: Path, write: str, strays: str):
+    count, value = STRAYS[strays]
+    xyz = XYZ + UTM_M
+    xyz[:count] = value
+    WRITERS[write](tmp_path / "7", xyz)
+    recording = open_recording(tmp_path)
+    frame = recording.frame(0)
+    np.testing.assert_allclose(placed(frame), xyz[count:], atol=1.5e-3 if write == "las" else 1e-4)
+    origin = np.floor(np.median(xyz[count:], axis=0))
+    assert origin_of(recording) == tuple(origin)
+    np.testing.assert_allclose(frame.T_world_camera.translation, origin, atol=1e-9)
+    # the picture has the points that are ahead
+    assert frame.rgb.any(axis=2).mean() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "is_far"),
+    [((0, 0, 0), False), ((60, 0, 0), False), ((350, 350, 0), False), ((0, 0, -480), False), ((0, 0, 600), True),
+     ((400, 400, 0), True), ((3180.0, 1697.0, 20.0), True), ((-5e5, 0, 0), True)],
+)  # fmt: skip
+def test_the_virtual_camera_stands_at_a_sensor_or_at_far_points(
+    tmp_path: Path, shift_m: tuple[float, ...], is_far: bool
+):
+    write_npy(tmp_path / "7", XYZ + shift_m)
+    recording = open_recording(tmp_path)
+    frame = recording.frame(0)
+    assert (frame.T_world_camera is not None, origin_of(recording) is not None) == (is_far, is_far)
+    place = frame.T_camera_label.inv().translation
+    assert np.abs(place - (np.median(XYZ + shift_m, axis=0) if is_far else 0)).max() < 1
+
+
+def test_the_origin_is_that_of_the_first_readable_cloud_for_all_frames(tmp_path: Path):
+    for number, shift in enumerate((0.0, 4.0, -30.0, 90.0)):
+        write_npy(tmp_path / str(number), XYZ + UTM_M + [shift, 0, 0])
+    recording = open_recording(tmp_path)
+    frames = [recording.frame(i) for i in (3, 0, 2, 1)]
+    assert len({tuple(each.T_world_camera.translation) for each in frames}) == 1
+    whole = origin_of(recording)
+    (tmp_path / "0.npy").write_bytes(b"")
+    np.testing.assert_allclose(origin_of(open_recording(tmp_path)), np.add(whole, [4, 0, 0]), atol=1)
+    # as a project stores it: nothing changes
+    kept = open_recording(tmp_path, ReaderOptions(origin=whole))
+    np.testing.assert_array_equal(kept.frame(2).cloud.xyz_m, frames[2].cloud.xyz_m)
+    assert origin_of(kept) == whole
+
+
+def test_a_vehicle_takes_the_camera_along_in_whole_steps(tmp_path: Path):
+    """Its points stay precise, and where they are in the map does not depend on the camera."""
+    driven = (0.0, 0.9 * STEP_M, 1.2 * STEP_M, 1.4 * STEP_M, 7_003.0, 250_000.0)
+    for number, shift in enumerate(driven):
+        write_npy(tmp_path / str(number), XYZ + UTM_M + [shift, -shift / 2, 0])
+    recording = open_recording(tmp_path)
+    first = recording.frame(0).T_world_camera.translation
+    steps = []
+    for number, shift in enumerate(driven):
+        frame = recording.frame(number)
+        np.testing.assert_allclose(placed(frame), XYZ + UTM_M + [shift, -shift / 2, 0], atol=1e-4)
+        assert np.linalg.norm(np.median(frame.cloud.xyz_m, axis=0)) < 1.1 * STEP_M
+        steps.append(((frame.T_world_camera.translation - first) / STEP_M).round(9).tolist())
+    assert steps == [[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 0], [70, -35, 0], [2500, -1250, 0]]
+
+
+def test_a_recording_that_begins_at_its_origin_and_drives_away_keeps_its_points_near(tmp_path: Path):
+    for number, shift in enumerate((0, 300, 5_000)):
+        write_npy(tmp_path / str(number), XYZ + np.array([shift, 0, 0]))
+    recording = open_recording(tmp_path)
+    places = [recording.frame(i).T_camera_label.inv().translation.tolist() for i in range(3)]
+    np.testing.assert_allclose(places, [[0, 0, 0], [0, 0, 0], [5000, 0, 0]], atol=1e-9)
+    assert origin_of(recording) is None
+
+
+def test_the_option_places_the_camera_and_only_clouds_take_it(tmp_path: Path, generated: Path):
+    write_npy(tmp_path / "7", XYZ + UTM_M)
+    place = (701_370.0, 4_485_500.0, 642.5)
+    frame = open_recording(tmp_path, ReaderOptions(origin=place)).frame(0)
+    np.testing.assert_allclose(frame.T_world_camera.translation, place, atol=1e-9)
+    np.testing.assert_allclose(placed(frame), XYZ + UTM_M, atol=1e-4)
+    with pytest.raises(ConfigError, match="not --origin"):
+        open_recording(generated / "people", ReaderOptions(origin=place))
+
+
+def test_virtual_cameras_around_a_place_in_a_map_share_it(tmp_path: Path):
+    write_npy(tmp_path / "7", XYZ + UTM_M)
+    ahead, left = (
+        open_recording(tmp_path, ReaderOptions(look_around=4, camera=camera)) for camera in ("around-000", "around-090")
+    )
+    assert origin_of(ahead) == origin_of(left)
+    for recording in (ahead, left):
+        frame = recording.frame(0)
+        np.testing.assert_allclose(placed(frame), XYZ + UTM_M, atol=1e-4)
+        np.testing.assert_allclose(frame.T_world_camera.translation, origin_of(recording), atol=1e-9)
+
+
+def test_a_calibrated_camera_in_a_map_knows_its_place(tmp_path: Path):
+    """The clouds' own calibration is used, and there is nothing to choose."""
+    write_npy(tmp_path / "7", XYZ + UTM_M)
+    there = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    there[:3, 3] = there[:3, :3] @ -(UTM_M + np.array([0, 0, 1]))
+    (tmp_path / "camera_intrinsic.json").write_text(camera_file(cloud_to_camera=there.tolist()))
+    recording = open_recording(tmp_path)
+    frame = recording.frame(0)
+    np.testing.assert_allclose(frame.T_world_camera.translation, UTM_M + np.array([0, 0, 1]), atol=1e-6)
+    np.testing.assert_allclose(placed(frame), XYZ + UTM_M, atol=1e-4)
+    np.testing.assert_allclose(recording.scan(0).place_m, UTM_M + np.array([0, 0, 1]), atol=1e-6)
+    assert origin_of(recording) is None
+
+
+def test_a_calibrated_lidar_is_in_its_own_coordinates(tmp_path: Path):
+    write_npy(tmp_path / "7", XYZ)
+    (tmp_path / "calib.txt").write_text(OBJECT_CALIB)
+    recording = open_recording(tmp_path)
+    assert (recording.frame(0).T_world_camera, recording.scan(0).T_world_scan) == (None, None)
+    np.testing.assert_array_equal(recording.scan(0).place_m, [0, 0, 0])
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_clouds_of_a_bag_in_map_coordinates_are_precise(tmp_path: Path, kind: str):
+    with BagWriter(tmp_path, kind) as bag:
+        for number, shift in enumerate((0.0, 4.0)):
+            xyz = XYZ + UTM_M + [shift, 0, 0]
+            xyz[:300] = 0
+            bag.cloud("/points", (1 + number) * 10**9, structured(dict(zip("xyz", xyz.T, strict=True))))
+    recording = open_recording(bag.path)
+    frames = [recording.frame(i) for i in range(2)]
+    for shift, frame in zip((0.0, 4.0), frames, strict=True):
+        np.testing.assert_allclose(placed(frame), (XYZ + UTM_M + [shift, 0, 0])[300:], atol=1e-4)
+    assert frames[0].T_world_camera.translation.tolist() == frames[1].T_world_camera.translation.tolist()
+    around = open_recording(recording.path, ReaderOptions(look_around=4)).frame(1)
+    np.testing.assert_allclose(placed(around), placed(frames[1]), atol=2e-4)
+
+
+def bin_file(folder: Path, xyz: np.ndarray) -> np.ndarray:
+    (folder / "a.bin").write_bytes(np.c_[xyz, np.ones(len(xyz))].astype("<f4").tobytes())
+    return read_cloud(folder / "a.bin", Scans(4)).xyz_m
+
+
+def npy_file(folder: Path, xyz: np.ndarray) -> np.ndarray:
+    np.save(folder / "a.npy", xyz)
+    return read_cloud(folder / "a.npy").xyz_m
+
+
+def ros_message(folder: Path, xyz: np.ndarray) -> np.ndarray:
+    rows = structured(dict(zip("xyz", xyz.astype(np.float32).T, strict=True)))
+    fields = [SimpleNamespace(name=name, offset=4 * at, datatype=7, count=1) for at, name in enumerate("xyz")]
+    message = SimpleNamespace(
+        width=len(xyz), height=1, row_step=0, point_step=12, is_bigendian=False, fields=fields,
+        data=np.frombuffer(rows.tobytes(), np.uint8),
+    )  # fmt: skip
+    return point_clouds.read_cloud(folder, message).xyz_m
+
+
+@pytest.mark.parametrize("read", [bin_file, npy_file, ros_message])
+def test_points_at_the_sensor_itself_are_left_out(tmp_path: Path, read: Callable[[Path, np.ndarray], np.ndarray]):
+    xyz = np.array([[1.0, 2, 3], [0, 0, 0], [0, 0, 1], [np.nan, 0, 0], [np.inf, 1, 1], [-0.0, 0, -0.0], [0, 5, 0]])
+    np.testing.assert_array_equal(read(tmp_path, xyz), [[1, 2, 3], [0, 0, 1], [0, 5, 0]])
+    with pytest.raises(FrameError, match=r"every point is NaN or infinite, or \(0, 0, 0\), which means no return"):
+        read(tmp_path, np.zeros((5, 3)))
+
+
+def test_coordinates_that_a_file_has_rounded_are_noted(tmp_path: Path):
+    for name, xyz in (("coarse", (XYZ + UTM_M).astype(np.float32)), ("fine", XYZ + UTM_M), ("near", np.float32(XYZ))):
+        (tmp_path / name).mkdir()
+        write_npy(tmp_path / name / "1", xyz)
+        recording = open_recording(tmp_path / name)
+        recording.frame(0)
+        expected = "its coordinates, up to 4,485,524 m, are rounded to 0.5 m, as 32-bit floats are; save clouds with"
+        assert [note[: len(expected)] for note in recording.notes] == ([expected] if name == "coarse" else []), name
+
+
+def test_clouds_near_their_sensor_cost_no_other_cloud():
+    def refuse() -> None:
+        raise AssertionError("reads another cloud")
+
+    origin = Origin(None, lambda: (refuse for _ in range(3)))  # type: ignore[misc]
+    near = RawCloud(XYZ + np.array([FARTHEST_MIDDLE_M - 20, 0, 0]))
+    assert origin.of(near).tolist() == [0, 0, 0]
