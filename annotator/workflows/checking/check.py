@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.units import Lengths
 from annotator.types.errors import FormatError
-from annotator.workflows.checking.box_sets import SizeOrders, rule_of
+from annotator.workflows.checking.box_sets import rule_of
 from annotator.workflows.checking.dataset_check import DatasetCheck, DatasetFacts, Progress
 from annotator.workflows.checking.findings import Finding, Findings
 from annotator.workflows.checking.other_software import OtherSoftwareDataset
@@ -20,6 +20,7 @@ from annotator.workflows.checking.rules import (
     Severity,
 )
 from annotator.workflows.checking.sources import find_sources
+from annotator.workflows.importing.size_orders import SizeOrders
 
 
 class DatasetReport(BaseModel):

@@ -19,6 +19,7 @@ from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, HasUnseen, LabelSet
 from annotator.workflows.importing.missing_values import give_missing_values
+from annotator.workflows.importing.size_orders import SizeOrders
 
 AUTHOR = "import"
 
@@ -55,6 +56,7 @@ class ImportedLabels:
         flat: number of 2D boxes on `frames` left out because they have no 3D box.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         filled: number of values that labels and frames among `already` got.
+        doubt: what the sizes of the boxes show if length, width and height seem to be exchanged.
         renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
@@ -70,6 +72,7 @@ class ImportedLabels:
     flat: int = 0
     values: Counter[str] = field(default_factory=Counter)
     filled: int = 0
+    doubt: str | None = None
     renamed: Renamed | None = None
 
 
@@ -129,6 +132,7 @@ def import_labels(
         if progress is not None:
             progress(number, len(frames.matched))
     done.values = reader.left_out
+    done.doubt = reader.sizes.problem()
     done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
     return done
 
@@ -143,6 +147,7 @@ class _Importer:
         self._classes = set(config.classes)
         self._attributes = {each.name for each in config.attributes}
         self._reader = ValueReader(config.attributes)
+        self.sizes = SizeOrders()
 
     @property
     def left_out(self) -> Counter[str]:
@@ -158,6 +163,8 @@ class _Importer:
         """Stores the labels and values of a frame without labels."""
         done = self._done
         named = [(t, renamed_class(t.label, self._names)) for t in truths]
+        for truth, label in named:
+            self.sizes.add(label, truth.box.size_m)
         done.other_classes.update(t.label for t, label in named if label not in self._classes)
         new = self._labels(truths)
         if create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):

@@ -13,6 +13,7 @@ from annotator.recordings.look_around import LookAround
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
+from annotator.workflows.importing.size_orders import SizeOrders
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
 from annotator.workflows.recorded.whole_sets import require_units
 from annotator.workflows.rigs import Rigs
@@ -31,6 +32,7 @@ class OwnLabels:
         of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
+        doubt: what the sizes of the boxes show if length, width and height seem to be exchanged.
         flat: 2D boxes without a 3D box among the labels of the recording; they are left out.
         are_partial: the recording has virtual cameras, and labels only of what its own camera sees: none is imported,
             since frames would be taken as labelled where nobody looked.
@@ -40,6 +42,7 @@ class OwnLabels:
     other_classes: Counter[str] = field(default_factory=Counter)
     of_other_cameras: int = 0
     unreadable: list[str] = field(default_factory=list)
+    doubt: str | None = None
     flat: int = 0
     are_partial: bool = False
     values: Counter[str] = field(default_factory=Counter)
@@ -85,7 +88,7 @@ def import_own_labels(
         return counts
     counts.flat = require_units(recording)
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
-    config = project.config
+    config, sizes = project.config, SizeOrders()
     classes, reader = set(config.classes), ValueReader(config.attributes)
     indices = {key: index for index, key in enumerate(recording.keys)}
     frames = [
@@ -100,6 +103,8 @@ def import_own_labels(
             except skipped_errors as error:
                 counts.unreadable.append(f"{stored.key}: {error}")
                 truths = []
+            for truth in truths:
+                sizes.add(truth.label, truth.box.size_m)
             counts.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [
                 NewLabel(t.label, t.box, track_id=t.track_id, attributes=reader.of_label(t.label, t.attributes))
@@ -114,7 +119,7 @@ def import_own_labels(
                 counts.labels.update(label.label for label in new)
         if progress is not None:
             progress(number, len(frames))
-    counts.values = reader.left_out
+    counts.values, counts.doubt = reader.left_out, sizes.problem()
     return counts
 
 

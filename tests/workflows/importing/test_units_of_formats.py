@@ -19,7 +19,14 @@ from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError, UnitError, UnitKind
 from annotator.workflows.checking.check import check_datasets
 from annotator.workflows.exporting import ExportFormat, export_project
-from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
+from annotator.workflows.importing import (
+    BoxFormat,
+    format_of,
+    import_image_boxes,
+    import_labels,
+    import_proposals,
+    read_labels,
+)
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 Write = Callable[[Path, float], Path]
@@ -279,6 +286,47 @@ def test_rows_of_2d_boxes_are_left_out_and_counted(
     again.close()
     assert main(["import", again.path.name, str(tmp_path), "--projects", str(again.path.parent)]) == 0
     assert "skipped: 3 rows with a 2D box and no 3D box" in capsys.readouterr().out
+
+
+def test_exchanged_sizes_are_said_by_every_import(
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rows with length width height in place of height width length."""
+    project = make_project(generated / "people", classes=("Car",))
+    for stored in project.frames.of()[:2]:
+        put(tmp_path / f"label_2/{stored.key}.txt", kitti_row(0.3, "4 2 1.6") + FLAT)
+    said = "2 of 2 boxes of well-known classes have the usual size of the class only if length and height are exchanged"
+    proposed = import_proposals(project, read_labels(BoxFormat.KITTI, tmp_path), "detector")
+    assert proposed.doubt is not None and said in proposed.doubt
+    other = make_project(generated / "people", classes=("Car",))
+    other.close()
+    assert main(["import", other.path.name, str(tmp_path), "--projects", str(other.path.parent)]) == 0
+    assert f"doubtful: {said}" in capsys.readouterr().out
+    again = make_project(generated / "people", classes=("Car",))
+    for file in (tmp_path / "label_2").iterdir():
+        file.write_text(kitti_row(0.3))
+    assert import_labels(again, read_labels(BoxFormat.KITTI, tmp_path)).doubt is None
+
+
+def test_the_report_counts_turned_2d_boxes(
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project = make_project(generated / "people")
+    key = project.frames.of()[0].key
+    annotation = {"id": 1, "image_id": 1, "category_id": 1, "bbox": [100, 80, 40, 20], "attributes": {"rotation": 90.0}}
+    content = {
+        "images": [{"id": 1, "file_name": f"{key}.png", "width": 320, "height": 240}],
+        "annotations": [annotation],
+        "categories": [{"id": 1, "name": "person"}],
+    }
+    path = put(tmp_path / "coco.json", content)
+    done = import_image_boxes(project, path, None)
+    assert (done.boxes, done.around, done.values.left_out) == (1, 1, {})
+    (on_image,) = project.boxes.on_images()
+    assert on_image.boxes[0].xyxy == pytest.approx((109.5, 69.5, 129.5, 109.5))
+    project.close()
+    assert main(["import", project.path.name, str(path), "--projects", str(project.path.parent)]) == 0
+    assert "turned or polygons: 1 box; the rectangles around them were imported" in capsys.readouterr().out
 
 
 @pytest.mark.shared
