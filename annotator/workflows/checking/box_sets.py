@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from annotator.formats.units import Angles, Lengths
+from annotator.formats.units import Angles
 from annotator.geometry.point_index import PointIndex
 from annotator.types import OrientedBox
 from annotator.types.amounts import amount
@@ -29,7 +29,7 @@ from annotator.workflows.checking.rules import (
     SIZE_ORDER,
     Rule,
 )
-from annotator.workflows.importing.size_orders import SizeOrders
+from annotator.workflows.importing.size_doubts import SizeDoubts
 
 RULE_OF = {
     UnitKind.ANGLE: ANGLE_UNIT,
@@ -47,11 +47,19 @@ def rule_of(error: AnnotatorError) -> Rule:
     return RULE_OF[error.kind] if isinstance(error, UnitError) else BROKEN_LABEL
 
 
+def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
+    """Adds what the sizes of a dataset's boxes show to `findings`."""
+    if (problem := sizes.lengths.problem()) is not None:
+        findings.add(LENGTH_UNIT, path, problem)
+    elif (problem := sizes.orders.problem()) is not None:
+        findings.add(SIZE_ORDER, path, problem)
+
+
 class BoxSet:
     """The boxes of a dataset so far."""
 
     def __init__(self) -> None:
-        self._angles, self._lengths, self._orders = Angles(), Lengths(), SizeOrders()
+        self._angles, self._sizes = Angles(), SizeDoubts()
         self._boxes = 0
         self._mirrored: Counter[int] = Counter()
 
@@ -59,8 +67,7 @@ class BoxSet:
         """Adds the numbers of a label."""
         if entry.row is not None and entry.line is not None:
             self._angles.radians(entry.row.rotation_y, entry.file, entry.line)
-        self._lengths.add(entry.truth.box.size_m)
-        self._orders.add(entry.truth.label, entry.truth.box.size_m)
+        self._sizes.add(entry.truth.label, entry.truth.box.size_m)
 
     def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
         """Adds a frame.
@@ -82,10 +89,7 @@ class BoxSet:
             self._angles.require()
         except UnitError as error:
             findings.add_error(ANGLE_UNIT, error, path)
-        if (problem := self._lengths.problem()) is not None:
-            findings.add(LENGTH_UNIT, path, problem)
-        elif (problem := self._orders.problem()) is not None:
-            findings.add(SIZE_ORDER, path, problem)
+        report_sizes(self._sizes, findings, path)
         axis, number = max(self._mirrored.items(), key=lambda each: each[1], default=(0, 0))
         if number >= LEAST_MIRRORED and number * 2 > self._boxes:
             message = (

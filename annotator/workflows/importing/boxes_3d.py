@@ -19,7 +19,7 @@ from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, HasUnseen, LabelSet
 from annotator.workflows.importing.missing_values import give_missing_values
-from annotator.workflows.importing.size_orders import SizeOrders
+from annotator.workflows.importing.size_doubts import SizeDoubts
 
 AUTHOR = "import"
 
@@ -56,7 +56,7 @@ class ImportedLabels:
         flat: number of 2D boxes on `frames` left out because they have no 3D box.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         filled: number of values that labels and frames among `already` got.
-        doubt: what the sizes of the boxes show if length, width and height seem to be exchanged.
+        doubt: what the sizes of the boxes show if they hardly are in metres, or in the order length, width, height.
         renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
@@ -147,7 +147,7 @@ class _Importer:
         self._classes = set(config.classes)
         self._attributes = {each.name for each in config.attributes}
         self._reader = ValueReader(config.attributes)
-        self.sizes = SizeOrders()
+        self.sizes = SizeDoubts()
 
     @property
     def left_out(self) -> Counter[str]:

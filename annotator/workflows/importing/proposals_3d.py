@@ -17,7 +17,7 @@ from annotator.workflows.importing.boxes_3d import Importer, match_frames, withi
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.label_set import FoundInProject, HasUnseen, ProposalSet, ScoreRange
-from annotator.workflows.importing.size_orders import SizeOrders
+from annotator.workflows.importing.size_doubts import SizeDoubts
 
 # Longest name of a source, characters.
 MOST_NAME = 200
@@ -136,7 +136,7 @@ class _Importer:
         done.values = self._values.left_out
         self._tracks: dict[int, _Tracks] = {}
         self._waiting: dict[int, list[NewLabel]] = {}
-        self.sizes = SizeOrders()
+        self.sizes = SizeDoubts()
 
     def add(self, name: str, stored: StoredFrame) -> None:
         """Reads the proposals of one frame, and stores them with those of other frames."""

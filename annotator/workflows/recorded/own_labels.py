@@ -13,7 +13,7 @@ from annotator.recordings.look_around import LookAround
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled
-from annotator.workflows.importing.size_orders import SizeOrders
+from annotator.workflows.importing.size_doubts import SizeDoubts
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
 from annotator.workflows.recorded.whole_sets import require_units
 from annotator.workflows.rigs import Rigs
@@ -32,7 +32,7 @@ class OwnLabels:
         of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
-        doubt: what the sizes of the boxes show if length, width and height seem to be exchanged.
+        doubt: what the sizes of the boxes show if they hardly are in metres, or in the order length, width, height.
         flat: 2D boxes without a 3D box among the labels of the recording; they are left out.
         are_partial: the recording has virtual cameras, and labels only of what its own camera sees: none is imported,
             since frames would be taken as labelled where nobody looked.
@@ -88,7 +88,7 @@ def import_own_labels(
         return counts
     counts.flat = require_units(recording)
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
-    config, sizes = project.config, SizeOrders()
+    config, sizes = project.config, SizeDoubts()
     classes, reader = set(config.classes), ValueReader(config.attributes)
     indices = {key: index for index, key in enumerate(recording.keys)}
     frames = [

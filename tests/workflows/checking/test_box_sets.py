@@ -17,7 +17,7 @@ from annotator.formats.kitti.label_files import KittiLabel, dump_label_line, lab
 from annotator.types import OrientedBox
 from annotator.workflows.checking.box_sets import mirrored
 from annotator.workflows.checking.check import check_datasets
-from annotator.workflows.importing.size_orders import SizeOrders
+from annotator.workflows.importing.size_doubts import SizeOrders
 
 CALIB = (
     "P2: 150 0 119.5 0 0 150 59.5 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"

@@ -1,4 +1,7 @@
-"""Whether the sizes of boxes are in the order length, width, height, by the usual sizes of well-known classes."""
+"""Whether the sizes of boxes are in metres, and in the order length, width, height.
+
+The usual sizes of well-known classes show their order.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from itertools import permutations
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.formats.units import Lengths
 from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
 from annotator.types.amounts import amount
 
@@ -18,11 +22,32 @@ CLEAR_FACTOR, LEAST_UNCLEAR = 2.0, 3
 SIDES = ("length", "width", "height")
 # Classes whose length is along their heading; others, such as nuScenes' barriers and furniture, may be wider than long.
 LONG = frozenset(
-    ("car", "van", "truck", "bus", "trailer", "construction_vehicle", "tram")
-    + ("cyclist", "bicyclist", "motorcyclist", "bicycle", "motorcycle")
+    {"car", "van", "truck", "bus", "trailer", "construction_vehicle", "tram"}
+    | {"cyclist", "bicyclist", "motorcyclist", "bicycle", "motorcycle"}
 )
 # Classes that have no upright position.
 FREE = frozenset({"hand"})
+
+
+class SizeDoubts:
+    """What the sizes of the boxes of a dataset show: another unit than metres, or another order.
+
+    Attributes:
+        lengths: of all boxes.
+        orders: of boxes of well-known classes.
+    """
+
+    def __init__(self) -> None:
+        self.lengths, self.orders = Lengths(), SizeOrders()
+
+    def add(self, label: str, size_m: Float64[np.ndarray, "3"]) -> None:
+        """Adds a box."""
+        self.lengths.add(size_m)
+        self.orders.add(label, size_m)
+
+    def problem(self) -> str | None:
+        """Returns what the sizes show; None if they seem right."""
+        return self.lengths.problem() or self.orders.problem()
 
 
 class SizeOrders:
