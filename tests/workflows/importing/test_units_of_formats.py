@@ -154,7 +154,7 @@ def test_radians_up_to_a_full_turn_are_read(tmp_path: Path, format: BoxFormat, w
     ("form", "angle", "said"),
     [
         ("centroid_rel", 200.0, r'200 is no angle in radians.*"format": "centroid_rel".*write "centroid_abs"'),
-        ("centroid_abs", -1.5, r'all 2 angles other than 0 are within -pi..pi.*write "centroid_rel"'),
+        ("centroid_abs", -1.5, r'2 angles other than 0, all within -pi..pi.*write "centroid_rel"'),
         ("centroid_abs", 1.5, None),
         ("centroid_abs", -45.0, None),
         ("centroid_rel", 1.5, None),
@@ -363,3 +363,21 @@ def test_every_export_is_recognised_as_itself(
     if format is ExportFormat.SUSTECHPOINTS:
         (scene,) = (path for path in (tmp_path / "out").iterdir() if path.is_dir())
         assert format_of(scene) == format_of(scene / "label") == format
+
+
+@pytest.mark.parametrize(
+    ("row", "format"),
+    [
+        ("0 0.5 0.5 0.2 0.2", "yolo"),
+        ("0 0.1 0.1 0.9 0.1 0.9 0.9 0.1 0.9", "yolo"),
+        # as many fields as a row of KITTI, of SUN RGB-D and of KITTI's tracks
+        (f"0 {' 0.25 0.5' * 7}", "yolo"),
+        (f"0 {' 0.25 0.5' * 6}", "yolo"),
+        (f"0 {' 0.25 0.5' * 8}", "yolo"),
+        (kitti_row(0.1), "kitti"),
+        (kitti_row(0.1).replace("Car", "0"), "kitti"),
+        (f"0 1 {kitti_row(0.1)}", "kitti-tracking"),
+    ],
+)
+def test_a_row_shows_its_format(tmp_path: Path, row: str, format: str) -> None:
+    assert format_of(put(tmp_path / "000000.txt", row)) == format
