@@ -147,7 +147,8 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
     try:
         degrees = in_degrees(angles)
     except ValueError as error:
-        raise FormatError(folder, str(error)) from error
+        problem = f"{error}; import with --angles {AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}"
+        raise UnitError(UnitKind.ANGLE, folder, problem) from error
     if degrees is None:
         raise UnitError(
             UnitKind.ANGLE,

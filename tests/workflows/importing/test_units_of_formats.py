@@ -172,13 +172,14 @@ def test_angles_that_contradict_labelclouds_classes_are_refused(
             read_labels(BoxFormat.LABELCLOUD, path)
 
 
-def test_ambiguous_angles_need_the_option(tmp_path: Path) -> None:
-    path = labelcloud(tmp_path, 1.5)
+@pytest.mark.parametrize(("angle", "said"), [(1.5, "may be radians or degrees"), (-90.0, "are neither radians in")])
+def test_ambiguous_angles_need_the_option(tmp_path: Path, angle: float, said: str) -> None:
+    path = labelcloud(tmp_path, angle)
     (path / "labels/_classes.json").unlink()
-    with pytest.raises(UnitError, match=r"may be radians or degrees.*--angles radians or --angles degrees"):
+    with pytest.raises(UnitError, match=f"{said}.*--angles radians or --angles degrees"):
         read_labels(BoxFormat.LABELCLOUD, path)
     for unit in AngleUnit:
-        turn = Rotation.from_rotvec([0, 0, 1.5], degrees=unit is AngleUnit.DEGREES).as_matrix()
+        turn = Rotation.from_rotvec([0, 0, angle], degrees=unit is AngleUnit.DEGREES).as_matrix()
         np.testing.assert_allclose(boxes(BoxFormat.LABELCLOUD, path, unit)[0].rotation, turn, atol=1e-12)
 
 
