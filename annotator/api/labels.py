@@ -8,6 +8,7 @@ from pathlib import Path
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
 from annotator.formats.boxes_json import write_boxes
+from annotator.formats.units import AngleUnit
 from annotator.types import Label, Proposal, Truth
 from annotator.types.errors import ArgumentError
 from annotator.workflows.evaluating.evaluate_files import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
@@ -20,24 +21,29 @@ Boxes = Mapping[str, Sequence[Truth | Label | Proposal]]
 """The boxes of each frame, by the frame's key."""
 
 
-def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES) -> LabelSet:
+def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES, angles: str | None = None) -> LabelSet:
     """The 3D labels in a file or folder, read and checked as a whole.
 
     Args:
         format: boxes (a `boxes.json` file), rcv, kitti, kitti-tracking, sunrgbd, openlabel, labelcloud, nuscenes,
             sustechpoints, argoverse2 or box-csv.
+        angles: degrees or radians, if it is not what the format says, or if the labels do not show it.
 
     Returns:
         the labels: `frames` has the names of the labelled frames, and `truths(name, frame)` returns the objects of one
         of them in the camera frame. It needs the `Frame`, because several formats store boxes in other coordinates.
 
     Raises:
-        ArgumentError: an unknown format.
+        ArgumentError: an unknown format or unit of angles.
+        ConfigError: `angles` for a format without angles.
         FormatError: a file does not follow the format; the message names file and line.
     """
+    if angles not in (None, *AngleUnit):
+        raise ArgumentError(f"angles must be {' or '.join(AngleUnit)}, not {angles!r}")
     if format not in FORMATS:
         raise ArgumentError(f"format must be one of {', '.join(FORMATS)}, not {format!r}")
-    return table.read_labels(table.BoxFormat(format), Path(path))
+    unit = None if angles is None else AngleUnit(angles)
+    return table.read_labels(table.BoxFormat(format), Path(path), unit)
 
 
 def write_labels(path: str | Path, labels: Boxes) -> None:

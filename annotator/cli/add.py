@@ -101,6 +101,8 @@ def _label_lines(imported: OwnLabels, classes: Sequence[str]) -> list[str]:
         lines.append(f"  {REPEATED_TRACKS.format(amount(imported.tracks, 'track id'))}")
     if imported.are_partial:
         lines.append("  no labels imported: those of the recording are only of what its own camera sees")
+    if imported.doubt is not None:
+        lines.append(f"  doubtful: {imported.doubt}")
     if imported.flat:
         lines.append(f"  {flat_rows(imported.flat)}")
     if imported.of_other_cameras:

@@ -237,6 +237,8 @@ def _proposals(
             print_line(what.format(amount(number, "box")))
     if done.flat:
         print_line(flat_rows(done.flat))
+    if done.doubt is not None:
+        print_line(f"doubtful: {done.doubt}")
     if done.conflicts:
         print_line(
             f"in conflict with other sources: {amount(done.conflicts, 'value')}; those of the surer boxes are shown"
@@ -280,6 +282,8 @@ def _boxes(
         print_line(OUTSIDE.format(amount(done.unseen, "box")))
     if done.flat:
         print_line(flat_rows(done.flat))
+    if done.doubt is not None:
+        print_line(f"doubtful: {done.doubt}")
     if done.scores:
         print_line(f"dropped: {amount(done.scores, 'score')} outside 0..1")
     if done.tracks:

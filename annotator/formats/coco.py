@@ -123,7 +123,7 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
     _require_unique(
         path,
         "box (image_id, category_id, bbox)",
-        ((a.image_id, a.category_id, a.bbox, _turn_deg(a)) for a in file.annotations if a.bbox is not None),
+        ((a.image_id, a.category_id, a.bbox, _turn_deg(a) or 0.0) for a in file.annotations if a.bbox is not None),
     )
 
     images = {image.id: image for image in file.images}
@@ -220,9 +220,7 @@ def _turn_deg(annotation: _Annotation) -> float | None:
 
 
 def _rectangle(path: Path, where: str, annotation: _Annotation, turn_deg: float) -> tuple[float, float, float, float]:
-    """Returns x, y, width, height of the annotation's box, of the rectangle around it if it is turned, or around its
-    polygons if it has no box.
-    """
+    """Returns x, y, width, height of a box, of the rectangle around a turned one, or around polygons without a box."""
     if annotation.bbox is None:
         corners = [float(value) for polygon in _polygons(annotation.segmentation) for value in polygon]
         if not corners:
@@ -240,9 +238,10 @@ def _rectangle(path: Path, where: str, annotation: _Annotation, turn_deg: float)
 def _polygons(segmentation: object) -> list[list[float]]:
     """Returns the polygons of a segmentation; none if it is a mask, or not as COCO has it."""
     try:
-        return _POLYGONS.validate_python(segmentation)
+        polygons = _POLYGONS.validate_python(segmentation)
     except ValidationError:
         return []
+    return polygons if all(len(polygon) % 2 == 0 for polygon in polygons) else []
 
 
 def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] = ()) -> None:

@@ -22,8 +22,9 @@ from annotator.types.errors import UnitError, UnitKind
 
 # An angle in radians is at most a full turn; files round to two decimals.
 MOST_RAD = 2 * math.pi + 0.01
-# Limits of the median of the boxes' longest sides, metres: objects of a scene are neither as long nor as short.
-LONGEST_M, SHORTEST_M = 100.0, 0.005
+# Limits of the median of the boxes' longest sides, metres. Few objects of a scene are longer than the first one, as
+# ships are; none is longer than the second one, or shorter than the third.
+LONG_M, LONGEST_M, SHORTEST_M = 100.0, 1000.0, 0.005
 # The boxes of a level frame stand upright; least cosine of their tilt: slopes, and drives over bumps.
 UPRIGHT = math.cos(math.radians(10))
 # Share of boxes that are upright if their quaternions are read in the other order.
@@ -96,16 +97,20 @@ class Lengths:
         """Adds the size of a box."""
         self._longest.append(float(max(size_m)))
 
+    @property
+    def _median_m(self) -> float:
+        return float(np.median(self._longest)) if self._longest else 1.0
+
     def problem(self) -> str | None:
-        """Returns what shows that the sizes are not in metres; None if nothing does."""
-        longest = np.array(self._longest)
-        if len(longest) == 0 or SHORTEST_M <= (median := float(np.median(longest))) <= LONGEST_M:
+        """Returns what shows that the sizes are hardly in metres; None if nothing does."""
+        longest, median = np.array(self._longest), self._median_m
+        if SHORTEST_M <= median <= LONG_M:
             return None
-        off = (longest > LONGEST_M) if median > LONGEST_M else (longest < SHORTEST_M)
+        off = (longest > LONG_M) if median > LONG_M else (longest < SHORTEST_M)
         boxes = f"{off.sum()} of {amount(len(longest), 'box')} {'is' if off.sum() == 1 else 'are'}"
-        if median > LONGEST_M:
-            unit = "millimetres" if median > 10 * LONGEST_M else "millimetres or centimetres"
-            what = f"longer than {LONGEST_M:g} m (the median is {median:g} m), so they look like {unit}"
+        if median > LONG_M:
+            unit = "millimetres" if median > LONGEST_M else "millimetres or centimetres"
+            what = f"longer than {LONG_M:g} m (the median is {median:g} m), so they look like {unit}"
         else:
             what = f"shorter than {1000 * SHORTEST_M:g} mm (the median is {median:g} m), so they look like kilometres"
         return f"{boxes} {what}; write centres and sizes in metres"
@@ -113,9 +118,9 @@ class Lengths:
     def require(self, path: Path) -> None:
         """
         Raises:
-            UnitError: the sizes are not in metres.
+            UnitError: the sizes cannot be in metres.
         """
-        if (problem := self.problem()) is not None:
+        if (problem := self.problem()) is not None and not SHORTEST_M <= self._median_m <= LONGEST_M:
             raise UnitError(UnitKind.LENGTH, path, problem)
 
 

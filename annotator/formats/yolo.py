@@ -28,7 +28,7 @@ from annotator.types.errors import FormatError
 # Ultralytics accepts boxes that extend beyond the image by this fraction of its size.
 TOLERANCE = 0.01
 FIELDS = "class cx cy w h"
-# Numbers of a row: a box, with a score; and corners of the least polygon.
+# Numbers of a row after the class: a box, and with a score; and the corners of the least polygon.
 BOX_NUMBERS, LEAST_CORNERS = (4, 5), 6
 
 

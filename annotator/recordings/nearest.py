@@ -24,9 +24,10 @@ PARTS: dict[str, tuple[str, ...]] = {
     "SUN RGB-D as VoteNet extracts it": ("image/", "calib/", "depth/*.mat|points/*.npz"),
     "a scene of SUN RGB-D": ("image/", "depth/", "extrinsics/", "intrinsics.txt"),
     "an export in the format rcv": ("dataset.json", "labels/", "images/", "clouds/"),
-    # nearly every export has a frames.csv
-    "an export in the format openlabel": ("images/", "clouds/"),
+    "an export in the format openlabel": ("images/", "clouds/", "frames.csv"),
 }
+# Exports in most formats have this file, so it alone shows none.
+COMMON = {"frames.csv"}
 MOST_NAMED = 2
 # How far, and for how long, recordings below a folder are searched.
 MOST_LEVELS, MOST_FOLDERS, MOST_SECONDS, MOST_HINTS = 3, 400, 2.0, 5
@@ -45,7 +46,7 @@ def nearest_formats(path: Path) -> list[str]:
     for root in (path, path / "training"):
         for name, parts in PARTS.items():
             missing = [part for part in parts if not any(_exists(root, each) for each in part.split("|"))]
-            if len(missing) < len(parts):
+            if set(parts) - set(missing) - COMMON:
                 words = " and ".join(part.replace("|", " or ") for part in missing)
                 problem = f": {words} {'is' if len(missing) == 1 else 'are'} missing"
                 place = "it" if root == path else "training/"

@@ -242,7 +242,9 @@ def test_turned_boxes_and_polygons_are_the_rectangles_around_them(
     assert image.values == ({"occluded": False} | kept,)
 
 
-@pytest.mark.parametrize("segmentation", [None, [], [[]], {"counts": "abc", "size": [8, 10]}, "x", [["a", 1]]])
+@pytest.mark.parametrize(
+    "segmentation", [None, [], [[]], [[1, 2, 3], [4, 5, 6]], {"counts": "abc", "size": [8, 10]}, "x", [["a", 1]]]
+)
 def test_an_annotation_without_box_and_polygons_is_an_error(tmp_path: Path, segmentation: object) -> None:
     with pytest.raises(FormatError, match="annotation 1: has no bbox, and no polygons as segmentation"):
         read_coco(put(tmp_path, turned(0, None, segmentation=segmentation)))

@@ -56,6 +56,12 @@ def test_every_format_of_the_table_looks_like_itself(tmp_path: Path):
         assert any(f"looks like {name}: " in text for text in nearest_formats(folder)), name
 
 
+def test_a_frames_csv_alone_looks_like_no_format(tmp_path: Path):
+    """An export in the format sustechpoints, for one, has such a file beside its scenes."""
+    make(tmp_path, "frames.csv", "scene/label/000000.json", "scene/calib/camera/front.json")
+    assert nearest_formats(tmp_path) == []
+
+
 def test_a_folder_that_lacks_nothing_has_other_files(tmp_path: Path):
     make(tmp_path, "color/", "depth/", "camera_x.json")
     assert "it looks like an RGB-D folder, but its files are not as in that format" in nearest_formats(tmp_path)

@@ -69,9 +69,9 @@ def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[
     """Yields the 3D boxes of each frame, in file order.
 
     Args:
-        found: collects what the rows show beside that.
         path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
             file `label_02.txt`, where every frame with a row counts as labelled.
+        found: collects what the rows show beside that.
 
     Raises:
         FormatError: there are no labels, a row is not a valid label (names the line), frames.csv does not list a label

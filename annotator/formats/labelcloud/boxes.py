@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.labelcloud.model import Axes, BoxObject, Dimensions
 from annotator.formats.units import MOST_RAD
 from annotator.types import OrientedBox
+from annotator.types.amounts import amount
 
 DECIMALS = 8
 SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
@@ -97,25 +98,25 @@ def in_degrees(angles: Iterable[float]) -> bool | None:
     return True if highest > half else None
 
 
-def unlike(angles: Sequence[float], *, degrees: bool) -> str | None:
+def contradiction(angles: Sequence[float], *, degrees: bool) -> str | None:
     """Returns what shows that angles are not in the unit that `_classes.json` names; None if nothing does.
 
-    labelCloud writes degrees in 0..360, so some of a scene's angles are above a full turn in radians. Negative degrees
-    are those of another program; all within half a turn in radians, they are radians.
+    labelCloud writes degrees in 0..360. Negative degrees are those of another program; if all are within half a turn in
+    radians, they are radians. So are many angles of which none is larger.
 
     Args:
         degrees: the unit that the file names; False: radians.
     """
     others = [angle for angle in angles if angle != 0]
-    beyond = sum(abs(angle) > MOST_RAD for angle in others)
+    if not others:
+        return None
+    worst, count = max(others, key=abs), amount(len(others), "angle")
+    if not degrees and abs(worst) > MOST_RAD:
+        beyond = sum(abs(angle) > MOST_RAD for angle in others)
+        return f"{worst:g} is no angle in radians ({beyond} of {count} other than 0 beyond a full turn)"
     half = math.pi + 10.0**-DECIMALS
-    if not degrees and beyond:
-        worst = max(others, key=abs)
-        return (
-            f"{worst:g} is no angle in radians ({beyond} of {len(others)} angles other than 0 are beyond a full turn)"
-        )
-    if degrees and others and max(map(abs, others)) <= half and (min(others) < 0 or len(others) >= LEAST_SMALL):
-        return f"all {len(others)} angles other than 0 are within -pi..pi, as radians are"
+    if degrees and abs(worst) <= half and (min(others) < 0 or len(others) >= LEAST_SMALL):
+        return f"{count} other than 0, all within -pi..pi, look like radians"
     return None
 
 

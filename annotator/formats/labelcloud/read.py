@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.file_names import normal, spelled
 from annotator.formats.frames_csv import read_frames
 from annotator.formats.json_file import read_model
-from annotator.formats.labelcloud.boxes import box_of, in_degrees, unlike
+from annotator.formats.labelcloud.boxes import box_of, contradiction, in_degrees
 from annotator.formats.labelcloud.calibration import read_calibration_pose
 from annotator.formats.labelcloud.model import CENTROID_ABS, CENTROID_REL, CLASSES_FILE, ClassesFile, LabelFile
 from annotator.formats.labelcloud.write import CALIBRATIONS, LABELS
@@ -136,7 +136,7 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
     ]
     if form in (CENTROID_ABS, CENTROID_REL):
         is_abs = form == CENTROID_ABS
-        if (problem := unlike(angles, degrees=is_abs)) is not None:
+        if (problem := contradiction(angles, degrees=is_abs)) is not None:
             units = ("degrees", CENTROID_REL) if is_abs else ("radians", CENTROID_ABS)
             raise UnitError(
                 UnitKind.ANGLE,
@@ -148,7 +148,8 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
     try:
         degrees = in_degrees(angles)
     except ValueError as error:
-        raise FormatError(folder, str(error)) from error
+        problem = f"{error}; import with --angles {AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}"
+        raise UnitError(UnitKind.ANGLE, folder, problem) from error
     if degrees is None:
         raise UnitError(
             UnitKind.ANGLE,

@@ -275,6 +275,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
         if left_out
         else "",
         f"{amount(done.unseen, 'box')} outside the images of these frames left out" if done.unseen else "",
+        f"doubtful: {done.doubt}" if done.doubt is not None else "",
         f"{amount(done.flat, '2D box')} without a 3D box left out" if done.flat else "",
         f"{amount(done.tracks, 'track id')} that an earlier box of the frame has dropped" if done.tracks else "",
         _left_out(done.values),
@@ -338,7 +339,8 @@ def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
 
 def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     """Imports the 3D boxes of recordings."""
-    labels, left_out, values, unreadable = Counter[str](), Counter[str](), Counter[str](), list[str]()
+    labels, left_out, values = Counter[str](), Counter[str](), Counter[str]()
+    unreadable, doubts = list[str](), list[str]()
     tracks = flat = 0
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
@@ -349,9 +351,11 @@ def import_work(job: JobContext, request: ImportRequest) -> Outcome:
         tracks += imported.tracks
         unreadable += imported.unreadable
         flat += imported.flat
+        doubts += [] if imported.doubt is None else [imported.doubt]
     message = f"{amount(labels.total(), 'box')} imported"
     if left_out:
         message += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
+    message += "".join(f", doubtful: {doubt}" for doubt in doubts)
     if flat:
         message += f", {amount(flat, '2D box')} without a 3D box left out"
     if values:

@@ -7,19 +7,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
-from annotator.formats.units import Angles, Lengths
+from annotator.formats.units import Angles
 from annotator.geometry.point_index import PointIndex
-from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
 from annotator.types import OrientedBox
 from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, UnitError, UnitKind
-from annotator.workflows.checking.box_rules import LEAST_POINTS, SIZE_FACTOR, size_message
+from annotator.workflows.checking.box_rules import LEAST_POINTS
 from annotator.workflows.checking.findings import Findings
 from annotator.workflows.checking.label_files import FoundLabel
 from annotator.workflows.checking.rules import (
@@ -31,17 +29,13 @@ from annotator.workflows.checking.rules import (
     SIZE_ORDER,
     Rule,
 )
+from annotator.workflows.importing.size_doubts import SizeDoubts
 
 RULE_OF = {
     UnitKind.ANGLE: ANGLE_UNIT,
     UnitKind.LENGTH: LENGTH_UNIT,
     UnitKind.QUATERNION: QUATERNION_ORDER,
 }
-# Standard deviations of a class's sides within which a size is usual.
-SIZE_DEVIATIONS = 3.0
-# A class with a side this much longer than another one shows the order of sizes by itself; others need several boxes.
-CLEAR_FACTOR, LEAST_UNCLEAR = 2.0, 3
-SIDES = ("length", "width", "height")
 # Two boxes without points are seldom both mirror images of objects by chance.
 LEAST_MIRRORED = 2
 # The axes of the camera frame that may be mirrored; a box mirrored in the third one is behind the camera.
@@ -53,11 +47,19 @@ def rule_of(error: AnnotatorError) -> Rule:
     return RULE_OF[error.kind] if isinstance(error, UnitError) else BROKEN_LABEL
 
 
+def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
+    """Adds what the sizes of a dataset's boxes show to `findings`."""
+    if (problem := sizes.lengths.problem()) is not None:
+        findings.add(LENGTH_UNIT, path, problem)
+    elif (problem := sizes.orders.problem()) is not None:
+        findings.add(SIZE_ORDER, path, problem)
+
+
 class BoxSet:
     """The boxes of a dataset so far."""
 
     def __init__(self) -> None:
-        self._angles, self._lengths, self._orders = Angles(), Lengths(), SizeOrders()
+        self._angles, self._sizes = Angles(), SizeDoubts()
         self._boxes = 0
         self._mirrored: Counter[int] = Counter()
 
@@ -65,8 +67,7 @@ class BoxSet:
         """Adds the numbers of a label."""
         if entry.row is not None and entry.line is not None:
             self._angles.radians(entry.row.rotation_y, entry.file, entry.line)
-        self._lengths.add(entry.truth.box.size_m)
-        self._orders.add(entry.truth.label, entry.truth.box.size_m)
+        self._sizes.add(entry.truth.label, entry.truth.box.size_m)
 
     def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
         """Adds a frame.
@@ -88,10 +89,7 @@ class BoxSet:
             self._angles.require()
         except UnitError as error:
             findings.add_error(ANGLE_UNIT, error, path)
-        if (problem := self._lengths.problem()) is not None:
-            findings.add(LENGTH_UNIT, path, problem)
-        elif (problem := self._orders.problem()) is not None:
-            findings.add(SIZE_ORDER, path, problem)
+        report_sizes(self._sizes, findings, path)
         axis, number = max(self._mirrored.items(), key=lambda each: each[1], default=(0, 0))
         if number >= LEAST_MIRRORED and number * 2 > self._boxes:
             message = (
@@ -107,54 +105,3 @@ def mirrored(box: OrientedBox, axis: int) -> OrientedBox:
     flip[axis] = -1
     # a box is its own mirror image along its width, which keeps the rotation proper
     return OrientedBox.from_parts(flip * box.center_m, flip[:, None] * box.rotation * [1.0, -1.0, 1.0], box.size_m)
-
-
-class SizeOrders:
-    """Whether the sizes of boxes of well-known classes are in the order length, width, height."""
-
-    def __init__(self) -> None:
-        self._known = self._clear = 0
-        self._orders: Counter[tuple[int, ...]] = Counter()
-        self._example: dict[tuple[int, ...], str] = {}
-
-    def add(self, label: str, size_m: Float64[np.ndarray, "3"]) -> None:
-        """Adds the size of a box; one of another class shows nothing."""
-        usual = typical_size(label)
-        if usual is None:
-            return
-        self._known += 1
-        order = _order(usual, size_m)
-        if order is not None:
-            self._orders[order] += 1
-            self._clear += max(usual.size_m) > CLEAR_FACTOR * min(usual.size_m)
-            self._example.setdefault(order, size_message(label, size_m))
-
-    def problem(self) -> str | None:
-        """Returns which order most boxes show; None if it is the right one."""
-        odd = self._orders.total()
-        if odd * 2 <= self._known or (self._clear == 0 and odd < LEAST_UNCLEAR):
-            return None
-        order, number = self._orders.most_common(1)[0]
-        moved = [name for place, name in enumerate(SIDES) if order[place] != place]
-        return (
-            f"{number} of {amount(self._known, 'box')} of well-known classes {'has' if number == 1 else 'have'} the "
-            f"usual size of the class only if {', '.join(moved[:-1])} and {moved[-1]} are exchanged, such as "
-            f"{self._example[order]}; check the order in which the sizes are written"
-        )
-
-
-def _order(usual: TypicalSize, size_m: Float64[np.ndarray, "3"]) -> tuple[int, ...] | None:
-    """Returns the order of the sides that is usual for the class; None if the present one is, or none is.
-
-    Furniture may be wider than long; vehicles, whose length is `CLEAR_FACTOR` of their width, may not.
-    """
-    within = np.log(np.maximum(SIZE_FACTOR, np.exp(SIZE_DEVIATIONS * np.array(usual.spread))))
-    fitting = {
-        order: float(off.max())
-        for order in permutations(range(3))
-        if (off := np.abs(np.log(size_m[list(order)] / np.array(usual.size_m))) / within).max() <= 1
-    }
-    is_long = usual.size_m[0] > CLEAR_FACTOR * usual.size_m[1]
-    if not fitting or (0, 1, 2) in fitting or (not is_long and (1, 0, 2) in fitting):
-        return None
-    return min(fitting, key=lambda order: fitting[order])

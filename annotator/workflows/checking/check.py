@@ -6,20 +6,18 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from annotator.formats.units import Lengths
 from annotator.types.errors import FormatError
-from annotator.workflows.checking.box_sets import SizeOrders, rule_of
+from annotator.workflows.checking.box_sets import report_sizes, rule_of
 from annotator.workflows.checking.dataset_check import DatasetCheck, DatasetFacts, Progress
 from annotator.workflows.checking.findings import Finding, Findings
 from annotator.workflows.checking.other_software import OtherSoftwareDataset
 from annotator.workflows.checking.rules import (
-    LENGTH_UNIT,
-    SIZE_ORDER,
     UNCHECKED_DATASET,
     UNREADABLE_DATASET,
     Severity,
 )
 from annotator.workflows.checking.sources import find_sources
+from annotator.workflows.importing.size_doubts import SizeDoubts
 
 
 class DatasetReport(BaseModel):
@@ -58,7 +56,7 @@ def check_datasets(path: Path, progress: Progress | None = None) -> DatasetRepor
 def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> list[DatasetFacts]:
     """Reads a dataset of other software; returns no facts if a part of it cannot be read."""
     frames = labels = faults = 0
-    sizes, orders = Lengths(), SizeOrders()
+    sizes = SizeDoubts()
 
     def on_fault(fault: FormatError) -> None:
         nonlocal faults
@@ -68,13 +66,10 @@ def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> l
     for part in dataset.parts(on_fault):
         frames, labels = frames + part.frames, labels + part.labels
         for label, size_m in part.sizes:
-            sizes.add(size_m)
-            orders.add(label, size_m)
+            sizes.add(label, size_m)
     if faults:
         return []
-    for rule, problem in ((LENGTH_UNIT, sizes.problem()), (SIZE_ORDER, orders.problem())):
-        if problem is not None:
-            findings.add(rule, dataset.path, problem)
+    report_sizes(sizes, findings, dataset.path)
     findings.add(
         UNCHECKED_DATASET,
         dataset.path,

@@ -22,6 +22,7 @@ from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, HasUnseen, LabelSet
 from annotator.workflows.importing.missing_values import give_missing_values
+from annotator.workflows.importing.size_doubts import SizeDoubts
 
 AUTHOR = "import"
 # No sensor sees so far.
@@ -61,6 +62,7 @@ class ImportedLabels:
         tracks: number of track ids on `frames` left out because an earlier box of the frame has the same one.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         filled: number of values that labels and frames among `already` got.
+        doubt: what the sizes of the boxes show if they hardly are in metres, or in the order length, width, height.
         renamed: the dataset's only recording, if it was matched with one of another name.
     """
 
@@ -77,6 +79,7 @@ class ImportedLabels:
     tracks: int = 0
     values: Counter[str] = field(default_factory=Counter)
     filled: int = 0
+    doubt: str | None = None
     renamed: Renamed | None = None
 
 
@@ -136,6 +139,7 @@ def import_labels(
         if progress is not None:
             progress(number, len(frames.matched))
     done.values = reader.left_out
+    done.doubt = reader.sizes.problem()
     done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
     return done
 
@@ -150,6 +154,7 @@ class _Importer:
         self._classes = set(config.classes)
         self._attributes = {each.name for each in config.attributes}
         self._reader = ValueReader(config.attributes)
+        self.sizes = SizeDoubts()
 
     @property
     def left_out(self) -> Counter[str]:
@@ -165,6 +170,8 @@ class _Importer:
         """Stores the labels and values of a frame without labels."""
         done = self._done
         named = [(t, renamed_class(t.label, self._names)) for t in truths]
+        for truth, label in named:
+            self.sizes.add(label, truth.box.size_m)
         done.other_classes.update(t.label for t, label in named if label not in self._classes)
         new, repeated = with_tracks_once(self._labels(truths))
         if create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):

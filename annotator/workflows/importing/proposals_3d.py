@@ -17,6 +17,7 @@ from annotator.workflows.importing.boxes_3d import Importer, match_frames, near,
 from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.label_set import FoundInProject, HasUnseen, ProposalSet, ScoreRange
+from annotator.workflows.importing.size_doubts import SizeDoubts
 
 # Longest name of a source, characters.
 MOST_NAME = 200
@@ -40,7 +41,7 @@ class ImportedProposals:
         rejected: boxes left out because somebody has rejected them.
         other_classes: boxes left out because the project has no such class, by class of the file.
         finalised: number of frames left unchanged because they are finalised.
-        unmatched, unreadable, renamed, tracks, values, unseen, flat: as in `ImportedLabels`.
+        unmatched, unreadable, renamed, tracks, values, unseen, flat, doubt: as in `ImportedLabels`.
         scored: whether any box of the dataset has a score.
         scaled: the range of the scores if they are not confidences; it was scaled to 0..1.
     """
@@ -64,6 +65,7 @@ class ImportedProposals:
     values: Counter[str] = field(default_factory=Counter)
     unseen: int = 0
     flat: int = 0
+    doubt: str | None = None
 
 
 def import_proposals(
@@ -109,6 +111,7 @@ def import_proposals(
         if progress is not None:
             progress(number, len(frames.matched))
     reader.store()
+    done.doubt = reader.sizes.problem()
     done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
     return done
 
@@ -134,6 +137,7 @@ class _Importer:
         done.values = self._values.left_out
         self._tracks: dict[int, _Tracks] = {}
         self._waiting: dict[int, list[NewLabel]] = {}
+        self.sizes = SizeDoubts()
 
     def add(self, name: str, stored: StoredFrame) -> None:
         """Reads the proposals of one frame, and stores them with those of other frames."""
@@ -174,6 +178,8 @@ class _Importer:
         sure = [each for each in truths if not self._is_unsure(each)]
         self._done.unsure += len(truths) - len(sure)
         named = [replace(each, label=renamed_class(each.label, self._names)) for each in sure]
+        for each in named:
+            self.sizes.add(each.label, each.box.size_m)
         known = [pair for pair in zip(sure, named, strict=True) if pair[1].label in self._classes]
         self._done.other_classes.update(
             before.label for before, after in zip(sure, named, strict=True) if after.label not in self._classes

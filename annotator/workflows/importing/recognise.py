@@ -6,6 +6,7 @@ import re
 import zipfile
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
@@ -23,6 +24,7 @@ from annotator.formats.labelcloud.write import LABELS
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.sunrgbd.labels import FIELDS as SUN_FIELDS
 from annotator.formats.text_folder import text_rows
+from annotator.formats.yolo import LEAST_CORNERS, TOLERANCE
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES
 from annotator.text import decoded
@@ -36,8 +38,8 @@ Format = FlatFormat | BoxFormat
 PEEK_BYTES = 2**20
 # How many files of a folder are looked at: the first ones may be empty.
 LOOK_AT = 50
-# Fields of a row: YOLO, and the least of its polygons; KITTI's labels and results; KITTI's tracks and their results.
-YOLO_FIELDS, LEAST_POLYGON, KITTI_FIELDS, TRACK_FIELDS = (5,), 7, (15, 16), (17, 18)
+# Fields of a row: YOLO's boxes; KITTI's labels and results; KITTI's tracks and their results.
+YOLO_FIELDS, KITTI_FIELDS, TRACK_FIELDS = (5,), (15, 16), (17, 18)
 
 
 def format_of(path: Path) -> Format:
@@ -121,14 +123,24 @@ def _of_file(file: Path) -> list[Format]:
 
 def _of_row(fields: list[str]) -> list[Format]:
     numbers = [re.fullmatch(r"-?\d+", field) is not None for field in fields[:2]]
+    if numbers[:1] == [True] and _is_polygon(fields[1:]):
+        return [FlatFormat.YOLO]
     if len(fields) in TRACK_FIELDS and all(numbers):
         return [BoxFormat.KITTI_TRACKING]
-    if len(fields) in KITTI_FIELDS and not numbers[0]:
+    if len(fields) in KITTI_FIELDS:
         return [BoxFormat.KITTI]
     if len(fields) == SUN_FIELDS:
         return [BoxFormat.SUNRGBD]
-    is_polygon = len(fields) >= LEAST_POLYGON and len(fields) % 2 == 1
-    return [FlatFormat.YOLO] if (len(fields) in YOLO_FIELDS or is_polygon) and numbers[0] else []
+    return [FlatFormat.YOLO] if len(fields) in YOLO_FIELDS and numbers[0] else []
+
+
+def _is_polygon(fields: list[str]) -> bool:
+    """True for the corners of a turned box or a polygon: shares of an image's size."""
+    if len(fields) < LEAST_CORNERS or len(fields) % 2:
+        return False
+    with suppress(ValueError):
+        return all(-TOLERANCE <= float(field) <= 1 + TOLERANCE for field in fields)
+    return False
 
 
 def _of_archive(file: Path) -> list[Format]:

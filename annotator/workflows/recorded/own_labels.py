@@ -13,6 +13,7 @@ from annotator.recordings.look_around import LookAround
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tracks_once
+from annotator.workflows.importing.size_doubts import SizeDoubts
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
 from annotator.workflows.recorded.whole_sets import require_units
 from annotator.workflows.rigs import Rigs
@@ -32,6 +33,7 @@ class OwnLabels:
         of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
         values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
         unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
+        doubt: what the sizes of the boxes show if they hardly are in metres, or in the order length, width, height.
         flat: 2D boxes without a 3D box among the labels of the recording; they are left out.
         are_partial: the recording has virtual cameras, and labels only of what its own camera sees: none is imported,
             since frames would be taken as labelled where nobody looked.
@@ -42,6 +44,7 @@ class OwnLabels:
     tracks: int = 0
     of_other_cameras: int = 0
     unreadable: list[str] = field(default_factory=list)
+    doubt: str | None = None
     flat: int = 0
     are_partial: bool = False
     values: Counter[str] = field(default_factory=Counter)
@@ -87,7 +90,7 @@ def import_own_labels(
         return counts
     counts.flat = require_units(recording)
     skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
-    config = project.config
+    config, sizes = project.config, SizeDoubts()
     classes, reader = set(config.classes), ValueReader(config.attributes)
     indices = {key: index for index, key in enumerate(recording.keys)}
     frames = [
@@ -102,6 +105,8 @@ def import_own_labels(
             except skipped_errors as error:
                 counts.unreadable.append(f"{stored.key}: {error}")
                 truths = []
+            for truth in truths:
+                sizes.add(truth.label, truth.box.size_m)
             counts.other_classes.update(t.label for t in truths if t.label not in classes)
             new = [
                 NewLabel(t.label, t.box, track_id=t.track_id, attributes=reader.of_label(t.label, t.attributes))
@@ -118,7 +123,7 @@ def import_own_labels(
                 counts.tracks += repeated
         if progress is not None:
             progress(number, len(frames))
-    counts.values = reader.left_out
+    counts.values, counts.doubt = reader.left_out, sizes.problem()
     return counts
 
 

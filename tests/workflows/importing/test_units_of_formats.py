@@ -19,7 +19,14 @@ from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError, UnitError, UnitKind
 from annotator.workflows.checking.check import check_datasets
 from annotator.workflows.exporting import ExportFormat, export_project
-from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
+from annotator.workflows.importing import (
+    BoxFormat,
+    format_of,
+    import_image_boxes,
+    import_labels,
+    import_proposals,
+    read_labels,
+)
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 Write = Callable[[Path, float], Path]
@@ -147,7 +154,7 @@ def test_radians_up_to_a_full_turn_are_read(tmp_path: Path, format: BoxFormat, w
     ("form", "angle", "said"),
     [
         ("centroid_rel", 200.0, r'200 is no angle in radians.*"format": "centroid_rel".*write "centroid_abs"'),
-        ("centroid_abs", -1.5, r'all 2 angles other than 0 are within -pi..pi.*write "centroid_rel"'),
+        ("centroid_abs", -1.5, r'2 angles other than 0, all within -pi..pi.*write "centroid_rel"'),
         ("centroid_abs", 1.5, None),
         ("centroid_abs", -45.0, None),
         ("centroid_rel", 1.5, None),
@@ -165,13 +172,14 @@ def test_angles_that_contradict_labelclouds_classes_are_refused(
             read_labels(BoxFormat.LABELCLOUD, path)
 
 
-def test_ambiguous_angles_need_the_option(tmp_path: Path) -> None:
-    path = labelcloud(tmp_path, 1.5)
+@pytest.mark.parametrize(("angle", "said"), [(1.5, "may be radians or degrees"), (-90.0, "are neither radians in")])
+def test_ambiguous_angles_need_the_option(tmp_path: Path, angle: float, said: str) -> None:
+    path = labelcloud(tmp_path, angle)
     (path / "labels/_classes.json").unlink()
-    with pytest.raises(UnitError, match=r"may be radians or degrees.*--angles radians or --angles degrees"):
+    with pytest.raises(UnitError, match=f"{said}.*--angles radians or --angles degrees"):
         read_labels(BoxFormat.LABELCLOUD, path)
     for unit in AngleUnit:
-        turn = Rotation.from_rotvec([0, 0, 1.5], degrees=unit is AngleUnit.DEGREES).as_matrix()
+        turn = Rotation.from_rotvec([0, 0, angle], degrees=unit is AngleUnit.DEGREES).as_matrix()
         np.testing.assert_allclose(boxes(BoxFormat.LABELCLOUD, path, unit)[0].rotation, turn, atol=1e-12)
 
 
@@ -281,6 +289,47 @@ def test_rows_of_2d_boxes_are_left_out_and_counted(
     assert "skipped: 3 rows with a 2D box and no 3D box" in capsys.readouterr().out
 
 
+def test_exchanged_sizes_are_said_by_every_import(
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rows with length width height in place of height width length."""
+    project = make_project(generated / "people", classes=("Car",))
+    for stored in project.frames.of()[:2]:
+        put(tmp_path / f"label_2/{stored.key}.txt", kitti_row(0.3, "4 2 1.6") + FLAT)
+    said = "2 of 2 boxes of well-known classes have the usual size of the class only if length and height are exchanged"
+    proposed = import_proposals(project, read_labels(BoxFormat.KITTI, tmp_path), "detector")
+    assert proposed.doubt is not None and said in proposed.doubt
+    other = make_project(generated / "people", classes=("Car",))
+    other.close()
+    assert main(["import", other.path.name, str(tmp_path), "--projects", str(other.path.parent)]) == 0
+    assert f"doubtful: {said}" in capsys.readouterr().out
+    again = make_project(generated / "people", classes=("Car",))
+    for file in (tmp_path / "label_2").iterdir():
+        file.write_text(kitti_row(0.3))
+    assert import_labels(again, read_labels(BoxFormat.KITTI, tmp_path)).doubt is None
+
+
+def test_the_report_counts_turned_2d_boxes(
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project = make_project(generated / "people")
+    key = project.frames.of()[0].key
+    annotation = {"id": 1, "image_id": 1, "category_id": 1, "bbox": [100, 80, 40, 20], "attributes": {"rotation": 90.0}}
+    content = {
+        "images": [{"id": 1, "file_name": f"{key}.png", "width": 320, "height": 240}],
+        "annotations": [annotation],
+        "categories": [{"id": 1, "name": "person"}],
+    }
+    path = put(tmp_path / "coco.json", content)
+    done = import_image_boxes(project, path, None)
+    assert (done.boxes, done.around, done.values.left_out) == (1, 1, {})
+    (on_image,) = project.boxes.on_images()
+    assert on_image.boxes[0].xyxy == pytest.approx((109.5, 69.5, 129.5, 109.5))
+    project.close()
+    assert main(["import", project.path.name, str(path), "--projects", str(project.path.parent)]) == 0
+    assert "turned or polygons: 1 box; the rectangles around them were imported" in capsys.readouterr().out
+
+
 @pytest.mark.shared
 def test_labels_beside_a_recording_are_judged_together(
     make_project: Callable[..., Project], shared: Path, tmp_path: Path
@@ -315,3 +364,21 @@ def test_every_export_is_recognised_as_itself(
     if format is ExportFormat.SUSTECHPOINTS:
         (scene,) = (path for path in (tmp_path / "out").iterdir() if path.is_dir())
         assert format_of(scene) == format_of(scene / "label") == format
+
+
+@pytest.mark.parametrize(
+    ("row", "format"),
+    [
+        ("0 0.5 0.5 0.2 0.2", "yolo"),
+        ("0 0.1 0.1 0.9 0.1 0.9 0.9 0.1 0.9", "yolo"),
+        # as many fields as a row of KITTI, of SUN RGB-D and of KITTI's tracks
+        (f"0 {' 0.25 0.5' * 7}", "yolo"),
+        (f"0 {' 0.25 0.5' * 6}", "yolo"),
+        (f"0 {' 0.25 0.5' * 8}", "yolo"),
+        (kitti_row(0.1), "kitti"),
+        (kitti_row(0.1).replace("Car", "0"), "kitti"),
+        (f"0 1 {kitti_row(0.1)}", "kitti-tracking"),
+    ],
+)
+def test_a_row_shows_its_format(tmp_path: Path, row: str, format: str) -> None:
+    assert format_of(put(tmp_path / "000000.txt", row)) == format
