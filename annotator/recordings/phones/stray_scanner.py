@@ -174,7 +174,7 @@ def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | Not
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{poses}: not a table ({error}); copy the recording from the phone again") from error
     for line, row in values:
-        if any(row[len(header) :]):
+        if len(row) > len(header):
             raise RecordingError(
                 f"{poses}:{line}: has {len(row)} values for {len(header)} columns; decimals need a point, not a comma"
             )
