@@ -121,7 +121,8 @@ def _head(path: Path, names: list[str], scored: bool) -> list[str]:
 
 def _row(path: Path, line: int, head: list[str], fields: list[str]) -> BoxRow:
     if len(fields) != len(head):
-        raise FormatError(path, f"has {len(fields)} fields; the first line names {len(head)} columns", line)
+        hint = "; numbers need a decimal point, not a comma" if len(fields) > len(head) else ""
+        raise FormatError(path, f"has {len(fields)} fields; the first line names {len(head)} columns{hint}", line)
     values = dict(zip(head, (field.strip() for field in fields), strict=True))
     if not (values["image"] and values["class"]):
         raise FormatError(path, "image and class must not be empty", line)
