@@ -113,10 +113,13 @@ def test_frames_are_left_out_even_if_the_first_ones_are_broken(
     project, folder = make_project(), own_copy("people")
     for number in range(4):
         (folder / "depth" / f"00000{number}.png").write_bytes(b"")
-    with pytest.raises(RecordingError, match=r"none of its first frames can be read \(4 tried\)"):
+    with pytest.raises(RecordingError, match=r"first frames can be read \(4 tried; --leave-out-broken tries all\)"):
         add_recordings(project, [folder])
     add_recordings(project, [folder], leave_out_broken=True)
     assert present(project) == {"000004": 4}
+    # from then on, the recording is known by the others
+    (again,) = add_recordings(project, [folder])
+    assert (again.left_out, again.missing_frames) == (4, 0)
     (folder / "depth" / "000004.png").write_bytes(b"")
     with pytest.raises(RecordingError, match=r"none of its first frames can be read \(5 tried\)"):
         add_recordings(project, [folder], leave_out_broken=True)
