@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.reading import finite_number
 from annotator.types import OrientedBox, Truth
@@ -130,4 +131,4 @@ def _row(path: Path, line: int, head: list[str], fields: list[str]) -> BoxRow:
     if min(length, width, height) <= 0:
         raise FormatError(path, f"l w h must be positive, not {length:g} {width:g} {height:g}", line)
     score = finite_number(values[SCORE], path, line, SCORE) if SCORE in values else None
-    return BoxRow(values["image"], values["class"], (cx, cy, cz), (length, width, height), yaw, score)
+    return BoxRow(normal(values["image"]), values["class"], (cx, cy, cz), (length, width, height), yaw, score)

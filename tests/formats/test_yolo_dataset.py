@@ -182,3 +182,28 @@ def test_other_tools_words_for_the_kind_of_boxes_are_ignored(tmp_path: Path) -> 
     for theirs, found in (("box_kind: tight", [None] * 3), ("box_kind: [1]", [None] * 3), ("box_kind: box", kinds)):
         (tmp_path / "data.yaml").write_text(text.replace("box_kind: box", theirs, 1))
         assert [picture.box_kind for picture in read_yolo(tmp_path)] == found
+
+
+@pytest.mark.parametrize(
+    ("data", "listed"),
+    [
+        ({"path": "C:\\data\\set", "train": "images\\train", "val": "images\\train"}, None),
+        ({"train": ".\\images\\train"}, None),
+        ({"path": ".", "train": "list.txt"}, "images\\train\\x.png\r\n"),
+        ({"train": "list.txt"}, "\ufeff.\\images\\train\\x.png\r\n"),
+    ],
+)
+def test_paths_of_windows_are_read(tmp_path: Path, data: dict[str, str], listed: str | None) -> None:
+    put(tmp_path, **{"images/train/x.png": "", "labels/train/x.txt": ROW, "list.txt": listed or ""})
+    put(tmp_path, **{"data.yaml": json.dumps(data | {"names": ["a", "b"]})})
+    (picture,) = read_yolo(tmp_path)
+    assert picture.label_file == tmp_path / "labels" / "train" / "x.txt"
+    assert (picture.file_name, len(picture.boxes)) == ("x.png", 1)
+
+
+def test_a_path_of_another_computer_is_named(tmp_path: Path) -> None:
+    put(tmp_path, **{"data.yaml": json.dumps({"train": "D:\\set\\images", "names": ["a"]})})
+    with pytest.raises(
+        FormatError, match=r"data\.yaml: train: 'D:.*images' is a path of another computer; write it rel"
+    ):
+        read_yolo(tmp_path)
