@@ -164,7 +164,7 @@ def test_text_has_line_feeds(tmp_path: Path):
     (tmp_path / "a").write_bytes("ä\r\nb\rc\n".encode("utf-16"))
     assert read_text_file(tmp_path / "a") == "ä\nb\nc\n"
     (tmp_path / "a").write_bytes("a\nä\n".encode("latin-1"))
-    with pytest.raises(UnicodeDecodeError, match=r"it is not UTF-8 text \(line 2: 0xe4\); save it as UTF-8"):
+    with pytest.raises(UnicodeDecodeError, match=r"^not UTF-8 text in line 2 \(0xe4\); save it as UTF-8$"):
         read_text_file(tmp_path / "a")
 
 

@@ -108,7 +108,7 @@ def test_a_relative_root_is_no_way_out(folder: Path, monkeypatch: pytest.MonkeyP
     assert not is_within(Path("set"), Path("set/../deep"))
     assert is_within(Path("set"), Path("set/deep"))
     (folder / "data.yaml").write_text("train: deep/images\nval: ../valid/images\nnames: [a]")
-    with pytest.raises(FormatError, match=r"data\.yaml: val: '\.\./valid/images' leads out|there is no"):
+    with pytest.raises(FormatError, match=r"data\.yaml: val: there is no '\.\./valid/images' in the dataset's folder"):
         read_yolo(Path("set"))
 
 

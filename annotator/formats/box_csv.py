@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.reading import finite_number
 from annotator.formats.units import Angles, AngleUnit
@@ -130,7 +131,8 @@ def _head(path: Path, names: list[str], scored: bool) -> list[str]:
 
 def _row(path: Path, line: int, head: list[str], fields: list[str], read: Angles) -> BoxRow:
     if len(fields) != len(head):
-        raise FormatError(path, f"has {len(fields)} fields; the first line names {len(head)} columns", line)
+        hint = "; numbers need a decimal point, not a comma" if len(fields) > len(head) else ""
+        raise FormatError(path, f"has {len(fields)} fields; the first line names {len(head)} columns{hint}", line)
     values = dict(zip(head, (field.strip() for field in fields), strict=True))
     if not (values["image"] and values["class"]):
         raise FormatError(path, "image and class must not be empty", line)
@@ -139,4 +141,4 @@ def _row(path: Path, line: int, head: list[str], fields: list[str], read: Angles
         raise FormatError(path, f"l w h must be positive, not {length:g} {width:g} {height:g}", line)
     score = finite_number(values[SCORE], path, line, SCORE) if SCORE in values else None
     yaw_rad = read.radians(yaw, path, line)
-    return BoxRow(values["image"], values["class"], (cx, cy, cz), (length, width, height), yaw_rad, score)
+    return BoxRow(normal(values["image"]), values["class"], (cx, cy, cz), (length, width, height), yaw_rad, score)

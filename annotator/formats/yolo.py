@@ -21,7 +21,7 @@ import numpy as np
 
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.geometry.image_shares import clip_to_image, edges_of, shares_of
-from annotator.text import to_number
+from annotator.text import SHOWN, to_number
 from annotator.types import Box2D
 from annotator.types.errors import FormatError
 
@@ -110,6 +110,10 @@ def _box(path: Path, line: int, fields: list[str], names: Mapping[int, str]) -> 
             f"has {len(fields)} fields; a box has {FIELDS} [score], a turned box or a polygon has class x1 y1 x2 y2 x3 "
             "y3 ..., and keypoints are not supported",
             line,
+        )
+    if not fields[0].removeprefix("-").isdecimal():
+        raise FormatError(
+            path, f"must hold numbers ({FIELDS}); {fields[0][:SHOWN]!r} is not the number of a class", line
         )
     try:
         class_number, numbers = int(fields[0]), list(map(to_number, fields[1:]))

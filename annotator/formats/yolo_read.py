@@ -149,17 +149,21 @@ def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
     """Returns the image folder or image list that a part's entry names."""
     root = file.parent
     name = posix_path(entry)
-    problem = f"there is no {entry[:SHOWN]!r} in the dataset's folder"
+    outside: OutsideError | None = None
+    is_inside = False
     # some services export ../train/images where train/images is right
     for candidate in (str(PurePosixPath(posix_path(base or "")) / name), entry, name.removeprefix("../")):
         try:
             place = inside(root, candidate)
         except OutsideError as error:
-            problem = str(error)
+            outside = outside or error
             continue
+        is_inside = True
         if place.exists() or _inside(_labels_of(place, root), root).is_dir():
             return place
-    raise FormatError(file, f"{part}: {problem}")
+    if is_inside:
+        raise FormatError(file, f"{part}: there is no {entry[:SHOWN]!r} in the dataset's folder")
+    raise FormatError(file, f"{part}: {outside}")
 
 
 def _inside(path: Path, root: Path) -> Path:

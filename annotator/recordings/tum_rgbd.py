@@ -150,10 +150,10 @@ class TumRgbd(KeyedFrames):
 
     def _file(self, name: str) -> Path:
         """Returns the path of a listed file, which must lie in the folder, or in one that is linked into it."""
-        first, *rest = PurePosixPath(name).parts
         try:
             return inside(self.path, name)
         except OutsideError as error:
+            first, *rest = PurePosixPath(name).parts
             if rest and first not in ("/", "//", os.pardir) and why_missing(self.path / first) is None:
                 with suppress(OutsideError):
                     return inside(self.path / first, "/".join(rest))

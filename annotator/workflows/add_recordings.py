@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -96,7 +96,12 @@ def add_recordings(
             # with the origin that was found when it was added
             options = stored_options(known.options)
             recording = open_recording(recording.path, options)
-        frame = _require_readable(recording, len(recording) if leave_out_broken else FRAMES_TRIED)
+        left_out = _left_out(project, known)
+        if leave_out_broken:
+            frame = _require_readable(recording, left_out, len(recording))
+        else:
+            hint = "; --leave-out-broken tries all" if len(recording) > FRAMES_TRIED else ""
+            frame = _require_readable(recording, left_out, FRAMES_TRIED, hint)
         _require_unchanged(project.path.name, known, name, up)
         if known is None:
             if frame.T_world_camera is not None:
@@ -160,11 +165,13 @@ def move_recording(project: Project, recording_id: int, path: Path, author: str)
     known = project.recordings.get(recording_id, removed=True)
     beside = project.recordings.at(known.path) if known.removed_by is None else ()
     # this recording first: its error says what is wrong
-    moved = {each.id: _moved(each, path) for each in (known, *(each for each in beside if each.id != known.id))}
-    left_out = {each.id: still_broken(moved[each.id], _left_out(project, each)) for each in (known, *beside)}
+    every = {each.id: each for each in (known, *beside)}
+    left_out = {number: _left_out(project, each) for number, each in every.items()}
+    moved = {number: _moved(each, path, left_out[number]) for number, each in every.items()}
+    broken = {number: still_broken(recording, left_out[number]) for number, recording in moved.items()}
     places = {number: (recording.path, recording.keys) for number, recording in moved.items()}
     first = project.recordings.move_together(places, author)[0]
-    for number, keys in left_out.items():
+    for number, keys in broken.items():
         if keys:
             project.recordings.rescan(number, moved[number].keys, left_out=keys)
     return first
@@ -190,14 +197,14 @@ def _left_out(project: Project, known: StoredRecording | None) -> frozenset[str]
     return frozenset(frame.key for frame in project.frames.of([known.id]) if frame.index is None)
 
 
-def _moved(known: StoredRecording, path: Path) -> Recording:
+def _moved(known: StoredRecording, path: Path, left_out: Collection[str] = ()) -> Recording:
     moved = open_recording(path, stored_options(known.options))
     if moved.format != known.format:
         raise RecordingError(
             f"{path}: is a recording of the format {moved.format}, but {known.name} is of the format {known.format}; "
             "give the folder that was moved"
         )
-    _require_readable(moved)
+    _require_readable(moved, left_out, FRAMES_TRIED)
     return moved
 
 
@@ -305,13 +312,15 @@ def _same_direction(a: Sequence[float], b: Sequence[float] | None) -> bool:
     return b is not None and length > 0 and np.allclose(np.asarray(a) / length, b)
 
 
-def _require_readable(recording: Recording, most: int = FRAMES_TRIED) -> Frame:
+def _require_readable(recording: Recording, left_out: Collection[str], most: int, hint: str = "") -> Frame:
     problems = []
-    for index in range(min(most, len(recording))):
+    # those that were left out are tried last
+    order = sorted(range(len(recording)), key=lambda index: recording.keys[index] in left_out)
+    for index in order[:most]:
         try:
             return recording.frame(index)
         except FrameError as error:
             problems.append(str(error))
     raise RecordingError(
-        f"{recording.path}: none of its first frames can be read ({len(problems)} tried): {problems[0]}"
+        f"{recording.path}: none of its first frames can be read ({len(problems)} tried{hint}): {problems[0]}"
     )

@@ -42,6 +42,7 @@ BROKEN = [
     pytest.param([HEAD + ",yaw", ROW], 1, "two columns have the same name", id="column-twice"),
     pytest.param([HEAD, ROW, "3,bed"], 3, "has 2 fields", id="too-few"),
     pytest.param([HEAD, ROW + ",1"], 2, "has 11 fields", id="too-many"),
+    pytest.param([HEAD, ROW.replace("-0.75", "-0,75")], 2, "numbers need a decimal point", id="comma"),
     pytest.param([HEAD, ROW.replace("-0.75", "low")], 2, "cz: 'low' is not a number", id="text"),
     pytest.param([HEAD, ROW.replace("-0.75", "1_0")], 2, "cz: '1_0' is not a number", id="underscore"),
     pytest.param([HEAD, ROW.replace("-0.25", "nan")], 2, "yaw: 'nan' is not a finite", id="nan"),

@@ -196,3 +196,28 @@ def test_polygons_are_counted_and_keypoints_refused(tmp_path: Path) -> None:
     (tmp_path / "data.yaml").write_text(f"{yaml}kpt_shape: [2, 2]\n")
     with pytest.raises(FormatError, match="has keypoints"):
         read_yolo(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("data", "listed"),
+    [
+        ({"path": "C:\\data\\set", "train": "images\\train", "val": "images\\train"}, None),
+        ({"train": ".\\images\\train"}, None),
+        ({"path": ".", "train": "list.txt"}, "images\\train\\x.png\r\n"),
+        ({"train": "list.txt"}, "\ufeff.\\images\\train\\x.png\r\n"),
+    ],
+)
+def test_paths_of_windows_are_read(tmp_path: Path, data: dict[str, str], listed: str | None) -> None:
+    put(tmp_path, **{"images/train/x.png": "", "labels/train/x.txt": ROW, "list.txt": listed or ""})
+    put(tmp_path, **{"data.yaml": json.dumps(data | {"names": ["a", "b"]})})
+    (picture,) = read_yolo(tmp_path)
+    assert picture.label_file == tmp_path / "labels" / "train" / "x.txt"
+    assert (picture.file_name, len(picture.boxes)) == ("x.png", 1)
+
+
+def test_a_path_of_another_computer_is_named(tmp_path: Path) -> None:
+    put(tmp_path, **{"data.yaml": json.dumps({"train": "D:\\set\\images", "names": ["a"]})})
+    with pytest.raises(
+        FormatError, match=r"data\.yaml: train: 'D:.*images' is a path of another computer; write it rel"
+    ):
+        read_yolo(tmp_path)

@@ -13,7 +13,7 @@ import pytest
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.types.errors import FrameError, UnclearError
+from annotator.types.errors import FrameError, RecordingError, UnclearError
 from annotator.workflows.checking.check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
@@ -275,3 +275,36 @@ def test_no_real_depth_is_taken_for_rotated(shared: Path):
         recording = open_recording(shared / "data" / folder)
         for index in range(0, len(recording), 5):
             assert len(recording.frame(index).cloud) > 1000
+
+
+def test_files_of_one_name_in_two_unicode_forms_are_one_frame(folder: Path, color: np.ndarray):
+    for name, key in (("color", "caf\u00e9"), ("depth", "cafe\u0301")):
+        (folder / name / "000000.png").rename(folder / name / f"{key}.png")
+    (folder / "timestamps.csv").write_text("key,timestamp_ns\ncafe\u0301,7\n000001,8\n", encoding="utf-8")
+    recording = open_recording(folder)
+    assert recording.keys == ("000001", "caf\u00e9")
+    frame = recording.frame(1)
+    np.testing.assert_array_equal(frame.rgb, color)
+    assert (frame.key, frame.timestamp_ns) == ("caf\u00e9", 7)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth: np.ndarray, encoding: str):
+    for name, content in (
+        ("camera_intrinsic.json", json.dumps(INTRINSICS | {"depth_scale": 5000}, indent=1)),
+        ("gravity.json", '{"up": [0, -2, 0]}\n'),
+        ("timestamps.csv", "key,timestamp_ns\n000000,5\n000001,6\n"),
+    ):
+        (folder / name).write_bytes(content.replace("\n", "\r\n").encode(encoding))
+    frame = open_recording(folder).frame(1)
+    assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6, [0, -1, 0])
+    np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)
+
+
+def test_times_in_another_unit_are_named(folder: Path):
+    (folder / "timestamps.csv").write_text("key,timestamp_ns\n000000,13050311020000000000\n")
+    says = (
+        r"timestamps\.csv:2: the time 13050311020000000000 ns is beyond the year 2262, so its unit is probably another"
+    )
+    with pytest.raises(RecordingError, match=says):
+        open_recording(folder)

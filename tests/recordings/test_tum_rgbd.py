@@ -207,3 +207,64 @@ def test_a_missing_image_affects_only_its_frame(tmp_path: Path):
         except FrameError:
             broken += 1
     assert broken == 1
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda text: "\ufeff" + text.replace("\n", "\r\n"),
+        lambda text: text.replace(" ", "\t"),
+        lambda text: text.replace(" ", ", "),
+        lambda text: text.replace(" ", ","),
+        lambda text: text.replace("/", "\\"),
+        lambda text: text.replace("rgb/", "./rgb/"),
+        lambda text: text.replace(".png", ".png 1 2"),
+    ],
+    ids=["windows", "tabs", "commas-blanks", "commas", "backslashes", "point", "columns"],
+)
+def test_lists_of_other_tools_are_read(tmp_path: Path, changed: Callable[[str], str]):
+    path = write_tum(tmp_path / "freiburg", [0, 33], [1, 34], small)
+    before = open_recording(path)
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        comments, _, rows = (path / name).read_text().rpartition("#")
+        comment, _, rows = rows.partition("\n")
+        (path / name).write_bytes(changed(f"{comments}#{comment}\n{rows}").encode())
+    after = open_recording(path)
+    assert (after.keys, after.times_ns) == (before.keys, before.times_ns)
+    np.testing.assert_array_equal(after.poses.quaternions, before.poses.quaternions)
+    assert [file.is_file() for i in range(2) for file in after.files(i)] == [True] * 4
+
+
+def small(number: int) -> np.ndarray:
+    return image(number)[:8, :8]
+
+
+def test_names_may_have_blanks_and_another_unicode_form(tmp_path: Path):
+    path = write_tum(tmp_path / "freiburg", [0], [1], small)
+    for name, new, listed in (("rgb", "e\u0301 1, 2.png", "\u00e9 1, 2.png"), ("depth", "a b.png", "a b.png")):
+        next((path / name).iterdir()).rename(path / name / new)
+        (path / f"{name}.txt").write_text(f"{START_S}.0 {name}/{listed}\n", encoding="utf-8")
+    recording = open_recording(path)
+    assert recording.keys == ("\u00e9 1, 2",)
+    assert [file.name for file in recording.files(0)] == ["e\u0301 1, 2.png", "a b.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("rgb.txt", "1305031102,25 rgb/a.png", r"rgb\.txt:1: begins with a time with a decimal comma; write a point"),
+        ("rgb.txt", "1305031102,25,rgb/a.png", r"rgb\.txt:1: begins with a time with a decimal comma"),
+        (
+            "depth.txt",
+            "1305031102000000000 a.png",
+            r"depth\.txt:1: the time 1305031102000000000 s is beyond the year 2262",
+        ),
+        ("groundtruth.txt", "1305031102,2 0 0 0 0 0 0 1", r"groundtruth\.txt:1: begins with a time with a decimal"),
+        ("groundtruth.txt", "1305031102 0 0 0 0,5 0,5 0,5 0,5", r"txt:1: '0,5' has a decimal comma; write a point"),
+    ],
+)
+def test_decimal_commas_and_nanoseconds_are_named(tmp_path: Path, name: str, text: str, says: str):
+    path = write_tum(tmp_path / "freiburg", [0], [1], small)
+    (path / name).write_text(text)
+    with pytest.raises(RecordingError, match=says):
+        open_recording(path)

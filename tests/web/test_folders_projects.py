@@ -202,6 +202,22 @@ def _stale(place: Path) -> Callable[..., os.stat_result]:
     return asked
 
 
+def test_broken_frames_are_told_and_left_out(live: Live, own_copy: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = own_copy("people")
+    (folder / "depth" / "000001.png").write_bytes(b"")
+    with running(replace(live.settings, projects_root=tmp_path / "others", folders=(tmp_path,))) as server:
+        client, body = server.client, {"path": f"{tmp_path.name}/people", "labels": False}
+        client.post("/api/projects", json={"name": "two", "classes": ["person"]})
+        (added,) = client.post("/api/projects/two/recordings", json=body).json()["added"]
+        assert (added["recording"]["frames"], added["left_out"], added["can_leave_out"]) == (5, 0, True)
+        assert [line.partition(";")[0] for line in added["broken"]] == [
+            "1 of 5 frames cannot be read",
+            f"1 frame (000001): {tmp_path.name}/people/depth/000001.png: the file is empty",
+        ]
+        (added,) = client.post("/api/projects/two/recordings", json=body | {"leave_out_broken": True}).json()["added"]
+        assert (added["recording"]["frames"], added["left_out"], added["can_leave_out"]) == (4, 1, False)
+
+
 def test_a_moved_recording_is_located(
     live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Callable
 from pathlib import Path
 
@@ -50,4 +51,5 @@ def _parsed(path: Path) -> RawCloud:
         raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
     if not data:
         raise FrameError(path, "the file is empty", CLOUD_REMEDY)
-    return PARSERS[path.suffix.lower()](path, data)
+    # headers that an editor has saved
+    return PARSERS[path.suffix.lower()](path, data.removeprefix(codecs.BOM_UTF8))

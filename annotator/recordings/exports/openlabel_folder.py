@@ -19,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.file_names import stem_of
+from annotator.file_names import normal, stem_of
 from annotator.files import open_file
 from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
 from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
@@ -84,10 +84,11 @@ class OpenLabelFolder(KeyedFrames):
         return exported_frame(key, i, self.path, files, camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
-        if key not in self._frames:
+        listed = self._frames.get(normal(key))
+        if listed is None:
             names = ", ".join(document.name for document in self.documents)
             raise FrameError(self.path / "images" / key, f"is in no document ({names})", REMEDY)
-        return self._frames[key]
+        return listed
 
     @cached_property
     def _frames(self) -> dict[str, DocumentFrame]:
@@ -95,7 +96,7 @@ class OpenLabelFolder(KeyedFrames):
         for document in self.documents:
             try:
                 for frame in _frames(document, read_document(document)["openlabel"]):
-                    frames[stem_of(frame.image)] = frame
+                    frames[normal(stem_of(frame.image))] = frame
             except (KeyError, TypeError, AttributeError, ValueError) as error:
                 problem = f"is not a document of annotator ({type(error).__name__} {str(error)[:60]})"
                 raise FrameError(document, problem, REMEDY) from error

@@ -222,6 +222,7 @@ def _rcv_boxes(path: Path) -> dict[str, list[ScoredBox]]:
     dataset, boxes = read_rcv(path), {}
     for index in range(len(dataset)):
         name, labels, *_ = dataset.named_labels(index)
+        name = normal(name)
         if name in boxes:
             raise FormatError(path, f"frame {name} occurs twice; remove one")
         accepted = (label for label in labels if label.state is not ReviewState.REJECTED)

@@ -30,12 +30,12 @@ class BrokenFrames:
 
     Attributes:
         frames: number of frames.
-        errors: of the frames that cannot be read, by key, in the recording's order.
+        errors: why frames cannot be read, by key, in the recording's order.
         unread: number of frames of which only the files were looked at.
     """
 
     frames: int = 0
-    errors: dict[str, FrameError] = field(default_factory=dict)
+    errors: dict[str, str] = field(default_factory=dict)
     unread: int = 0
 
     @property
@@ -65,7 +65,7 @@ def broken_frames(recording: Recording, suspects: Collection[str] = (), seconds:
         suspects: keys of frames that are read in any case, as are those whose files are missing, empty or no images.
         seconds: how long the other frames are read, in random order.
     """
-    errors: dict[int, FrameError] = {}
+    errors: dict[int, str] = {}
     others = []
     for i, key in enumerate(recording.keys):
         if key in suspects or _is_suspicious(recording, i):
@@ -87,12 +87,13 @@ def still_broken(recording: Recording, keys: Collection[str]) -> frozenset[str]:
     return frozenset(key for i, key in enumerate(recording.keys) if key in keys and _error(recording, i))
 
 
-def _error(recording: Recording, i: int) -> dict[int, FrameError]:
+def _error(recording: Recording, i: int) -> dict[int, str]:
     """Reads a frame, and returns its error by its number; {} if it can be read."""
     try:
         recording.frame(i)
     except FrameError as error:
-        return {i: error}
+        # the exception itself would keep the images that have been read
+        return {i: str(error)}
     return {}
 
 
@@ -113,6 +114,6 @@ def _is_suspicious(recording: Recording, i: int) -> bool:
     return False
 
 
-def _kind(key: str, error: FrameError) -> str:
+def _kind(key: str, error: str) -> str:
     """Returns what the errors of one kind have in common: they differ in keys and numbers."""
-    return _NUMBER.sub("#", str(error).replace(key, "#"))
+    return _NUMBER.sub("#", error.replace(key, "#"))

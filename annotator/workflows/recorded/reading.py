@@ -262,7 +262,7 @@ def _from_rcv(path: Path, key: str, frame: Frame) -> list[Truth]:
 
 def _from_openlabel(path: Path, key: str, frame: Frame) -> list[Truth]:
     labels, names = _openlabel(path, *file_version(path))
-    return labels.truths(names.get(key, key), frame)
+    return labels.truths(names.get(normal(key), key), frame)
 
 
 def _from_labelcloud(path: Path, key: str, frame: Frame) -> list[Truth]:

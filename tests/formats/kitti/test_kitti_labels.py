@@ -121,6 +121,7 @@ def test_real_label_files_have_the_object_counts_of_their_readme(shared: Path):
     [
         pytest.param("Car 0 0 1.5", "has 15 fields", id="too-few-fields"),
         pytest.param(CAR + " 0.5 0.5", "has 15 fields", id="too-many-fields"),
+        pytest.param(CAR.replace("48.22", "48,22"), "'48,22' has a decimal comma; write a point", id="comma"),
         pytest.param(CAR.replace("48.22", "far"), "'far' is not a number", id="no-number"),
         pytest.param(CAR.replace("48.22", "nan"), "'nan' is not a finite number", id="nan"),
         pytest.param(CAR.replace(" 2 ", " 1.5 "), "'1.5' is not a whole number", id="occluded-fraction"),

@@ -344,3 +344,21 @@ def test_a_point_with_a_signalling_nan_is_skipped(tmp_path: Path):
     rows = np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes()
     (tmp_path / "a.pcd").write_bytes(pcd("binary", rows[:8] + b"\x01\x00\xa0\x7f" + rows[12:], 2, XYZ_FIELDS))
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").xyz_m, [[4, 5, 6]])
+
+
+TEXT_CLOUDS = {
+    ".ply": "ply\nformat ascii 1.0\nelement vertex 2\n"
+    "property float x\nproperty float y\nproperty float z\nend_header\n",
+    ".pcd": "# .PCD v0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n",
+}
+
+
+@pytest.mark.parametrize("suffix", TEXT_CLOUDS)
+def test_text_with_a_mark_and_line_ends_of_windows_is_read_and_a_decimal_comma_named(tmp_path: Path, suffix: str):
+    path = tmp_path / f"a{suffix}"
+    text = TEXT_CLOUDS[suffix] + "1 2 3\n4.5 5 6\n"
+    path.write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
+    np.testing.assert_array_equal(read_cloud(path).xyz_m, [[1, 2, 3], [4.5, 5, 6]])
+    path.write_text(text.replace("4.5", "4,5"))
+    with pytest.raises(FrameError, match="'4,5' has a decimal comma; write a point"):
+        read_cloud(path)

@@ -166,6 +166,9 @@ DAMAGES = [
     pytest.param(calib_path, without("Tr"), "Tr_velo_to_cam or Tr_velo_cam is missing", id="no-lidar-pose"),
     pytest.param(calib_path, replaced("P2: ", "P2: 1 "), "P2 must have 12 numbers, not 13", id="long-p2"),
     pytest.param(calib_path, replaced("P2: ", "P2: x"), "is not a number", id="p2-no-number"),
+    pytest.param(
+        calib_path, replaced("P2: 7.", "P2: 7,"), "P2: '7,0*e.01' has a decimal comma; write a point", id="p2-comma"
+    ),
     pytest.param(calib_path, replaced("P2: 7", "P2: -7"), "not a pinhole camera", id="p2-negative"),
     pytest.param(calib_path, lambda p: p.write_bytes(b"\xff\xfe\xfa"), "cannot be read", id="no-text"),
 ]

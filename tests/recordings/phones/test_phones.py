@@ -282,6 +282,11 @@ STRAY_DAMAGES = [
     ),
     pytest.param(replaced("odometry.csv", ", 0.1, 0.2, 0.3, ", ", 0, 0, 0, 9"), "line 2: qx qy qz qw is not a", id="q"),
     pytest.param(replaced("odometry.csv", "5000.0", "x"), "line 2: timestamp: 'x", id="time"),
+    pytest.param(
+        replaced("odometry.csv", "5000.0", "5000,0"),
+        "csv:2: has 16 values for 15 columns; decimals need a point",
+        id="comma",
+    ),
     pytest.param(replaced("odometry.csv", "300.0", "-1"), "frame 000000: it has no camera matrix", id="focal"),
     pytest.param(lambda path: (path / "depth/000000.png").unlink(), "000000.png: missing", id="no-depth"),
     pytest.param(lambda path: (path / "confidence/000000.png").unlink(), "000000.png: missing", id="no-confidence"),

@@ -31,6 +31,7 @@ from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros import transforms
 from annotator.recordings.ros.decode import message
 from annotator.recordings.ros.topics import list_topics
+from annotator.recordings.ros.transforms import LinkMissingError, Links
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError
 from benchmarks.bag_writer import CONTAINERS, BagWriter, structured
 
@@ -220,6 +221,25 @@ def test_a_missing_link_is_named(tmp_path: Path, parents: dict[str, str], proble
             bag.transform("/tf_static", START_NS, parent, child, T_CAMERA_LIDAR)
     with pytest.raises(FrameError, match=problem):
         open_recording(bag.path).frame(0)
+
+
+@pytest.mark.parametrize(
+    ("place", "quaternion", "problem"),
+    [
+        ([0, 0, 0], [0, 0, 0, 0], "its quaternion has the length 0, not 1"),
+        ([0, 0, 0], [0, 0, 0, 2], "its quaternion has the length 2, not 1"),
+        ([0, np.nan, 0], [0, 0, 0, 1], "its translation is not finite or is too large"),
+    ],
+)
+@pytest.mark.parametrize("names", [("lidar", "camera"), ("camera", "lidar")])
+def test_an_invalid_link_is_named(place: list[float], quaternion: list[float], problem: str, names: tuple[str, str]):
+    links = Links()
+    links.add("world", "arm", None, np.zeros(3), np.zeros(4))
+    parent, child = names
+    links.add(parent, child, None, np.array(place), np.array(quaternion))
+    says = f"camera is missing: the bag's transform from {child} to {parent} is invalid: {problem}$"
+    with pytest.raises(LinkMissingError, match=says):
+        links.transform("camera", "lidar", START_NS)
 
 
 def test_the_camera_frame_can_be_named(tmp_path: Path):

@@ -15,7 +15,7 @@ expect = pytest.importorskip("playwright.sync_api").expect
 
 if TYPE_CHECKING:
     from live_server import Live
-    from playwright.sync_api import Page
+    from playwright.sync_api import Page, Route
 
 
 def test_a_new_project_can_be_created_filled_and_opened(start: Page, live: Live) -> None:
@@ -77,6 +77,35 @@ def test_a_long_import_is_polled_less_and_less_often(start: Page) -> None:
     waits = start.evaluate(WAITS, 9)
     assert len(waits) == 9 and waits[0] == 700
     assert waits == sorted(waits) and waits[-1] == 5000
+
+
+def test_frames_that_cannot_be_read_are_told_and_left_out(start: Page, live: Live, generated: Path) -> None:
+    """The server's answers are those of `test_folders_projects.py`."""
+    asked: list[dict[str, object]] = []
+
+    def answer(route: Route) -> None:
+        asked.append(route.request.post_data_json)
+        out = len(asked) - 1
+        info = {"id": 1, "name": "people", "format": "rgbd_folder", "frames": 5, "is_sequence": True, "missing": False}
+        added = {"recording": info, "is_new": not out, "new_frames": 0, "missing_frames": 0, "notes": []}
+        added |= {"broken": ["1 of 5 frames cannot be read", "1 frame (000001): empty"], "left_out": out}
+        route.fulfill(json={"added": [added | {"can_leave_out": not out}], "job": None, "note": None})
+
+    start.route("**/api/projects/room/recordings", answer)
+    start.get_by_test_id("add-recording-room").click()
+    start.get_by_test_id(f"folder-{generated.name}").click()
+    dialog = start.get_by_test_id("add-recording-dialog")
+    dialog.get_by_test_id("add-people").click()
+    expect(dialog.get_by_test_id("broken-frames")).to_have_text(
+        ["1 of 5 frames cannot be read", "1 frame (000001): empty"]
+    )
+    dialog.get_by_test_id("leave-out-broken").click()
+    told = "people was already in the project: 0 new frames, 1 left out"
+    expect(dialog.get_by_test_id("added-recording").last).to_have_text(told)
+    expect(dialog.get_by_test_id("leave-out-broken")).to_have_count(0)
+    first, again = asked
+    assert (first["labels"], again["labels"], again["leave_out_broken"]) == (True, False, True)
+    assert first["options"] == again["options"]
 
 
 def test_a_moved_recording_can_be_located(start: Page, live: Live, tmp_path: Path, generated: Path) -> None:

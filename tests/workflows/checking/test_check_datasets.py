@@ -241,7 +241,7 @@ def test_generated_recordings_are_without_findings_and_damage_is_found(
         ("unreadable-file", "000003.png", "the PNG image is truncated"),
         ("unreadable-file", "000004.png", "the image is 9 x 9 pixels, but the colour image has 320 x 240"),
         ("broken-label", "boxes.json", "000001.3.center: Field required"),
-        ("broken-label", "boxes.json", "000001.4: Input should be an object"),
+        ("broken-label", "boxes.json", "000001.4: Input should be an object with named fields"),
         ("stray-file", "boxes.json", "there is no frame gone"),
     ]
 
