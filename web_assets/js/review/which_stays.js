@@ -4,7 +4,7 @@ import { openDialog } from "../dialogs.js";
 import { h } from "../dom.js";
 
 /**
- * The changes to send in place of refused ones, perhaps none; null if the operator chooses neither box.
+ * The changes to send in place of refused ones, perhaps none; null if these stay unsaved.
  *
  * @param {PageLabel[]} labels of the frame, as stored.
  * @param {Change[]} changes the refused ones.
@@ -27,15 +27,17 @@ export async function chooseBox(labels, changes, error) {
           "box in a frame: if both are the same object, choose the one that stays; the other one is deleted.",
       ),
     ],
+    // Enter, which has just ended the track's number, deletes nothing
     actions: [
-      { label: "Cancel", value: "neither" },
+      { label: "Keep this box", value: "this", kind: "" },
       { label: "Keep the other box", value: "other", kind: "" },
-      { label: "Keep this box", value: "this" },
+      { label: "Cancel", value: "neither" },
     ],
   });
-  if (chosen === "this") return [{ kind: "delete", uid: other.uid }, ...changes];
-  if (chosen !== "other") return null;
   const { uid, kind } = changes[0];
+  if (chosen === "this") return [{ kind: "delete", uid: other.uid }, ...changes];
   // a new box is not stored, and a rejected one stays rejected
-  return uid === undefined || kind === "accept" ? [] : [{ kind: "delete", uid }];
+  if (chosen === "other") return uid === undefined || kind === "accept" ? [] : [{ kind: "delete", uid }];
+  // the track, or the state, stays as it was; a changed box is not lost
+  return kind === "track" || kind === "accept" ? [] : null;
 }
