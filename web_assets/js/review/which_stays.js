@@ -4,12 +4,13 @@ import { openDialog } from "../dialogs.js";
 import { h } from "../dom.js";
 
 /**
- * The changes to send in place of refused ones, perhaps none; null if these stay unsaved.
+ * The changes to send in place of refused ones, perhaps none, and the box to select then, if another one; null if the
+ * refused ones stay unsaved.
  *
  * @param {PageLabel[]} labels of the frame, as stored.
  * @param {Change[]} changes the refused ones.
  * @param {TrackTakenError} error
- * @returns {Promise<Change[] | null>}
+ * @returns {Promise<{ changes: Change[], selected?: string } | null>}
  */
 export async function chooseBox(labels, changes, error) {
   const { track } = error.body;
@@ -35,9 +36,12 @@ export async function chooseBox(labels, changes, error) {
     ],
   });
   const { uid, kind } = changes[0];
-  if (chosen === "this") return [{ kind: "delete", uid: other.uid }, ...changes];
-  // a new box is not stored, and a rejected one stays rejected
-  if (chosen === "other") return uid === undefined || kind === "accept" ? [] : [{ kind: "delete", uid }];
+  if (chosen === "this") return { changes: [{ kind: "delete", uid: other.uid }, ...changes] };
+  if (chosen === "other") {
+    // a new box is not stored, and a rejected one stays rejected
+    const isGone = uid === undefined || kind === "accept";
+    return { changes: isGone ? [] : [{ kind: "delete", uid }], selected: other.uid };
+  }
   // the track, or the state, stays as it was; a changed box is not lost
-  return kind === "track" || kind === "accept" ? [] : null;
+  return kind === "track" || kind === "accept" ? { changes: [] } : null;
 }
