@@ -205,21 +205,22 @@ class FollowedObject:
             if part.is_open:
                 found = dict.fromkeys(part.walks[0].new, part.walks[0])
             elif not part.is_taken and (ended or not any(walk.left for walk in part.walks)):
-                found, part.is_taken = self._agreed(*part.walks, part.is_joined), True
+                found, part.is_taken = self._agreed(part), True
             else:
                 continue
             taken |= {index: walk.take(index) for index, walk in found.items() if index in walk.new}
         return taken
 
-    def _agreed(self, ahead: Walk, back: Walk, is_joined: bool) -> dict[int, Walk]:
+    def _agreed(self, part: Part) -> dict[int, Walk]:
         """Returns who has found each box: of two that agree, the one from the nearer reviewed box.
 
         If the object was followed from one to the other, the boxes are of the same object, and none is left out.
         """
+        ahead, back = part.walks
         agreed = dict.fromkeys(ahead.boxes, ahead)
         for index, other in back.boxes.items():
             own = ahead.boxes.get(index)
-            if own is not None and not is_joined and iou_3d(own.box, other.box) < SAME_BOX_IOU:
+            if own is not None and not part.is_joined and iou_3d(own.box, other.box) < SAME_BOX_IOU:
                 del agreed[index]
                 self.doubtful.add(index)
                 self.proposed.pop(index, None)

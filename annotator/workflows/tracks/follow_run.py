@@ -286,7 +286,8 @@ class FollowRun:
             *(track_id for track_id, item in owners.items() if item.met),
         }
         for track_id, item in owners.items():
-            for key in (*item.keys[: track_id in given], *item.met):
+            first = item.keys[:1] if track_id in given else ()
+            for key in (*first, *item.met):
                 payloads[key.index] += self._given_track(key, track_id)
             for index, events in self._without_stale(item, track_id, read).items() if ended else ():
                 payloads[index] += events

@@ -37,7 +37,7 @@ class Walking:
     """Where the follower is wrong.
 
     Attributes:
-        drift_m: by how much its box is farther off in each frame.
+        drift_m: by how much its box runs ahead in each frame, in the direction of following.
         lost: (person, frame) in which it does not find a person.
         taken_for: (person, frame) -> the person that it finds instead, from there on.
     """
@@ -57,7 +57,7 @@ class Walking:
 
 class _Knowing:
     def __init__(self, walking: Walking, index: int, start: OrientedBox) -> None:
-        self._walking, self._steps = walking, 0
+        self._walking, self._start = walking, index
         self._person = round((float(start.center_m[0]) - STEP_M * index) / APART_M)
 
     def expected(self, moment: Moment) -> OrientedBox:
@@ -65,11 +65,12 @@ class _Knowing:
 
     def step(self, moment: Moment) -> Followed:
         here = (self._person, moment.index)
-        self._steps += 1
         if here in self._walking.lost:
             return Followed(None, FollowStop.POINTS)
         self._person = self._walking.taken_for.get(here, self._person)
-        return Followed(proposal_of(box_of(self._person, moment.index, self._walking.drift_m * self._steps)))
+        return Followed(
+            proposal_of(box_of(self._person, moment.index, self._walking.drift_m * (moment.index - self._start)))
+        )
 
 
 def accept(project: Project, index: int, *people: tuple[int, int | None] | int, author: str = ANN) -> tuple[str, ...]:
