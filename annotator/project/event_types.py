@@ -29,7 +29,8 @@ TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 class Origin(StrEnum):
     """How an operator made a label that was not proposed.
 
-    DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another frame.
+    DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another
+    frame; now, copies are proposals.
     """
 
     DRAWN = "drawn"

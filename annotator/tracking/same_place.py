@@ -22,10 +22,9 @@ def overlap_at_place(first: Sequence[OrientedBox], second: Sequence[OrientedBox]
     """
     if not first or not second:
         return np.zeros((len(first), len(second)))
-    iou = iou_3d_matrix(first, second)
-    return np.where(
-        (iou >= SAME_PLACE_IOU) | (_contains_centers(first, second) & _contains_centers(second, first).T), iou, 0.0
-    )
+    iou = np.maximum(iou_3d_matrix(first, second), np.finfo(np.float64).tiny)
+    is_same = (iou >= SAME_PLACE_IOU) | (_contains_centers(first, second) & _contains_centers(second, first).T)
+    return np.where(is_same, iou, 0.0)
 
 
 def _contains_centers(boxes: Sequence[OrientedBox], others: Sequence[OrientedBox]) -> Bool[np.ndarray, "n m"]:

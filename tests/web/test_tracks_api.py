@@ -39,8 +39,10 @@ def test_boxes_are_copied_interpolated_and_undone(live: Live, project: Project) 
     assert answer.json()["state"]["frame"]["revision"] == first["frame"]["revision"]
     effort = {"actions": 1, "seconds": 2.0}
     body = {"revision": first["frame"]["revision"], "uid": uid, "effort": effort}
-    assert live.client.post(f"{ROOM}/frames/1/copy-next", json=body).json() == {"frame": 2}
+    done = live.client.post(f"{ROOM}/frames/1/copy-next", json=body).json()
     (copied,) = state(live.client, 2)["labels"]
+    assert done == {"frame": 2, "uid": copied["uid"]}
+    np.testing.assert_allclose(copied["box"]["size"], BOX["size"], atol=1e-12)
     assert (copied["state"], copied["source"], copied["track_id"]) == ("proposed", "auto", 5)
     last = change(live.client, 0, created, frame=4).json()
     uid = last["labels"][0]["uid"]
@@ -99,6 +101,15 @@ def latest(live: Live) -> dict[str, Any]:
 
 def boxes(live: Live) -> list[int]:
     return [len(state(live.client, frame)["labels"]) for frame in range(1, 6)]
+
+
+def test_a_second_box_of_a_track_in_a_frame_is_refused(live: Live, project: Project) -> None:
+    first = change(live.client, 0, {"kind": "create", "label": "person", "box": BOX, "track_id": 5}).json()
+    answer = change(live.client, 1, {"kind": "create", "label": "person", "box": BOX, "track_id": 5})
+    refused = answer.json()
+    assert (answer.status_code, refused["error"]["kind"], refused["track"]) == (409, "TrackTakenError", 5)
+    assert "track 5 has a box in this frame already" in refused["error"]["message"]
+    assert state(live.client, 1)["labels"] == first["labels"]
 
 
 @pytest.mark.usefixtures("following_view")

@@ -17,7 +17,6 @@ from annotator.project.event_types import (
     LabelEdited,
     LabelProposed,
     LabelTracked,
-    Origin,
     OwnProposal,
     Payload,
     ProposalsImported,
@@ -61,7 +60,7 @@ def completed(
         case LabelCreated() | LabelProposed():
             of_label = [each for each in attributes if each.is_of(payload.label)]
             given: Values
-            if isinstance(payload, LabelProposed) or payload.origin is Origin.COPIED:
+            if isinstance(payload, LabelProposed):
                 given = fitting(of_label, payload.attributes)
             else:
                 given = _checked(of_label, payload.attributes, payload.label)

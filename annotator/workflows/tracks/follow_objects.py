@@ -105,9 +105,15 @@ class Walk:
 
 @dataclass(eq=False)
 class Part:
-    """A stretch on which an object is followed: from both of its reviewed boxes, or from its only one."""
+    """A stretch on which an object is followed: from both of its reviewed boxes, or from its only one.
+
+    Attributes:
+        is_joined: the object was found at one of these boxes when it was followed from the other one.
+        is_taken: its boxes are taken.
+    """
 
     walks: list[Walk]
+    is_joined: bool = False
     is_taken: bool = False
 
     @property
@@ -165,8 +171,11 @@ class FollowedObject:
         """Whether a label is one of its reviewed boxes."""
         return any(key.label.uid == uid for key in self.keys)
 
-    def meet(self, key: KeyFrame, part: Part, walk: Walk) -> int:
+    def meet(self, key: KeyFrame, part: Part, walk: Walk, is_found: bool) -> int:
         """Goes on from a reviewed box on the way, which from now on is its own; follows it back from there, too.
+
+        Args:
+            is_found: the object was found there, not only expected.
 
         Returns:
             The number of frames to go back.
@@ -182,7 +191,7 @@ class FollowedObject:
                 other.left = deque(index for index in other.left if index in walk.left)
                 beyond.append(other)
         walk.left.clear()
-        part.walks = [walk, Walk(key, deque(back))]
+        part.walks, part.is_joined = [walk, Walk(key, deque(back))], is_found
         self.parts.append(Part(beyond))
         return len(between)
 
@@ -196,23 +205,27 @@ class FollowedObject:
             if part.is_open:
                 found = dict.fromkeys(part.walks[0].new, part.walks[0])
             elif not part.is_taken and (ended or not any(walk.left for walk in part.walks)):
-                found, part.is_taken = self._agreed(*part.walks), True
+                found, part.is_taken = self._agreed(part), True
             else:
                 continue
             taken |= {index: walk.take(index) for index, walk in found.items() if index in walk.new}
         return taken
 
-    def _agreed(self, ahead: Walk, back: Walk) -> dict[int, Walk]:
-        """Returns who has found each box: of two that agree, the one from the nearer reviewed box."""
+    def _agreed(self, part: Part) -> dict[int, Walk]:
+        """Returns who has found each box: of two that agree, the one from the nearer reviewed box.
+
+        If the object was followed from one to the other, the boxes are of the same object, and none is left out.
+        """
+        ahead, back = part.walks
         agreed = dict.fromkeys(ahead.boxes, ahead)
         for index, other in back.boxes.items():
             own = ahead.boxes.get(index)
-            if own is None or (iou_3d(own.box, other.box) >= SAME_BOX_IOU and _is_nearer(back, ahead, index)):
-                agreed[index] = back
-            elif iou_3d(own.box, other.box) < SAME_BOX_IOU:
+            if own is not None and not part.is_joined and iou_3d(own.box, other.box) < SAME_BOX_IOU:
                 del agreed[index]
                 self.doubtful.add(index)
                 self.proposed.pop(index, None)
+            elif own is None or _is_nearer(back, ahead, index):
+                agreed[index] = back
         return agreed
 
     def give_up(self, stop: StoppedAt) -> None:

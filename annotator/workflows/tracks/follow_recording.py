@@ -34,8 +34,8 @@ def follow_recording(
 
     Between two reviewed boxes a track is followed from both; frames in which the results differ are left out. Reviewed
     and rejected labels stay, and unreviewed proposals of the same objects are replaced. A reviewed label without a
-    track gets one with its first new box. Finalised frames stay as they are, except that a reviewed box there may get
-    a track.
+    track gets one with its first new box, or that of an object that comes to it. Finalised frames stay as they are,
+    except that a reviewed box there may get a track.
 
     Args:
         view: the project's view detector, if any (`view_with_classes`).
@@ -72,6 +72,8 @@ def follow_from_frame(
     effort: Effort | None = None,
 ) -> FollowRun:
     """Prepares to follow reviewed boxes of a frame to the next reviewed box of their tracks, or as far as possible.
+
+    Reviewed boxes without a track that they come to get theirs.
 
     Args:
         revision: of the frame, as shown to the operator.

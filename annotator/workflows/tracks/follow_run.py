@@ -182,7 +182,7 @@ class FollowRun:
             return
         box = expected if followed.proposal is None else followed.proposal.box
         if (there := self._standing_at(item, index, box)) is not None:
-            self._meet(item, part, walk, KeyFrame(index, there))
+            self._meet(item, part, walk, KeyFrame(index, there), followed.proposal is not None)
         elif followed.proposal is None:
             why = followed.stop.value if followed.stop is not None else ""
             self._stop(item, walk, index, f"{why} ({followed.detail})" if followed.detail else why)
@@ -198,7 +198,7 @@ class FollowRun:
         # a reviewed box of the track may be elsewhere in the frame
         return label if label is not None and overlap_at_place([box], [label.box]).any() else None
 
-    def _meet(self, item: FollowedObject, part: Part, walk: Walk, key: KeyFrame) -> None:
+    def _meet(self, item: FollowedObject, part: Part, walk: Walk, key: KeyFrame, is_found: bool) -> None:
         """Goes on through a reviewed box, or stops at a box of another object."""
         label = key.label
         others = [other for other in self._objects if other is not item and other.has(label.uid)]
@@ -213,7 +213,7 @@ class FollowRun:
             other.end()
             self._objects.remove(other)
             item.stops += other.stops
-        self._total += item.meet(key, part, walk)
+        self._total += item.meet(key, part, walk, is_found)
 
     @staticmethod
     def _collides(item: FollowedObject, other: FollowedObject, index: int, box: OrientedBox) -> bool:
@@ -286,7 +286,8 @@ class FollowRun:
             *(track_id for track_id, item in owners.items() if item.met),
         }
         for track_id, item in owners.items():
-            for key in (*item.keys[: track_id in given], *item.met):
+            first = item.keys[:1] if track_id in given else ()
+            for key in (*first, *item.met):
                 payloads[key.index] += self._given_track(key, track_id)
             for index, events in self._without_stale(item, track_id, read).items() if ended else ():
                 payloads[index] += events

@@ -51,6 +51,21 @@ def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for)
     desk.page.get_by_test_id("frame-summary").get_by_text("0 boxes").wait_for()
     desk.press("c")
     wait_for(lambda: len(desk.project.labels.of_frame(frames[FRAMES])) == len(before))
+    copies = desk.project.labels.of_frame(frames[FRAMES])
+    assert {label.state for label in copies} == {ReviewState.PROPOSED}
+    assert all(np.array_equal(a.box.size_m, b.box.size_m) for a, b in zip(copies, before, strict=True))
+    # the first one is selected: Space accepts it
+    desk.page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{copies[0].uid}"]').wait_for()
+    desk.settled()
+    desk.press("Control+z")
+    wait_for(lambda: not desk.project.labels.of_frame(frames[FRAMES]))
+    # one that was copied to where nothing is says so
+    box = before[0].box
+    away = OrientedBox.from_parts(box.center_m + np.array([0.0, -30.0, 0.0]), box.rotation, box.size_m)
+    context = WriteContext(desk.project.frames.get(frames[FRAMES - 1]).revision, "Bob")
+    desk.project.labels.edit(frames[FRAMES - 1], before[0].uid, context, label=before[0].label, box=away)
+    desk.press("c")
+    expect(desk.page.get_by_text("1 copy holds no points here: move or delete it.")).to_be_visible()
 
 
 # Accepts a new box twice before the server has answered; returns the sent changes and the unsaved boxes.

@@ -72,7 +72,9 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     expect(page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     (copied,) = of_track(desk, frames[1])
     assert copied.state is ReviewState.PROPOSED
-    page.locator(f'[data-testid="frame-box"][data-uid="{copied.uid}"]').click()
+    assert np.array_equal(copied.box.size_m, project.labels.get(uid).label.box.size_m)
+    # and selects the copy
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{copied.uid}"]').wait_for()
     desk.settled()
     expect(page.get_by_test_id("track-tick")).to_have_count(2)
     desk.press("Shift+P")
@@ -109,6 +111,40 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     desk.press("?")
     expect(page.get_by_role("dialog")).to_contain_text("Fill the frames back to the track's previous reviewed box")
     desk.press("Escape")
+
+
+def test_the_operator_chooses_which_of_two_boxes_of_a_track_stays(desk: Desk, wait_for) -> None:
+    page, project = desk.page, desk.project
+    frame = project.frames.of()[0].id
+    one, two, *_ = (label.uid for label in project.labels.of_frame(frame))
+    project.log.append(
+        frame, [LabelTracked(uid=one, track_id=7)], WriteContext(project.frames.get(frame).revision, "bob")
+    )
+    page.goto(f"/#/{desk.name}/review/{frame}?uid={two}")
+    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{two}"]').wait_for()
+    desk.settled()
+
+    def enter_track(choice: str) -> None:
+        page.get_by_test_id("field-track").fill("7")
+        page.get_by_test_id("field-track").press("Enter")
+        page.get_by_test_id(choice).click()
+        expect(page.get_by_test_id("which-stays")).to_have_count(0)
+        desk.settled()
+
+    enter_track("dialog-neither")
+    expect(page.get_by_test_id("field-track")).to_have_value("")
+    tracks = {label.uid: label.track_id for label in project.labels.of_frame(frame)}
+    assert (tracks[one], tracks[two]) == (7, None)
+    enter_track("dialog-this")
+    assert [label.uid for label in of_track(desk, frame)] == [two]
+    page.locator("body").click(position={"x": 2, "y": 2})
+    desk.press("Control+z")
+    wait_for(lambda: [label.uid for label in of_track(desk, frame)] == [one])
+    page.locator(f'[data-testid="frame-box"][data-uid="{two}"]').click()
+    desk.settled()
+    enter_track("dialog-other")
+    assert [label.uid for label in of_track(desk, frame)] == [one]
+    assert two not in {label.uid for label in project.labels.of_frame(frame)}
 
 
 def test_continuing_without_a_reviewed_box_or_track_gives_a_message(desk: Desk) -> None:

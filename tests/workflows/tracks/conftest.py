@@ -1,13 +1,16 @@
-"""True boxes of the generated people."""
+"""True boxes of the generated people, and a project to be copied."""
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from annotator.project import create_project
 from annotator.recordings import open_recording
 from annotator.types import Truth
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
 
 
@@ -16,3 +19,11 @@ def truths(generated: Path) -> list[list[Truth]]:
     """Three people in each of five frames, in one order."""
     recording = open_recording(generated / "people")
     return [list(load_truth(recording, index, recording.frame(index))) for index in range(5)]
+
+
+@pytest.fixture
+def empty(generated: Path, tmp_path: Path) -> Path:
+    """A closed project with a recording of 5 frames, to be copied."""
+    with closing(create_project(tmp_path, "empty", ("person",))) as project:
+        register_recording(project, open_recording(generated / "people"))
+        return project.path

@@ -114,9 +114,10 @@ export function createDesk(app) {
         await resolveStale(app, error, { changes, subject, take: app.frames.take });
         return;
       }
-      const merged = isTrackTaken(error) ? await chooseBox(labels(), changes, error) : null;
-      if (merged === null) throw error;
-      if (merged.length > 0) await post(id, merged, subject);
+      const choice = isTrackTaken(error) ? await chooseBox(labels(), changes, error) : null;
+      if (choice === null) throw error;
+      if (choice.changes.length > 0) await post(id, choice.changes, subject);
+      if (choice.selected) select(choice.selected);
     }
   }
 

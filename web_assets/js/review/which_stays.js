@@ -4,12 +4,13 @@ import { openDialog } from "../dialogs.js";
 import { h } from "../dom.js";
 
 /**
- * The changes to send in place of refused ones, perhaps none; null if the operator chooses neither box.
+ * The changes to send in place of refused ones, perhaps none, and the box to select then, if another one; null if the
+ * refused ones stay unsaved.
  *
  * @param {PageLabel[]} labels of the frame, as stored.
  * @param {Change[]} changes the refused ones.
  * @param {TrackTakenError} error
- * @returns {Promise<Change[] | null>}
+ * @returns {Promise<{ changes: Change[], selected?: string } | null>}
  */
 export async function chooseBox(labels, changes, error) {
   const { track } = error.body;
@@ -27,15 +28,20 @@ export async function chooseBox(labels, changes, error) {
           "box in a frame: if both are the same object, choose the one that stays; the other one is deleted.",
       ),
     ],
+    // Enter, which has just ended the track's number, deletes nothing
     actions: [
-      { label: "Cancel", value: "neither" },
+      { label: "Keep this box", value: "this", kind: "" },
       { label: "Keep the other box", value: "other", kind: "" },
-      { label: "Keep this box", value: "this" },
+      { label: "Cancel", value: "neither" },
     ],
   });
-  if (chosen === "this") return [{ kind: "delete", uid: other.uid }, ...changes];
-  if (chosen !== "other") return null;
   const { uid, kind } = changes[0];
-  // a new box is not stored, and a rejected one stays rejected
-  return uid === undefined || kind === "accept" ? [] : [{ kind: "delete", uid }];
+  if (chosen === "this") return { changes: [{ kind: "delete", uid: other.uid }, ...changes] };
+  if (chosen === "other") {
+    // a new box is not stored, and a rejected one stays rejected
+    const isGone = uid === undefined || kind === "accept";
+    return { changes: isGone ? [] : [{ kind: "delete", uid }], selected: other.uid };
+  }
+  // the track, or the state, stays as it was; a changed box is not lost
+  return kind === "track" || kind === "accept" ? { changes: [] } : null;
 }

@@ -1,0 +1,229 @@
+"""Whatever is done in whatever order: a track has one box in a frame, and reviewed boxes stay as they are.
+
+Random sequences of what an operator, a pass and an import can do with tracks. After each step:
+
+- no track has two boxes in a frame;
+- what was reviewed has the same box and class, and at most got a track, unless this step was about it (linking may
+  change ids that linking gave);
+- no box was proposed at the place of a reviewed one of its class;
+- undo gives the state before the step, redo the one after it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from moving import ANN, FRAMES, Walking, box_of, proposal_of
+
+from annotator.project import NewLabel, Project, WriteContext, open_project
+from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelRejected, LabelTracked
+from annotator.tracking.same_place import overlap_at_place
+from annotator.types import Label, ReviewState, Source
+from annotator.types.errors import AnnotatorError, HistoryError, TrackTakenError
+from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tracks_once
+from annotator.workflows.tracks.copy_next import copy_next
+from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
+from annotator.workflows.tracks.interpolate import interpolate
+from annotator.workflows.tracks.link import link_tracks
+from annotator.workflows.workbench.copy_boxes import copy_boxes
+
+INDEX, PERSON = st.integers(0, FRAMES - 1), st.integers(0, 1)
+TRACK = st.sampled_from([None, 1, 2, 3])
+OFF_M = st.sampled_from([0.0, 0.1, 0.25])
+# A label: the n-th of a frame.
+NTH = st.tuples(INDEX, st.integers(0, 3))
+STEP = st.one_of(
+    st.tuples(st.just("label"), INDEX, PERSON, TRACK, OFF_M),
+    st.tuples(st.just("follow"), INDEX, st.booleans()),
+    st.tuples(st.just("follow one"), NTH, st.booleans()),
+    st.tuples(st.just("follow all"), st.sampled_from([(True, False), (False, True), (True, True)])),
+    st.tuples(st.just("copy"), INDEX),
+    st.tuples(st.just("copy next"), NTH),
+    st.tuples(st.just("interpolate"), st.integers(1, 3)),
+    st.tuples(st.just("track"), NTH, TRACK),
+    st.tuples(st.just("merge"), NTH, TRACK, st.booleans()),
+    st.tuples(st.just("decide"), NTH, st.sampled_from([LabelAccepted, LabelRejected, LabelDeleted])),
+    st.tuples(st.just("link")),
+    st.tuples(st.just("pass"), INDEX, st.lists(st.tuples(PERSON, TRACK), max_size=3)),
+    st.tuples(st.just("import"), INDEX, st.lists(st.tuples(PERSON, TRACK), max_size=3), st.booleans()),
+    st.tuples(st.just("undo")),
+)
+WALKING = st.builds(
+    Walking,
+    drift_m=st.sampled_from([0.0, 0.05, 0.15]),
+    lost=st.sets(st.tuples(PERSON, INDEX), max_size=2),
+    taken_for=st.dictionaries(st.tuples(PERSON, INDEX), PERSON, max_size=2),
+)
+# Steps about certain labels, which may change these.
+ABOUT = {"track", "merge", "decide", "undo"}
+# Steps that are no action: they cannot be undone.
+PASSES = {"link", "pass", "import", "undo"}
+PROPOSING = {"follow", "follow one", "follow all", "copy", "copy next", "interpolate"}
+
+
+class Room:
+    """A project, and what can be done in it."""
+
+    def __init__(self, project: Project, walking: Walking) -> None:
+        self.project, self.walking = project, walking
+        self.frames = [frame.id for frame in project.frames.of()]
+        self.recording = project.recordings.all()[0].id
+
+    def labels(self) -> dict[str, tuple[int, Label]]:
+        """Each label by its uid, with its frame."""
+        return {stored.label.uid: (stored.frame_id, stored.label) for stored in self.project.labels.select()}
+
+    def state(self) -> set[tuple[object, ...]]:
+        """All that matters of all labels."""
+        return {
+            (frame, uid, label.label, label.state, label.track_id, label.box.pose.tobytes(), label.box.size_m.tobytes())
+            for uid, (frame, label) in self.labels().items()
+        }
+
+    def context(self, index: int, author: str = ANN, source: Source = Source.MANUAL) -> WriteContext:
+        return WriteContext(self.project.frames.get(self.frames[index]).revision, author, source)
+
+    def do(self, kind: str, *given: Any) -> None:
+        getattr(self, f"do_{kind.replace(' ', '_')}")(*given)
+
+    def nth(self, at: tuple[int, int]) -> Label:
+        labels = self.project.labels.of_frame(self.frames[at[0]])
+        if not labels:
+            raise HistoryError("there is no label")
+        return labels[at[1] % len(labels)]
+
+    def do_label(self, index: int, person: int, track: int | None, off_m: float) -> None:
+        new = [NewLabel("person", box_of(person, index, off_m), track_id=track)]
+        self.project.labels.create(self.frames[index], new, self.context(index))
+
+    def do_follow(self, index: int, forward: bool) -> None:
+        self._follow(index, None, forward)
+
+    def do_follow_one(self, at: tuple[int, int], forward: bool) -> None:
+        self._follow(at[0], self.nth(at).uid, forward)
+
+    def _follow(self, index: int, uid: str | None, forward: bool) -> None:
+        revision = self.project.frames.get(self.frames[index]).revision
+        with self.walking.followed():
+            follow_from_frame(self.project, self.frames[index], revision, None, ANN, uid=uid, forward=forward).run()
+
+    def do_follow_all(self, directions: tuple[bool, bool]) -> None:
+        forward, backward = directions
+        with self.walking.followed():
+            follow_recording(self.project, self.recording, None, ANN, forward=forward, backward=backward)
+
+    def do_copy(self, index: int) -> None:
+        copy_boxes(self.project, self.frames[index], None, self.context(index))
+
+    def do_copy_next(self, at: tuple[int, int]) -> None:
+        copy_next(self.project, self.frames[at[0]], self.nth(at).uid, self.context(at[0]).revision, ANN)
+
+    def do_interpolate(self, track: int) -> None:
+        interpolate(self.project, self.recording, track, ANN)
+
+    def do_track(self, at: tuple[int, int], track: int | None) -> None:
+        event = LabelTracked(uid=self.nth(at).uid, track_id=track)
+        self.project.log.append(self.frames[at[0]], [event], self.context(at[0]))
+
+    def do_merge(self, at: tuple[int, int], track: int | None, keeps_this: bool) -> None:
+        """As the page does when a track is taken: one of the two boxes is deleted."""
+        try:
+            self.do_track(at, track)
+        except TrackTakenError as error:
+            uid, frame = self.nth(at).uid, self.frames[at[0]]
+            (other,) = (
+                label
+                for label in self.project.labels.of_frame(frame)
+                if label.track_id == error.track_id and label.state is not ReviewState.REJECTED and label.uid != uid
+            )
+            tracked = LabelTracked(uid=uid, track_id=track)
+            events = [LabelDeleted(uid=other.uid), tracked] if keeps_this else [LabelDeleted(uid=uid)]
+            self.project.log.append(frame, events, self.context(at[0]))
+
+    def do_decide(self, at: tuple[int, int], event: Any) -> None:
+        self.project.log.append(self.frames[at[0]], [event(uid=self.nth(at).uid)], self.context(at[0]))
+
+    def do_link(self) -> None:
+        link_tracks(self.project)
+
+    def do_pass(self, index: int, found: list[tuple[int, int | None]]) -> None:
+        proposals = [proposal_of(box_of(person, index)) for person, _ in found]
+        context = self.context(index, "rcv", Source.AUTO)
+        tracks = [track for _, track in found]
+        self.project.proposals.replace(self.frames[index], proposals, context, track_ids=tracks)
+
+    def do_import(self, index: int, found: list[tuple[int, int | None]], as_labels: bool) -> None:
+        boxes = [NewLabel("person", box_of(person, index, 0.05), 0.6, track) for person, track in found]
+        if as_labels:
+            create_if_unlabelled(self.project, self.frames[index], with_tracks_once(boxes)[0], "import")
+        else:
+            self.project.proposals.bring("lidar", {self.frames[index]: boxes})
+
+    def do_undo(self) -> None:
+        self.project.history.undo(ANN)
+
+
+def require_one_box_a_track(room: Room) -> None:
+    tracks = [
+        (frame, label.track_id)
+        for frame, label in room.labels().values()
+        if label.track_id is not None and label.state is not ReviewState.REJECTED
+    ]
+    assert len(tracks) == len(set(tracks))
+
+
+def is_reviewed(label: Label) -> bool:
+    return label.state in (ReviewState.ACCEPTED, ReviewState.EDITED)
+
+
+def require_reviewed_untouched(
+    before: dict[str, tuple[int, Label]], after: dict[str, tuple[int, Label]], is_linked: bool
+) -> None:
+    for uid, (_, was) in before.items():
+        if is_reviewed(was):
+            now = after[uid][1]
+            same = (now.state, now.label, now.box.pose.tobytes(), now.box.size_m.tobytes())
+            assert same == (was.state, was.label, was.box.pose.tobytes(), was.box.size_m.tobytes())
+            assert is_linked or now.track_id == was.track_id or was.track_id is None
+
+
+def require_nothing_covered(before: dict[str, tuple[int, Label]], after: dict[str, tuple[int, Label]]) -> None:
+    new = [(frame, label) for uid, (frame, label) in after.items() if uid not in before]
+    for (frame, label), (there, other) in itertools.product(new, before.values()):
+        if frame == there and is_reviewed(other):
+            assert not overlap_at_place([label.box], [other.box]).any()
+
+
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(WALKING, st.lists(STEP, min_size=3, max_size=12))
+def test_a_track_has_one_box_in_a_frame_and_reviewed_boxes_stay(
+    empty: Path, tmp_path: Path, walking: Walking, steps: list[tuple[Any, ...]]
+) -> None:
+    shutil.rmtree(tmp_path / "room", ignore_errors=True)
+    shutil.copytree(empty, tmp_path / "room")
+    with closing(open_project(tmp_path / "room")) as project:
+        room = Room(project, walking)
+        for kind, *arguments in steps:
+            labels, state = room.labels(), room.state()
+            try:
+                room.do(kind, *arguments)
+            except AnnotatorError:
+                assert room.state() == state, "what is refused changes nothing"
+                continue
+            require_one_box_a_track(room)
+            if kind not in ABOUT:
+                require_reviewed_untouched(labels, room.labels(), kind == "link")
+            if kind in PROPOSING:
+                require_nothing_covered(labels, room.labels())
+            after = room.state()
+            if kind not in PASSES and after != state:
+                project.history.undo(ANN)
+                assert room.state() == state
+                project.history.redo(ANN)
+                assert room.state() == after
