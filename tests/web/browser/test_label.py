@@ -83,7 +83,7 @@ def test_a_whole_box_is_offered_and_enter_confirms_it(bench: Bench) -> None:
     page.wait_for_timeout(SEEN_MS)
     # nothing is stored until the operator confirms one
     assert bench.labels[0].box_kind is BoxKind.SILHOUETTE
-    dashed = whole_box.locator("path.halo")
+    dashed = whole_box.locator("> path.halo")
     first = dashed.get_attribute("d")
     page.keyboard.press("w")
     is_only_one = "W shows" not in hint.inner_text()

@@ -29,19 +29,20 @@ def test_the_whole_queue_can_be_accepted_with_one_key_per_proposal(desk: Desk, w
     assert statistics["accepted_untouched"] == 1, "a share"
 
 
-def visit(desk: Desk, place: int) -> int:
-    """Opens a frame by its address, as keys and links do; returns its id."""
-    frame = desk.project.frames.of()[place].id
-    desk.page.goto(f"/#/{desk.name}/review/{frame}")
-    expect(desk.page.get_by_test_id("frame-position")).to_have_text(f"{place + 1} / 5")
+def visit_another(desk: Desk) -> tuple[int, str]:
+    """Opens another frame with proposals by its address, as keys and links do; returns its id, and its position."""
+    ids = [stored.id for stored in desk.project.frames.of()]
+    place = next(place for place, frame in enumerate(ids) if frame != desk.frame)
+    position = f"{place + 1} / {len(ids)}"
+    desk.page.goto(f"/#/{desk.name}/review/{ids[place]}")
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text(position)
     desk.settled()
-    return frame
+    return ids[place], position
 
 
 @pytest.mark.parametrize("key", ["Space", "x"])
 def test_a_frame_that_was_opened_by_itself_is_left_only_when_asked(desk: Desk, wait_for, key: str) -> None:
-    place = next(place for place, stored in enumerate(desk.project.frames.of()) if stored.id != desk.frame)
-    frame = visit(desk, place)
+    frame, position = visit_another(desk)
     boxes = len(desk.project.labels.of_frame(frame))
     for left in range(boxes - 1, -1, -1):
         desk.press(key)
@@ -53,7 +54,7 @@ def test_a_frame_that_was_opened_by_itself_is_left_only_when_asked(desk: Desk, w
     expect(desk.page.get_by_test_id("act-accept")).to_contain_text("Next")
     for decided in range(3):
         desk.press("Space")
-        expect(desk.page.get_by_test_id("frame-position")).not_to_have_text(f"{place + 1} / 5")
+        expect(desk.page.get_by_test_id("frame-position")).not_to_have_text(position)
         desk.settled()
         assert desk.frame != frame
         assert desk.label.state is ReviewState.PROPOSED
@@ -61,14 +62,30 @@ def test_a_frame_that_was_opened_by_itself_is_left_only_when_asked(desk: Desk, w
         assert items == len(desk.project.labels.select(states=[ReviewState.PROPOSED])) > decided
 
 
+def test_the_queue_goes_on_after_a_look_at_the_next_frame_and_a_reload(desk: Desk, wait_for) -> None:
+    desk.page.get_by_test_id("queue-order").select_option("time")
+    desk.settled()
+    first, position = desk.frame, desk.page.get_by_test_id("frame-position").inner_text()
+    desk.press("n")
+    expect(desk.page.get_by_test_id("frame-position")).not_to_have_text(position)
+    desk.press("p")
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text(position)
+    desk.page.reload()
+    for _ in desk.project.labels.of_frame(first):
+        desk.settled()
+        assert desk.frame == first
+        desk.press("Space")
+    expect(desk.page.get_by_test_id("frame-position")).not_to_have_text(position)
+
+
 def test_all_of_a_frame_that_was_opened_by_itself_are_accepted_in_it(desk: Desk, wait_for) -> None:
-    frame = visit(desk, 1)
+    frame, position = visit_another(desk)
     desk.press("Shift+Space")
     wait_for(lambda: {label.state for label in desk.project.labels.of_frame(frame)} == {ReviewState.ACCEPTED})
     expect(desk.page.get_by_test_id("saving")).to_have_text("")
     assert desk.frame == frame
     desk.press("Shift+Space")
-    expect(desk.page.get_by_test_id("frame-position")).not_to_have_text("2 / 5")
+    expect(desk.page.get_by_test_id("frame-position")).not_to_have_text(position)
 
 
 def test_a_deletion_stays_in_the_frame_and_the_queue_goes_on_with_a_key(desk: Desk, wait_for) -> None:

@@ -43,23 +43,20 @@ def test_a_track_is_continued_filled_and_stepped_through(desk: Desk, wait_for) -
     # the page has selected the next proposal
     page.locator(f'[data-testid="frame-box"][aria-current="true"]:not([data-uid="{uid}"])').wait_for()
     desk.settled()
-    page.goto(f"/#/{desk.name}/review/{frames[0]}?uid={uid}")
-    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
+    page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]').click()
     desk.settled()
     # the same for a rejected box
     desk.press("x")
     wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.REJECTED)
     desk.settled()
-    page.goto(f"/#/{desk.name}/review/{frames[0]}?uid={uid}")
-    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
+    page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]').click()
     desk.settled()
     page.get_by_test_id("field-track").fill("71")
     desk.press("Space")
     wait_for(lambda: desk.project.labels.get(uid).label.state is ReviewState.ACCEPTED)
     assert desk.project.labels.get(uid).label.track_id == 71
     desk.settled()
-    page.goto(f"/#/{desk.name}/review/{frames[0]}?uid={uid}")
-    page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uid}"]').wait_for()
+    page.locator(f'[data-testid="frame-box"][data-uid="{uid}"]').click()
     desk.settled()
     page.get_by_test_id("field-track").fill("7")
     page.get_by_test_id("field-track").press("Enter")
@@ -211,8 +208,7 @@ def test_a_frames_boxes_are_seen_in_small_and_accepted_together(desk: Desk, wait
     first, second = (frame.id for frame in project.frames.of()[:2])
     uids = [label.uid for label in project.labels.of_frame(first)]
     assert len(uids) > 1
-    page.goto(f"/#/{desk.name}/review/{first}?uid={uids[0]}")
-    page.reload()
+    page.locator(f'[data-testid="queue-item"][data-uid="{uids[0]}"]').click()
     page.locator(f'[data-testid="frame-box"][aria-current="true"][data-uid="{uids[0]}"]').wait_for()
     expect(page.locator(".small-views")).to_have_count(len(uids))
     desk.settled()

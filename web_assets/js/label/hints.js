@@ -24,8 +24,7 @@ export function hintFor({ draft, isReadonly, label, hasItems, guesses, notSaved,
   }
   if (draft.item.uid && draft.item.boxes.every(Boolean))
     return `The ${name} is finished. Draw a box around the next one, or press N for the next frame.`;
-  if (draft.stop)
-    return "Change its box on the image, or delete it. In Review, C copies boxes from the previous frame.";
+  if (draft.stop) return "Change its box on the image, or delete it. In Review, C copies the previous frame's boxes.";
   if (draft.isLoading) return `Looking for the ${name} …`;
   if (!draft.steps.length) return "";
   if (hasSuggestions(draft)) return "Enter accepts the dashed boxes. Or drag an edge.";
@@ -67,7 +66,7 @@ export function viewsMessage(draft, step) {
  * @param {Draft | null} draft
  */
 export function sourceOf(draft) {
-  if (!draft || draft.isLoading || draft.item.boxes.every(Boolean)) return "";
+  if (!draft?.steps.length || draft.isLoading || draft.item.boxes.every(Boolean)) return "";
   if (draft.detector === "loading") return "The detector is being loaded …";
   if (!draft.measuredBy) return "";
   return draft.note ? `No dashed boxes (${draft.measuredBy}): ${draft.note}` : `Dashed boxes: ${draft.measuredBy}`;

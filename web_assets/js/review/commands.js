@@ -32,8 +32,9 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   }
 
   /**
-   * What is reviewed after a decision. In the queue, its next item; but a deletion never leaves the frame. Otherwise
-   * the most doubtful open box of the frame; only what is reviewed already lets the operator go on to the queue.
+   * What is reviewed after a decision. In the queue, its next item; but a box that is removed never takes the operator
+   * to another frame. Otherwise the most doubtful open box of the frame, or none: to go on to the queue from there,
+   * accept a box that is reviewed already.
    *
    * @param {"accept" | "reject" | "delete"} kind
    * @param {PageLabel} label
@@ -42,14 +43,15 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   function nextAfter(kind, label) {
     const { id: frame } = currentFrame(app).frame;
     const next = queue.after(label.uid);
-    if (opening.inQueue && (kind !== "delete" || next?.frame === frame)) return next;
+    const isRemoved = kind === "delete" || (kind === "reject" && label.isNew);
+    if (opening.inQueue && (!isRemoved || next?.frame === frame)) return next;
     const open = mostDoubtful(desk.labels().filter((one) => isOpen(one) && one.uid !== label.uid));
     if (open) return { frame, uid: open.uid };
     return kind === "accept" && isReviewed(label) ? next : null;
   }
 
   /** Selects the most doubtful open box of the frame if nothing is selected, or else goes on to the queue. */
-  function begin() {
+  function goOn() {
     const next = queue.after("");
     if (desk.labels().some(isOpen)) opening.pick(null);
     else if (next) void opening.go(next, true);
@@ -64,7 +66,7 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
   async function decide(kind) {
     const label = desk.shown;
     if (opening.loading || !app.state.frame) return;
-    if (!label) return kind === "accept" ? begin() : undefined;
+    if (!label) return kind === "accept" ? goOn() : undefined;
     const { id: frame } = currentFrame(app).frame;
     const before = opening.openings;
     const next = kind === "accept" && label.isNew ? null : nextAfter(kind, label);

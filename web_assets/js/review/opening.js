@@ -5,6 +5,9 @@ import { frameBeside } from "../frame_problem.js";
 import { makeHash } from "../router.js";
 import { isOpen } from "./desk.js";
 
+/** The frame that was taken from the queue last, with its project; it stays so when the page is loaded again. */
+const FROM_QUEUE = "frame-from-queue";
+
 /**
  * @param {ModeApp} app
  * @param {object} parts
@@ -32,8 +35,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
    */
   let broken = null;
   let seenQueue = false;
-  /** The operator works through the queue: what is open was taken from it, not chosen by frame. */
-  let inQueue = false;
 
   /**
    * Sets whether a frame is being opened; keys must not act meanwhile, because its boxes are not shown yet.
@@ -109,12 +110,12 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
    * Opens a box, and puts its frame into the address.
    *
    * @param {Target} options
-   * @param {boolean} [isFromQueue] what is reviewed next comes from the queue, too.
+   * @param {boolean} [isFromQueue] it is the queue's next one, so that the queue goes on from here.
    */
   async function go({ frame, uid }, isFromQueue = false) {
-    inQueue = isFromQueue;
     if (frame === opened && desk.stored(uid)) desk.select(uid);
     else if (!(await open(frame, uid))) return;
+    if (isFromQueue) sessionStorage.setItem(FROM_QUEUE, `${project}/${frame}`);
     app.go(makeHash(project, "review", frame));
   }
 
@@ -124,17 +125,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     if (next === null)
       app.toast(which === "next" ? "This is the recording's last frame." : "This is the recording's first frame.");
     else app.go(makeHash(project, "review", next));
-  }
-
-  /**
-   * Opens the frame that the address names: the operator has chosen it, and stays in it.
-   *
-   * @param {number} id
-   * @param {string | null} uid
-   */
-  function visit(id, uid) {
-    inQueue = false;
-    return open(id, uid);
   }
 
   /** Opens the frame of the page's URL, or else the first one of the queue. */
@@ -148,7 +138,7 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
       app.toast(error);
     }
     if (frame !== null)
-      return visit(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
+      return open(frame, query.get("uid") ?? queue.items.find((item) => item.frame === frame)?.uid ?? null);
     if (queue.items[0]) return go(queue.items[0], true);
     /** @type {Api.FrameListJson} */
     const { frames } = await app.api.get(`${app.path("frames")}?limit=1`);
@@ -163,8 +153,12 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     get seenQueue() {
       return seenQueue;
     },
+    /**
+     * The operator works through the queue: the open frame was taken from it. Another one, which the operator has
+     * chosen, is left only when asked.
+     */
     get inQueue() {
-      return inQueue;
+      return sessionStorage.getItem(FROM_QUEUE) === `${project}/${opened}`;
     },
     /** Changes with each frame that the operator opens. */
     get openings() {
@@ -178,7 +172,6 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
     },
     setLoading,
     open,
-    visit,
     go,
     pick,
     step,

@@ -236,7 +236,7 @@ export function mount(root, app) {
       const uid = query.get("uid");
       if (frame === null) void opening.begin().catch(app.toast);
       else if (frame !== opening.opened && frame !== opening.broken)
-        void opening.visit(frame, uid).then((isOpen) => {
+        void opening.open(frame, uid).then((isOpen) => {
           if (isOpen === false && opening.opened !== null) app.stay(opening.opened);
         });
       else if (uid) desk.select(uid);
