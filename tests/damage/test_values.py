@@ -12,7 +12,7 @@ NOT_YET = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("number", "target"), enumerate(TARGETS), ids=[each.name for each in TARGETS])
+@pytest.mark.parametrize(("number", "target"), list(enumerate(TARGETS)), ids=[each.name for each in TARGETS])
 def test_numbers_are_read_as_they_are_or_refused(number: int, target: Target) -> None:
     left_out = NOT_YET | TEXTS.keys() - {list(TEXTS)[number % len(TEXTS)]}
     for mutation in mutations(target):
