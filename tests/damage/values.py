@@ -10,7 +10,8 @@ saturated   the numbers are lost: only a refusal is right.
 A mutation that nobody could see in the files is no fault of a reader, and is counted apart as ambiguous:
 
 degrees     unless an angle that is written exceeds a full turn, 2 pi.
-quaternion  unless a box is tilted in a format whose boxes are upright. Those of OpenLABEL may be tilted.
+quaternion  unless a box is tilted by more than 10 degrees, as on no slope, in a format whose boxes are upright. Those
+            of OpenLABEL, and of annotator's own exports, may be tilted.
 others      if the files have nothing to change: no text, or no path.
 """
 
@@ -42,7 +43,7 @@ from scipy.spatial.transform import Rotation  # noqa: E402
 
 from annotator.types.errors import AnnotatorError  # noqa: E402
 
-TILTED_RAD = 0.1
+TILTED_RAD = np.radians(10)
 # KITTI rounds to centimetres; all hold what is written.
 KNOWN, SAME = 0.05, 3e-4
 # of 255 levels, for rounding
@@ -164,7 +165,10 @@ def quaternion(folder: Path, _: random.Random) -> str:
         return value
 
     for file in texts(folder):
-        if file.name == "sample_annotation.json" or '"openlabel"' in file.read_text()[:100]:
+        if file.name == "instance.json":  # as of other programs than annotator
+            rows = json.loads(file.read_text())
+            file.write_text(json.dumps([{key: row[key] for key in row if key != "track_id"} for row in rows]))
+        elif file.name == "sample_annotation.json" or '"openlabel"' in file.read_text()[:100]:
             changed_json(file, moved)
     return "" if max(tilts, default=0.0) > TILTED_RAD else "no box is tilted that must not be"
 
