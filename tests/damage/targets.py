@@ -201,11 +201,13 @@ def truths(labels: list[Label]) -> list[Truth]:
     return [Truth(each.label, each.box, each.track_id) for each in labels]
 
 
-def written_by(write: Callable[..., object], *, places: int = 0) -> Callable[[Path], object]:
+def written_by(
+    write: Callable[..., object], *, places: int = 0, items: list[Any] | None = None
+) -> Callable[[Path], object]:
     """Builds an export; with `places`, its names are of sequences (3) or six digits (2)."""
+    items = items or labelled()
 
     def build(folder: Path) -> None:
-        items = labelled()
         given: list[Any] = []
         if places == 2:
             given = [six_digit_ids([(item.recording, item.frame.key) for item in items])]

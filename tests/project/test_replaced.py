@@ -42,16 +42,21 @@ def _link(folder: Path, backup: Path) -> None:
 def test_a_replaced_project_refuses_writes_and_is_sound_when_opened_anew(
     project: Project, frame: int, backup: Path, replace: Callable[[Path, Path], None]
 ) -> None:
+    assert project.history.undo("ann").words == "draw hand (frame 2)"
+    assert project.history.next("ann") == ("draw hand (frame 2)",) * 2
     replace(project.path, backup)
     assert not project.is_current
     with pytest.raises(ReplacedError, match="was replaced by another file, or written over, while it was open"):
         _label(project, frame)
+    with pytest.raises(ReplacedError):
+        project.history.next("ann")
     with pytest.raises(ReplacedError):
         project.labels.of_frame(frame)
     project.close()
     with open_project(project.path) as anew:
         assert anew.problems() == []
         assert len(anew.labels.of_frame(frame)) == 1, "the backup's state, not mixed with what came after it"
+        assert anew.history.next("ann") == ("draw hand (frame 2)", None)
         _label(anew, frame)
     with open_project(project.path) as again:
         assert len(again.labels.of_frame(frame)) == 2
