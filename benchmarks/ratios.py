@@ -2,9 +2,9 @@
 
     python -m benchmarks.ratios [--json]
 
-Each part of the hot path is timed relative to a reference on the same machine at the same time: sorting numbers, drawing
-six views, or the same work without its optimisation. Both are timed in turns. The best of several rounds counts, because other
-programs can only increase a ratio. The exit code is 1 if a ratio is above its bound, which is about 1.5 times the
+Each part of the hot path is timed relative to a reference on the same machine at the same time: sorting numbers,
+drawing six views, or the same work in another way. Both are timed in turns. The best of several rounds counts, because
+other programs can only increase a ratio. The exit code is 1 if a ratio is above its bound, which is about 1.5 times the
 measured value (docs/benchmarks.md). Ratios depend on the processor (another one may sort ten times as fast, but render
 at the same speed), so this benchmark is not part of `scripts/test`.
 """

@@ -13,8 +13,10 @@ from annotator.geometry.outline import box_on_image
 from annotator.rcv import starts
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
 from annotator.rcv.propose import propose_from_boxes
+from annotator.rcv.typical_size.evidence import Candidates, Evidence
+from annotator.rcv.typical_size.placement import place
 from annotator.rcv.typical_size.sizes import TypicalSize
-from annotator.types import BoxKind, Detector, Frame, Image, OrientedBox, Truth
+from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, Truth
 from tests.rcv.test_typical_size import BOX, CAMERA, TYPICAL, Blind, frame_with
 
 FREE, UPRIGHT = Orientation.FREE, Orientation.UPRIGHT
@@ -32,7 +34,7 @@ class Counting:
         self._detector = detector
         self.views: list[int] = []
 
-    def detect(self, images: Sequence[Image]) -> list[list]:
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         self.views.append(len(images))
         return self._detector.detect(images)
 
@@ -52,8 +54,12 @@ def knowing(frame: Frame) -> PerfectDetector:
 def placed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Grows by one with each placement in a whole frustum."""
     calls: list[int] = []
-    place = starts.place
-    monkeypatch.setattr(starts, "place", lambda evidence: (calls.append(1), place(evidence))[1])
+
+    def counted(evidence: Evidence) -> Candidates:
+        calls.append(1)
+        return place(evidence)
+
+    monkeypatch.setattr(starts, "place", counted)
     return calls
 
 
@@ -61,6 +67,7 @@ def found(frame: Frame, detector: Detector, config: RcvConfig) -> tuple[Oriented
     """The box of the crate, what its trace says about its starts, and the views of each step."""
     counting = Counting(detector)
     image_box = box_on_image(CAMERA, BOX, "crate")
+    assert image_box is not None
     (result,) = propose_from_boxes([frame], [[image_box]], counting, config)
     (proposal,) = result.proposals
     return proposal.box, tuple(note for step in proposal.trace for note in step.fallback), counting.views
