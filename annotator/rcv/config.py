@@ -326,10 +326,10 @@ class RcvConfig(BaseModel):
         left_out: dict[str, Any] = {"orientation": True, "reviewed_sizes": True}
         if not self.uses_typical_sizes:
             left_out["typical_sizes"] = True
+        if not (self.trained and self.uses_typical_sizes):
+            left_out["trained"] = True
         if not self.class_agnostic:
             left_out |= {"class_agnostic": True, "first_look": True}
-        if not self.trained:
-            left_out["trained"] = True
         if self.image_box_kind is BoxKind.BOX or self.box_kind is BoxKind.SILHOUETTE:  # it changes nothing
             left_out["image_box_kind"] = True
         if self.fit.use_edge_errors:  # a detector that tells them has another fingerprint

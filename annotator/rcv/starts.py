@@ -1,8 +1,8 @@
 """What an object starts from that a class-agnostic view detector measures.
 
 A detector that was not trained on the project's objects often fails in the view of a whole frustum. So an object starts
-from rivals: boxes of its class's typical size, or else crops along the depth of the frustum. Boxes are placed anywhere
-in the frustum, and a free one has many rotations: that takes as long as two dozen views.
+from rivals: boxes of its class's typical size, placed anywhere in the frustum, or else crops along the depth. Both take
+several times as long as one start.
 
 A trained detector looks at the whole frustum first, if the class has a typical size. If what it sees agrees with the
 image box, boxes are placed around that only.
@@ -61,7 +61,7 @@ def after_look(camera: Camera, cold: ObjectState, seen: Sequence[ObjectState], c
         cold: the state before the look.
         seen: the states after it, one for each box.
     """
-    agreements = [0.0 if s.box is None else image_agreement(camera, s, s.box, config) for s in seen]
+    agreements = [_agreement(camera, state, config) for state in seen]
     best = seen[int(np.argmax(agreements))]
     facts = best.frustum
     if max(agreements) < LOOK_AGREEMENT or best.box is None or facts is None or facts.evidence is None:
@@ -69,6 +69,13 @@ def after_look(camera: Camera, cold: ObjectState, seen: Sequence[ObjectState], c
     facts = replace(facts, placed=place_near(facts.evidence, best.box))
     started = _placed(replace(best, cold=None), facts, STARTS_AFTER_LOOK, config)
     return [replace(state, rivals=len(started)) for state in started]
+
+
+def _agreement(camera: Camera, state: ObjectState, config: RcvConfig) -> float:
+    """The IoU of the state's box with the image box; 0 without a box, or with too few points to go on."""
+    if state.box is None or state.stop is StopReason.TOO_FEW_POINTS:
+        return 0.0
+    return image_agreement(camera, state, state.box, config)
 
 
 def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:

@@ -123,3 +123,5 @@ def test_the_settings_tell_whether_the_detector_is_trained() -> None:
     assert "trained" not in config_for(FREE, [TYPICAL], False).record()
     assert config_for(FREE, [TYPICAL], True).record()["trained"] is True
     assert not RcvConfig().for_detector(BoxKind.BOX, class_agnostic=False, trained=True).trained
+    silhouettes = RcvConfig().for_detector(BoxKind.SILHOUETTE, class_agnostic=True, trained=True)
+    assert "trained" not in silhouettes.record()  # it changes nothing there
