@@ -230,7 +230,7 @@ def tried(
     """
     ious: dict[str, list[float]] = defaultdict(list)
     kind = BoxKind.SILHOUETTE if _takes_masks(recording, args) else BoxKind.BOX
-    config = config.for_detector(config.box_kind, config.class_agnostic, kind)
+    config = config.for_detector(config.box_kind, config.class_agnostic, kind, config.trained)
     if args.no_sizes:
         look = config.first_look.model_copy(update={"use_typical_sizes": False})
         config = config.model_copy(update={"first_look": look})
@@ -311,7 +311,8 @@ def after(
         seconds = time.perf_counter() - begin
         model = view_model(project)
         size_px = read_trained(model.path.parent).image_size_px
-        config = rcv_config(project, view_px=size_px).for_detector(model.box_kind, model.class_agnostic)
+        config = rcv_config(project, view_px=size_px)
+        config = config.for_detector(model.box_kind, model.class_agnostic, trained=model.trained)
         ious = tried(recording, indices, load_detector(model.path, args.backend), config, args)
         return {label: ious[label] for label in chosen}, seconds
 

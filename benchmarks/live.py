@@ -10,7 +10,7 @@ project, the detectors are trained as in `benchmarks.loop`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -22,11 +22,18 @@ from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.warm_start import is_warm
 from annotator.recordings import Recording, open_recording
-from annotator.types import DetectorKind
+from annotator.types import Detector
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.web.live.page import LivePage
-from annotator.workflows.detectors import Detectors, load_detector, own_model
+from annotator.workflows.detectors import (
+    Detectors,
+    UsedModel,
+    active_detectors,
+    image_model,
+    load_detector,
+    view_model,
+)
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback, Repeat
@@ -93,14 +100,15 @@ def run(args: Arguments) -> dict[str, object]:
 
 
 def _detectors(project: Project, args: Arguments) -> Detectors:
-    image, view = project.models.active(DetectorKind.IMAGE), project.models.active(DetectorKind.VIEW)
-    assert image is not None and view is not None  # both were trained
-    return Detectors(
-        load_detector(image.path, args.backend, args.image_size),
-        load_detector(view.path, args.backend, args.view_size),
-        view.box_kind,
-        own_model(project, view).class_agnostic,
-    )
+    detectors = active_detectors(project, backend=args.backend)
+    image = _resized(image_model(project), detectors.image, args.image_size, args.backend)
+    view = _resized(view_model(project), detectors.view, args.view_size, args.backend)
+    return replace(detectors, image=image, view=view)
+
+
+def _resized(model: UsedModel, detector: Detector, size_px: int | None, backend: Backend) -> Detector:
+    """The detector, loaded again if its network gets another size."""
+    return detector if size_px is None else load_detector(model.path, backend, size_px, names=model.names)
 
 
 def _measure(recording: Recording, detection: LiveDetection, args: Arguments) -> dict[str, object]:

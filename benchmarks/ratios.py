@@ -2,9 +2,9 @@
 
     python -m benchmarks.ratios [--json]
 
-Each part of the hot path is timed relative to a reference on the same machine at the same time: sorting numbers, or the
-same work without its optimisation. Both are timed in turns. The best of several rounds counts, because other
-programs can only increase a ratio. The exit code is 1 if a ratio is above its bound, which is about 1.5 times the
+Each part of the hot path is timed relative to a reference on the same machine at the same time: sorting numbers,
+drawing six views, or the same work in another way. Both are timed in turns. The best of several rounds counts, because
+other programs can only increase a ratio. The exit code is 1 if a ratio is above its bound, which is about 1.5 times the
 measured value (docs/benchmarks.md). Ratios depend on the processor (another one may sort ten times as fast, but render
 at the same speed), so this benchmark is not part of `scripts/test`.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,14 +25,23 @@ import tyro
 
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.network_file import NetworkDescription, build, write_network
+from annotator.detection.perfect import PerfectDetector
 from annotator.detection.ultralytics_api import api
 from annotator.detection.yolo import YoloDetector
 from annotator.geometry.oriented_box import box_corners
-from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.project.config import BoxRotation
+from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig, ViewConfig
 from annotator.rcv.hypotheses import near_axes, wide_axes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.pseudo_view import render_pairs
-from annotator.types import OrientedBox, PseudoView
+from annotator.rcv.recursion import plan_step, start
+from annotator.rcv.starts import start_rivals
+from annotator.rcv.typical_size.sizes import TypicalSize
+from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PseudoView, Truth
+from annotator.workflows.detectors import Detectors
+from annotator.workflows.live.detection import LiveDetection
+from annotator.workflows.live.source import Taken
+from annotator.workflows.warm_up import BOX, warm_frame
 from benchmarks.pseudo_view import frustum
 from benchmarks.report import Table, finish, guarded
 
@@ -40,6 +49,9 @@ WORSE = 1
 POINTS = 50_000
 VIEW_PX = 64
 SORTED = 50_000
+# Camera and image box of the cloud of `benchmarks.pseudo_view`.
+CAMERA, ON_IMAGE = Camera(640, 480, 500.0, 500.0, 319.5, 239.5), Box2D("object", 269.5, 189.5, 369.5, 289.5)
+TYPICAL = TypicalSize(label="object", size_m=(0.4, 0.3, 0.2), spread=(0.1, 0.1, 0.1))
 
 
 @dataclass
@@ -107,7 +119,7 @@ def _timed(work: Callable[[], object]) -> float:
 
 
 def cpu_ratios() -> list[Ratio]:
-    """The work without detectors, compared with sorting numbers."""
+    """The work without detectors, compared with sorting numbers or with drawing six views."""
     rng = np.random.default_rng(0)
     numbers = rng.random(SORTED, np.float32)
     cloud, view = frustum(POINTS, rng), ViewConfig(size_px=VIEW_PX)
@@ -115,14 +127,25 @@ def cpu_ratios() -> list[Ratio]:
     true = OrientedBox.from_parts(np.array([0.1, 0.0, 2.0]), np.eye(3), np.array([0.6, 0.4, 0.3]))
     intervals = _measured_intervals(true, [*wide_axes(None, config), *near_axes(true.rotation, None, config)], rng)
     axes = near_axes(true.rotation, None, config)
+    agnostic = config.for_detector(BoxKind.BOX, class_agnostic=True)
+    sized = agnostic.model_copy(update={"typical_sizes": (TYPICAL,)})
+    unknown = start(0, ON_IMAGE, cloud, None, config)
+
+    def first_look() -> object:
+        return [plan_step(state, agnostic) for state in start_rivals(CAMERA, unknown, agnostic)]
+
+    def six_views() -> object:
+        return render_pairs(cloud, axes, view)
 
     def sort() -> object:
         return np.argsort(numbers, kind="stable")  # numpy's stable sort does not depend on special CPU instructions
 
     return [
-        Ratio("six views of a cloud of 50,000 / sorting", lambda: render_pairs(cloud, axes, view), sort, 0.7),
+        Ratio("six views of a cloud of 50,000 / sorting", six_views, sort, 0.7),
         Ratio("box through 60 intervals / sorting", lambda: fit_box(intervals, None), sort, 0.55),
         Ratio("the same with a start rotation / sorting", lambda: fit_box(intervals, None, true.rotation), sort, 0.55),
+        Ratio("views of a first look / six views", first_look, six_views, 30.0),
+        Ratio("placement by size / six views", lambda: start_rivals(CAMERA, unknown, sized), six_views, 100.0),
     ]
 
 
@@ -135,17 +158,50 @@ def _measured_intervals(box: OrientedBox, axes: list[np.ndarray], rng: np.random
 
 
 def detector_ratios(folder: Path) -> list[Ratio]:
-    """The default backend of this machine, compared with torch, on an untrained network."""
+    """An untrained network: the default backend of this machine, compared with torch, and in live detection."""
     weights = folder / "untrained.safetensors"
     api().torch.manual_seed(0)
     write_network(weights, build(NetworkDescription(architecture="yolo11n", labels=("object",))))
     views = _views()
 
-    def detection(backend: Backend) -> Callable[[], object]:
-        detector = YoloDetector(weights, DetectorConfig(image_size_px=VIEW_PX, backend=backend, device="cpu"))
-        return lambda: detector.detect(views)
+    def loaded(backend: Backend) -> Detector:
+        return YoloDetector(weights, DetectorConfig(image_size_px=VIEW_PX, backend=backend, device="cpu"))
 
-    return [Ratio("six views by the default backend / torch", detection("auto"), detection("torch"), 0.5)]
+    default, torch = loaded("auto"), loaded("torch")
+    backends = Ratio(
+        "six views by the default backend / torch", lambda: default.detect(views), lambda: torch.detect(views), 0.5
+    )
+    return [backends, *live_ratios(default)]
+
+
+class _Known:
+    """A network whose answers are replaced by the true boxes."""
+
+    labels = tuple(AGNOSTIC_LABELS.values())
+    fingerprint = "known"
+
+    def __init__(self, network: Detector, truth: Detector) -> None:
+        self._network, self._truth = network, truth
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        self._network.detect(images)
+        return self._truth.detect(images)
+
+
+def live_ratios(network: Detector) -> list[Ratio]:
+    """Live detection of one object by a trained view detector, each frame by itself, compared with warm starts."""
+    frame = warm_frame()
+    truth = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], BOX)])
+    image = PerfectDetector.for_frame(frame, [Truth(TYPICAL.label, BOX)])
+    detectors = Detectors(image, _Known(network, truth), class_agnostic=True, trained=True)
+    config = RcvConfig(view=ViewConfig(size_px=VIEW_PX), typical_sizes=(TYPICAL,))
+
+    def live(warm_start: bool) -> Callable[[], object]:
+        detection = LiveDetection(detectors, config, BoxRotation.FREE, warm_start=warm_start)
+        detection.detect(Taken(frame, 0.0, 0.0))
+        return lambda: detection.detect(Taken(frame, 0.0, 0.0))
+
+    return [Ratio("live, each frame by itself / warm starts", live(False), live(True), 6.0)]
 
 
 def _views() -> list[PseudoView]:

@@ -330,7 +330,7 @@ class Project:
         # if the image boxes are given, the image detector is never called; the view detector takes its place
         detector = image if isinstance(image, Detector) else view
         model = view_model(self.stored)
-        return Detectors(detector, view, model.box_kind, model.class_agnostic, image_kind)
+        return Detectors(detector, view, model.box_kind, model.class_agnostic, image_kind, model.trained)
 
     def _detector(self, kind: DetectorKind) -> Detector:
         """The project's active detector; loaded once, and reloaded after another one is activated."""
@@ -355,9 +355,10 @@ class Project:
         if view is None:
             model = view_model(self.stored)
             view, kind, agnostic = self._detector(DetectorKind.VIEW), model.box_kind, model.class_agnostic
+            trained = model.trained
         else:
-            kind, agnostic = kind_of(view, box_kind), False
+            kind, agnostic, trained = kind_of(view, box_kind), False, False
         if image is not None:
-            return GivenDetectors(Detectors(image, view, kind, agnostic, image_kind_of(image, image_kind)))
+            return GivenDetectors(Detectors(image, view, kind, agnostic, image_kind_of(image, image_kind), trained))
         image_kind = active_model(self.stored, DetectorKind.IMAGE).box_kind
-        return GivenDetectors(Detectors(self._detector(DetectorKind.IMAGE), view, kind, agnostic, image_kind))
+        return GivenDetectors(Detectors(self._detector(DetectorKind.IMAGE), view, kind, agnostic, image_kind, trained))

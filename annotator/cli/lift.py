@@ -75,7 +75,7 @@ def run(
             kind = active_model(opened, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
             require_known(view, loaded.labels)
             chosen = None if recording is None else [opened.recordings.find(recording).id]
-            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind)
+            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
             with counted("lift") as progress:
                 done = annotate(opened, pair, config, recordings=chosen, progress=progress)
         else:

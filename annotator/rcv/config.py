@@ -237,6 +237,7 @@ class RcvConfig(BaseModel):
     class_agnostic: bool = Field(
         False, description="whether the view detector measures the object of a crop, whatever its class"
     )
+    trained: bool = Field(False, description="whether the view detector was trained on objects of the project")
 
     max_steps: int = Field(
         5, ge=1, le=20, description="maximum number of steps, including the first one along the camera axes"
@@ -286,15 +287,23 @@ class RcvConfig(BaseModel):
         0.3, ge=0, le=1, description="if two boxes of a class have a higher IoU, only the better one is kept"
     )
 
-    def for_detector(self, kind: BoxKind, class_agnostic: bool = False, image_kind: BoxKind = BoxKind.BOX) -> RcvConfig:
-        """The same settings for a view detector. Only this method sets these three settings.
+    def for_detector(
+        self, kind: BoxKind, class_agnostic: bool = False, image_kind: BoxKind = BoxKind.BOX, trained: bool = False
+    ) -> RcvConfig:
+        """The same settings for a view detector. Only this method sets these four settings.
 
         Args:
             kind: what its boxes measure.
             class_agnostic: whether it measures the object of a crop, whatever its class.
             image_kind: what the boxes on the camera image enclose.
+            trained: whether it was trained on objects of the project; only matters if it is class-agnostic.
         """
-        settings = {"box_kind": kind, "class_agnostic": class_agnostic, "image_box_kind": image_kind}
+        settings = {
+            "box_kind": kind,
+            "class_agnostic": class_agnostic,
+            "image_box_kind": image_kind,
+            "trained": class_agnostic and trained,
+        }
         return self.model_copy(update=settings)
 
     @property
@@ -317,6 +326,8 @@ class RcvConfig(BaseModel):
         left_out: dict[str, Any] = {"orientation": True, "reviewed_sizes": True}
         if not self.uses_typical_sizes:
             left_out["typical_sizes"] = True
+        if not (self.trained and self.uses_typical_sizes):
+            left_out["trained"] = True
         if not self.class_agnostic:
             left_out |= {"class_agnostic": True, "first_look": True}
         if self.image_box_kind is BoxKind.BOX or self.box_kind is BoxKind.SILHOUETTE:  # it changes nothing

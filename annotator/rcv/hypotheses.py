@@ -13,17 +13,27 @@ from annotator.rcv.axes import UPRIGHT_SYMMETRIES, camera_axes, match_all_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.rotation_search import rotation_matrices, spread_rotations
 
+# Rivals share the hypotheses of a wide step, but each has at least this number, or all.
+LEAST_SHARE = 4
 DIAGONALS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
 
 
-def wide_axes(up: Float64[np.ndarray, "3"] | None, config: RcvConfig) -> list[Float64[np.ndarray, "3 3"]]:
-    """Axes spread over all orientations of a box: over a quarter turn of yaw with `up`, else over SO(3)."""
+def wide_axes(
+    up: Float64[np.ndarray, "3"] | None, config: RcvConfig, rivals: int = 1
+) -> list[Float64[np.ndarray, "3 3"]]:
+    """Axes spread over all orientations of a box: over a quarter turn of yaw with `up`, else over SO(3).
+
+    Args:
+        rivals: number of states of the same object that share the hypotheses.
+    """
     base = camera_axes(up)
+    count = config.consensus.free_hypotheses if up is None else config.consensus.upright_hypotheses
+    count = min(count, max(count // rivals, LEAST_SHARE))
     if up is not None:
-        yaws = np.arange(config.consensus.upright_hypotheses) * (np.pi / 2 / config.consensus.upright_hypotheses)
+        yaws = np.arange(count) * (np.pi / 2 / count)
         rotations = Rotation.from_rotvec(yaws[:, None] * up).as_matrix()
     else:
-        rotations = spread_rotations(config.consensus.free_hypotheses)
+        rotations = spread_rotations(count)
     return _all_facing_camera(base @ rotations.swapaxes(1, 2), up)
 
 

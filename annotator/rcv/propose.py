@@ -11,7 +11,8 @@ from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
-from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start, start_rivals
+from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start
+from annotator.rcv.starts import after_look, begin
 from annotator.rcv.warm_start import WarmStart, check_first_step, match_warm_starts, start_warm
 from annotator.types import Box2D, Detector, Frame, StopReason
 
@@ -74,14 +75,14 @@ def _advanced(
     advanced = absorb_step(state, plan, detections, config)
     if state.cold is None:
         return advanced
+    if not state.is_warm:
+        return after_look(frame.camera, state.cold, advanced, config)
     checked = [check_first_step(frame.camera, state, after, config) for after in advanced]
-    if not config.class_agnostic:
-        return checked
-    dropped = [state.cold is None and state.is_first for state in checked]
     return [
         begun
-        for state, is_dropped in zip(checked, dropped, strict=True)
-        for begun in (start_rivals(frame.camera, state, config) if is_dropped else [state])
+        for after in checked
+        # a dropped start box leaves the state before any step
+        for begun in (begin(frame.camera, after, config) if after.is_first else [after])
     ]
 
 
@@ -107,8 +108,6 @@ def _initial_states(
     for state, box in zip(states, start_boxes, strict=True):
         if box is not None and state.stop is StopReason.CONTINUES:
             begun.append(start_warm(state, box, config))
-        elif config.class_agnostic:
-            begun.extend(start_rivals(frame.camera, state, config))
         else:
-            begun.append(state)
+            begun.extend(begin(frame.camera, state, config))
     return begun

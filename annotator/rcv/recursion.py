@@ -19,13 +19,12 @@ from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
-from annotator.rcv.first_look import depth_crops, expected_outline, image_planes, in_middle
-from annotator.rcv.frustum_views import frustum_views, is_deep
+from annotator.rcv.first_look import expected_outline, image_planes
+from annotator.rcv.frustum_views import frustum_views
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
 from annotator.rcv.typical_size.evidence import Candidates, Evidence
-from annotator.rcv.typical_size.placement import distinct, place
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -39,13 +38,6 @@ from annotator.types import (
     StopReason,
     ViewTrace,
 )
-
-# Points of the middle of an image box that are kept to compare rivals.
-MIDDLE_POINTS = 500
-# Of a class with a typical size: the number of boxes to start from, their maximum IoU, the margin around each within
-# which its points lie (share of its mean side), and the note in the trace.
-STARTS, STARTS_IOU, START_ROOM = 3, 0.5, 0.1
-TYPICAL_SIZE = "started from a box of the class's typical size"
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +78,11 @@ class ObjectState:
         expected_loss: the expected 1 - IoU of a box that was chosen among candidates (`finish`); None = by the fit.
         steps: the trace.
         stop: CONTINUES while the recursion runs.
-        notes: how the object started, for the trace of the first step.
+        notes: how the object came to its present box or cloud, for the trace of the next step.
         is_warm: whether the object started from its previous box (`warm_start`).
-        cold: the state without the warm start; None if there is no warm start, or after it has been checked.
+        cold: the state without the warm start or the look of a trained detector (`starts`); None without them, or
+            after the first step, which checks them.
+        rivals: number of states of the object that share the axis hypotheses of a wide step.
         frustum: what a class-agnostic detector's object needs of its whole frustum; None with other detectors.
     """
 
@@ -111,6 +105,7 @@ class ObjectState:
     notes: tuple[str, ...] = ()
     is_warm: bool = False
     cold: ObjectState | None = None
+    rivals: int = 1
     frustum: FrustumFacts | None = None
 
     @property
@@ -156,43 +151,6 @@ def start(
     return state
 
 
-def start_rivals(camera: Camera, state: ObjectState, config: RcvConfig) -> list[ObjectState]:
-    """The states of an object that a class-agnostic detector measures: its frustum, and crops along its depth.
-
-    An object of a class with a typical size starts from plausible boxes of about this size instead.
-
-    Args:
-        state: from `start`.
-    """
-    if state.stop is not StopReason.CONTINUES:
-        return [state]
-    xyz_m = state.cloud.xyz_m
-    middle = xyz_m[in_middle(camera, xyz_m, state.image_box)]
-    facts = FrustumFacts(state.cloud, middle[:: max(len(middle) // MIDDLE_POINTS, 1)], camera)
-    typical = config.typical_size(state.image_box.label)
-    if typical is not None:
-        outline = expected_outline(camera, state.image_box, config)
-        evidence = Evidence.of(camera, xyz_m, state.image_box, outline, typical, state.up)
-        if evidence is not None:
-            return _placed(state, replace(facts, evidence=evidence, placed=place(evidence)), config)
-    crops = depth_crops(camera, xyz_m, state.image_box, config.first_look, config.min_points)
-    whole = [] if crops and is_deep(state.cloud, config) else [replace(state, frustum=facts)]
-    return whole + [replace(state, cloud=state.cloud.select(crop), frustum=facts) for crop in crops]
-
-
-def _placed(state: ObjectState, facts: FrustumFacts, config: RcvConfig) -> list[ObjectState]:
-    """The states that start from the best placed boxes; without their points, the state that has only the frustum."""
-    assert facts.placed is not None
-    state = replace(state, frustum=facts, notes=(*state.notes, TYPICAL_SIZE))
-    started = []
-    for placed in distinct(facts.placed, STARTS, STARTS_IOU):
-        box = canonical_box(placed, state.up)
-        cloud = state.cloud.select(contains(box, state.cloud.xyz_m, START_ROOM * float(box.size_m.mean())))
-        if len(cloud) >= config.min_points:
-            started.append(replace(state, cloud=cloud, box=box, axes=box.rotation.T))
-    return started or [state]
-
-
 def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -> StepPlan:
     """Chooses the projection axes of the next step and draws its views on the device of `compute`."""
     fallback: tuple[str, ...] = ()
@@ -204,8 +162,7 @@ def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -
     else:
         chosen = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
         strategy, fallback, axes = chosen.strategy, chosen.fallback, [chosen.axes]
-    if not state.steps:
-        fallback = state.notes + fallback
+    fallback = state.notes + fallback
     views: Sequence[PseudoView]
     if state.is_first:
         views = frustum_views(state.cloud, axes[0], config, compute, enlarge_deep=state.frustum is None)
@@ -230,7 +187,7 @@ def _consensus_axes(
 ) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
     """The axis hypotheses of a step, and why more complex strategies failed."""
     if state.box is None or (len(state.steps) == 1 and not state.is_warm):
-        return wide_axes(state.up, config), ()
+        return wide_axes(state.up, config, state.rivals), ()
     if state.is_warm:
         axes = warm_axes(state.box.rotation, state.up, len(state.steps), config)
     else:
@@ -331,6 +288,7 @@ def _advance(
         fit=measured.fit,
         steps=(*state.steps, step),
         stop=stop,
+        notes=(),
     )
 
 

@@ -38,6 +38,7 @@ class Detectors:
         box_kind: what the view detector's boxes measure.
         class_agnostic: whether it measures objects of any class, as the base detector does.
         image_kind: what the image detector's boxes enclose.
+        trained: whether the view detector was trained on objects of the project.
     """
 
     image: Detector
@@ -45,10 +46,11 @@ class Detectors:
     box_kind: BoxKind = BoxKind.BOX
     class_agnostic: bool = False
     image_kind: BoxKind = BoxKind.BOX
+    trained: bool = False
 
     def settings(self, config: RcvConfig) -> RcvConfig:
         """Adapts the settings `config` to these detectors."""
-        return config.for_detector(self.box_kind, self.class_agnostic, self.image_kind)
+        return config.for_detector(self.box_kind, self.class_agnostic, self.image_kind, self.trained)
 
     @property
     def backends(self) -> tuple[str, str]:
@@ -118,6 +120,7 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
         view.box_kind,
         view.class_agnostic,
         image.box_kind,
+        view.trained,
     )
 
 
@@ -141,6 +144,11 @@ class UsedModel:
     name: str = ""
     manifest: Path | None = None
     names: Names = ()
+
+    @property
+    def trained(self) -> bool:
+        """Whether it was trained on objects of the project."""
+        return not self.name
 
     @property
     def described(self) -> str:

@@ -28,6 +28,7 @@ DERIVED = {
     "orientation": "follows from the rotation: settings.rotation of the project, or --rotation",
     "box_kind": "follows from the boxes that the pseudo-view detector was trained on",
     "class_agnostic": "follows from the pseudo-view detector",
+    "trained": "follows from the pseudo-view detector",
     "image_box_kind": "follows from the boxes on the image",
     "reviewed_sizes": "follows from the reviewed boxes of the project; set typical_sizes",
 }

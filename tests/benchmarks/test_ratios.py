@@ -53,7 +53,7 @@ def test_ratios_above_their_bounds_give_exit_code_1(
     monkeypatch.setattr(ratios, "measured", lambda ratio, _: (ratio.work(), Outcome(ratio.name, 1e9, ratio.most))[1])
     result = run(Arguments())
     names = [row["name"] for row in result["ratios"]]  # type: ignore[attr-defined]
-    assert len(names) == 4
+    assert len(names) == 7
     assert result["worse"] == names
     monkeypatch.setattr(sys, "argv", ["ratios", "--json"])
     with pytest.raises(SystemExit) as ended:

@@ -16,7 +16,8 @@ from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, 
 from annotator.rcv.first_look import Outline
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.recursion import TYPICAL_SIZE, start
+from annotator.rcv.recursion import start
+from annotator.rcv.starts import TYPICAL_SIZE
 from annotator.rcv.typical_size.evidence import MARGIN, Candidates, Evidence, best_expected
 from annotator.rcv.typical_size.placement import BY_SCORE, changed, distinct, place
 from annotator.rcv.typical_size.sizes import TypicalSize, typical_size

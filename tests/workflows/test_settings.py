@@ -134,7 +134,7 @@ def test_show_config_prints_the_resulting_settings(
     assert main(words) == 0
     shown = json.loads(capsys.readouterr().out)
     assert (shown["max_steps"], shown["min_points"], shown["strategy"]) == (7, 11, "normals")
-    derived = {"orientation", "box_kind", "class_agnostic", "image_box_kind", "reviewed_sizes"}
+    derived = {"orientation", "box_kind", "class_agnostic", "trained", "image_box_kind", "reviewed_sizes"}
     assert shown.keys() == RcvConfig.model_fields.keys() - derived
 
 

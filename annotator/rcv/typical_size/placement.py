@@ -27,6 +27,8 @@ SIZES_UPRIGHT, SIZES_FREE = 6, 2
 BY_OUTLINE, BY_SCORE = 500, 100
 # In each round, this many candidates are changed this many times.
 ROUNDS, CHANGED, TIMES = 2, 16, 12
+# Number of changes of a measured box before the rounds.
+NEAR = 20
 # Standard deviations of the changes in the first round, halved in later ones: shift in sides, rotation in radians, and
 # sides in spreads of the typical size.
 SHIFT, TURN_RAD, RESIZE = 0.1, 0.2, 0.6
@@ -34,9 +36,21 @@ SHIFT, TURN_RAD, RESIZE = 0.1, 0.2, 0.6
 
 def place(evidence: Evidence) -> Candidates:
     """The most plausible boxes, best first."""
-    random = np.random.default_rng(0)
     boxes = _grid(evidence)
     boxes = boxes.take(np.argsort(evidence.edge_errors(boxes), kind="stable")[:BY_OUTLINE])
+    return _improved(boxes, evidence, np.random.default_rng(0))
+
+
+def place_near(evidence: Evidence, box: OrientedBox) -> Candidates:
+    """The most plausible boxes near a measured one, best first."""
+    random = np.random.default_rng(0)
+    measured = Candidates.of([box])
+    boxes = Candidates.concatenate([measured, changed(measured, evidence, NEAR, 1.0, random)])
+    return _improved(boxes, evidence, random)
+
+
+def _improved(boxes: Candidates, evidence: Evidence, random: np.random.Generator) -> Candidates:
+    """The best boxes after the rounds of changes, best first."""
     score = evidence.score(boxes)
     for number in range(ROUNDS):
         best = np.argsort(-score, kind="stable")[:CHANGED]

@@ -94,7 +94,8 @@ def annotate_with(
     try:
         identity = engine.start()
         learned = learn_up(project, rotation, recordings)  # not if there are no detectors: nothing would say so
-        config = config.for_detector(identity.box_kind, identity.class_agnostic, identity.image_kind)
+        kinds = (identity.box_kind, identity.class_agnostic, identity.image_kind)
+        config = config.for_detector(*kinds, identity.trained)
         run = project.jobs.start(**_description(identity, config, rotation, from_reviewed))
         present, pending = project.frames.count_present(recordings), project.jobs.count_pending(run.key, recordings)
         frames = pending if limit is None else min(pending, limit)

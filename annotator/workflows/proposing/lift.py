@@ -179,7 +179,7 @@ def lift(
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
     frames = [project.frames.get(frame_id) for frame_id, given in boxes.of_frame.items() if given]
     rotation = project.config.settings.rotation
-    configs = {kind: config.for_detector(view.box_kind, view.class_agnostic, kind) for kind in BoxKind}
+    configs = {kind: config.for_detector(view.box_kind, view.class_agnostic, kind, view.trained) for kind in BoxKind}
     kinds = {stored.id: _kind(boxes, stored.id) for stored in frames}
     config = configs[BoxKind.SILHOUETTE if BoxKind.SILHOUETTE in kinds.values() else BoxKind.BOX]
     settings = {**config.record(), "rotation": rotation.value, "method": REVISION, LIFTED_FROM: boxes.origin}

@@ -167,7 +167,8 @@ class HeldOut:
         detector = load_detector(model.path, names=model.names)
         view_px = read_trained(model.path.parent).image_size_px
         config = rcv_config(self._project, view_px=view_px, without_frames=self._held_out)
-        config = config.for_detector(self._kind if model.class_agnostic else model.box_kind, model.class_agnostic)
+        kind = self._kind if model.class_agnostic else model.box_kind
+        config = config.for_detector(kind, model.class_agnostic, trained=model.trained)
         rotation = self._project.config.settings.rotation
         ious: list[float] = []
         for held in self._frames:

@@ -119,7 +119,7 @@ def frame_config(
     if detector is None:
         return config
     own_kind = kind if kind is not None and detector.class_agnostic else detector.box_kind
-    return config.for_detector(own_kind, detector.class_agnostic, image_kind)
+    return config.for_detector(own_kind, detector.class_agnostic, image_kind, detector.trained)
 
 
 def label_config(project: Project, frame: Frame) -> RcvConfig:

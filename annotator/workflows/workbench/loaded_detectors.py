@@ -45,6 +45,11 @@ class ReadyDetector:
     training: str = ""
 
     @property
+    def trained(self) -> bool:
+        """Whether it was trained on objects of the project."""
+        return not self.name
+
+    @property
     def title(self) -> str:
         """Its name for people."""
         return detector_title(self.name)

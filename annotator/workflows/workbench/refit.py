@@ -34,7 +34,8 @@ from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.operator import Span, cut_out
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.recursion import TYPICAL_SIZE, ObjectState, absorb_step, box_trace, held_direction, plan_step
+from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
+from annotator.rcv.starts import TYPICAL_SIZE
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -193,7 +194,7 @@ def _thinned(frame: Frame, image_box: Box2D) -> Frame:
 
 def _through_known(frame: Frame, found: Proposal, known: Sequence[Span], config: RcvConfig) -> OrientedBox:
     """Fits a proposal again, with the spans of drawn boxes beside what was detected."""
-    is_placed = TYPICAL_SIZE in found.trace[0].fallback
+    is_placed = any(TYPICAL_SIZE in step.fallback for step in found.trace)
     detected = _spans_of(found.box) if is_placed else traced_intervals(found.trace[1:], config)
     if detected is None:
         return found.box

@@ -59,7 +59,7 @@ class TaskRunner:
     def identity(self) -> Identity:
         """The detectors' identity."""
         pair = self.detectors
-        kinds = (pair.box_kind, pair.class_agnostic, pair.image_kind)
+        kinds = (pair.box_kind, pair.class_agnostic, pair.image_kind, pair.trained)
         return Identity(pair.image.fingerprint, pair.view.fingerprint, pair.backends, *kinds)
 
     def do(self, task: Task) -> Answer:

@@ -51,6 +51,7 @@ class TrainedDetectors:
         backend: as for `load_detector`.
         class_agnostic, image_kind: as in `Detectors`.
         names: as in `UsedModel`, of both.
+        trained: as in `Detectors`.
     """
 
     image: Path
@@ -60,6 +61,7 @@ class TrainedDetectors:
     class_agnostic: bool = False
     image_kind: BoxKind = BoxKind.BOX
     names: tuple[Names, Names] = ((), ())
+    trained: bool = False
 
     def load(self, threads: int | None) -> Detectors:
         """Loads the detectors.
@@ -73,6 +75,7 @@ class TrainedDetectors:
             self.box_kind,
             self.class_agnostic,
             self.image_kind,
+            self.trained,
         )
 
 
@@ -83,8 +86,9 @@ def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDet
         DetectionError: one of them has not been trained yet.
     """
     image, view = image_model(project), view_model(project)
+    kinds = (view.class_agnostic, image.box_kind)
     names = (image.names, view.names)
-    return TrainedDetectors(image.path, view.path, view.box_kind, backend, view.class_agnostic, image.box_kind, names)
+    return TrainedDetectors(image.path, view.path, view.box_kind, backend, *kinds, names, view.trained)
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,7 @@ class PackedDetectors:
 
     Attributes:
         image, view: files of the two trainings.
-        box_kind, backend, class_agnostic, image_kind: as in `TrainedDetectors`.
+        box_kind, backend, class_agnostic, image_kind, names, trained: as in `TrainedDetectors`.
     """
 
     image: _Files
@@ -145,6 +149,7 @@ class PackedDetectors:
     class_agnostic: bool = False
     image_kind: BoxKind = BoxKind.BOX
     names: tuple[Names, Names] = ((), ())
+    trained: bool = False
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
@@ -155,7 +160,7 @@ class PackedDetectors:
         """
         image, view = _Files.of(trained.image), _Files.of(trained.view)
         kinds = (trained.class_agnostic, trained.image_kind)
-        return cls(image, view, trained.box_kind, trained.backend, *kinds, trained.names)
+        return cls(image, view, trained.box_kind, trained.backend, *kinds, trained.names, trained.trained)
 
     def load(self, threads: int | None) -> Detectors:
         """Writes the files into the machine's temporary folder, where they stay, and loads the detectors.
@@ -166,5 +171,5 @@ class PackedDetectors:
         folder = scratch_folder() / "detectors"
         image, view = self.image.unpacked(folder), self.view.unpacked(folder)
         kinds = (self.class_agnostic, self.image_kind)
-        trained = TrainedDetectors(image, view, self.box_kind, self.backend, *kinds, self.names)
-        return trained.load(threads)
+        files = TrainedDetectors(image, view, self.box_kind, self.backend, *kinds, self.names, self.trained)
+        return files.load(threads)

@@ -103,6 +103,7 @@ class Identity:
         box_kind: what the boxes of the view detector measure.
         class_agnostic: whether it measures objects of any class.
         image_kind: what the boxes of the image detector enclose.
+        trained: whether the view detector was trained on objects of the project.
     """
 
     image: str
@@ -111,6 +112,7 @@ class Identity:
     box_kind: BoxKind
     class_agnostic: bool = False
     image_kind: BoxKind = BoxKind.BOX
+    trained: bool = False
 
 
 def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:
