@@ -18,7 +18,7 @@ import {
 
 /** Minimum length of a box's sides, metres. */
 export const MIN_SIZE_M = 0.01;
-/** The arrow of the heading ends so far in front of the box, share of its mean side, as in geometry/oriented_box.py. */
+/** The arrow of the heading ends so far in front of the box, share of its mean side, as geometry/oriented_box.py. */
 const ARROW_BEYOND = 0.2;
 
 // the same order as the server: --- +-- ++- -+- --+ +-+ +++ -++

@@ -151,7 +151,7 @@ function drawOverlay(overlay, view) {
 }
 
 /**
- * An arrow that is never too small to be seen. End on, it is a ring with its point (a dot), or with its tail (a cross).
+ * An arrow that is never too small to be seen. End on, it is a ring with its point (a dot) or its tail (a cross).
  *
  * @param {Arrow} arrow
  * @param {Overlay} overlay

@@ -187,8 +187,8 @@ export function createCommands(app, { desk, queue, opening, follow, image, ortho
       const why = note ? `${note[0].toUpperCase()}${note.slice(1)}` : "No object was found";
       if (too_few_points) {
         app.toast(
-          `${why}, too few for a 3D box. Label the object in a frame that shows more of it; then copy its box here (C: ` +
-            "from the previous frame), or fill the frames between two reviewed boxes of its track (I).",
+          `${why}, too few for a 3D box. Label the object in a frame that shows more of it; then copy its box here ` +
+            "(C: from the previous frame), or fill the frames between two reviewed boxes of its track (I).",
           "warn",
         );
         return;

@@ -24,8 +24,8 @@ export async function chooseBox(labels, changes, error) {
       h(
         "p",
         {},
-        `The other box is ${other.state === "proposed" ? "a proposal" : other.state} (${other.label}). An object has one ` +
-          "box in a frame: if both are the same object, choose the one that stays; the other one is deleted.",
+        `The other box is ${other.state === "proposed" ? "a proposal" : other.state} (${other.label}). An object ` +
+          "has one box in a frame: if both are the same object, choose the one that stays; the other one is deleted.",
       ),
     ],
     // Enter, which has just ended the track's number, deletes nothing
