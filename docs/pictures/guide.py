@@ -43,7 +43,8 @@ def main() -> None:
                 camera, boxes = unlabelled_boxes(projects / "room", recordings / "room", frame)
                 if not boxes:
                     continue
-                page.goto(f"{address}#/room/label/{frame}")
+                # the link itself would sign in once more, and lead to the start page
+                page.evaluate(f"location.hash = '#/room/label/{frame}'")
                 draw(page, camera, boxes)
                 follow(page, frame)
                 accept_all(page)
