@@ -192,21 +192,18 @@ def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Returns the numbers and the texts of all lines that are neither blank nor comments.
-
-    Raises:
-        RecordingError: the file cannot be read, or has decimal commas.
-    """
+    """Returns the numbers and the texts of all lines that are neither blank nor comments."""
     try:
         lines = read_text_file(path, TABLE_BYTES).split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read ({error})") from error
     rows = [(number, line.strip()) for number, line in enumerate(lines, 1)]
-    rows = [(number, line) for number, line in rows if line and not line.startswith("#")]
-    for number, line in rows:
-        if DECIMAL_COMMA.match(line):
-            raise RecordingError(f"{path}:{number}: begins with a time with a decimal comma; write a point")
-    return rows
+    return [(number, line) for number, line in rows if line and not line.startswith("#")]
+
+
+def _require_points(path: Path, number: int, line: str) -> None:
+    if DECIMAL_COMMA.match(line):
+        raise RecordingError(f"{path}:{number}: begins with a time with a decimal comma; write a point")
 
 
 def _time_ns(path: Path, number: int, text: str) -> int:
@@ -225,6 +222,7 @@ def _listed(path: Path) -> tuple[Int64[np.ndarray, "n"], list[str]]:
     """Returns the times (ns) and files of a list, in time order."""
     images = []
     for number, line in _lines(path):
+        _require_points(path, number, line)
         time, rest = (*SEPARATOR.split(line, maxsplit=1), "")[:2]
         # further columns are ignored, but a name may have blanks
         names = (SEPARATOR.split(rest)[0], rest)
@@ -272,8 +270,11 @@ def _poses(path: Path) -> Poses | None:
 
 
 def _quaternion(path: Path, number: int, line: str) -> list[float]:
-    # commas within values that blanks separate are decimal commas
-    words = line.split() if len(line.split()) == 8 and ", " not in line else SEPARATOR.split(line)
+    words = line.replace(",", " ").split()
+    if len(words) > 8:
+        _require_points(path, number, line)
+        # commas within values that blanks separate
+        words = line.split()
     try:
         numbers = [to_number(word) for word in words[4:8]]
     except ValueError as error:

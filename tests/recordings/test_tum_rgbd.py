@@ -268,3 +268,9 @@ def test_decimal_commas_and_nanoseconds_are_named(tmp_path: Path, name: str, tex
     (path / name).write_text(text)
     with pytest.raises(RecordingError, match=says):
         open_recording(path)
+
+
+def test_poses_of_whole_numbers_may_be_separated_by_commas(tmp_path: Path):
+    path = write_tum(tmp_path / "freiburg", [0], [1], small)
+    (path / "groundtruth.txt").write_text(f"{START_S},1,2,3,0,0,0,1,\n")
+    assert open_recording(path).poses.quaternions.tolist() == [[0, 0, 0, 1]]
