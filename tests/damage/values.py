@@ -191,7 +191,7 @@ def nfd(folder: Path, draw: random.Random) -> str:
     for number, file in enumerate(sorted(file for file in folder.rglob("*.*") if file.stem in ("0", "a"))):
         file.rename(file.with_name(unicodedata.normalize(forms[number % 2], f"Bü{file.name}")))
     for file in texts(folder):
-        name = unicodedata.normalize(forms[1], r"Bü\1")
+        name = unicodedata.normalize(draw.choice(forms), r"Bü\1")
         file.write_text(re.sub(r"(?<![\w.])(a\.png|0(?=,))", name, file.read_text()), encoding="utf-8")
     return ""
 
