@@ -200,6 +200,7 @@ def test_unusual_sizes_are_found(people: Project) -> None:
     assert message == "person of 1.80 x 0.50 x 1.70 m; the median is 0.80 x 0.50 x 1.70 m"
 
 
+@pytest.mark.usefixtures("older_tracks")
 def test_unusual_sizes_and_repeated_boxes_in_a_track_are_found(people: Project) -> None:
     people.configure(classes=["person", "dog"])
     frames = people.frames.of()
