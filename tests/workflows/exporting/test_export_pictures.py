@@ -55,7 +55,7 @@ def labelled(project: Project) -> list[int]:
     recording = open_recording(project.recordings.all()[0].path)
     for index in (2, 3):
         truths = load_truth(recording, index, recording.frame(index))
-        new = [NewLabel(t.label, t.box, track_id=7 + number) for number, t in enumerate(truths)]
+        new = [NewLabel(t.label, t.box, track_id=7 + n) for n, t in enumerate(truths)]
         made = project.labels.create(ids[index], new, WriteContext(0, "me", Source.IMPORTED))
         project.labels.reject(ids[index], made.uids[1], WriteContext(made.receipt.revision, "me"))
     propose(project, ids[3])

@@ -27,6 +27,7 @@ def rows(folder: Path, sequence: str) -> list[list[str]]:
     return [line.split() for line in file.read_text().splitlines()]
 
 
+@pytest.mark.usefixtures("older_tracks")
 def test_a_tracking_export_can_be_imported_with_its_track_ids(
     make_project: MakeProject, generated: Path, tmp_path: Path
 ) -> None:

@@ -55,7 +55,7 @@ def test_an_rcv_export_can_be_imported(
     rng = np.random.default_rng(0)
     for number, stored in enumerate(frames[:3]):
         boxes = [OrientedBox.from_parts(rng.normal(size=3), np.eye(3), rng.uniform(0.1, 2, 3)) for _ in range(2)]
-        new = [NewLabel("person", box, 0.25 * number, track) for track, box in enumerate(boxes, number)]
+        new = [NewLabel("person", box, 0.25 * number, 2 * number + n) for n, box in enumerate(boxes)]
         made = people.labels.create(stored.id, new, WriteContext(0, "me", Source.MANUAL))
         people.labels.reject(stored.id, made.uids[1], WriteContext(made.receipt.revision, "me"))
     every = ExportFilter(states=(ReviewState.ACCEPTED, ReviewState.REJECTED), empty_frames=True)

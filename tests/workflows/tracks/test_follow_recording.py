@@ -12,7 +12,7 @@ import pytest
 
 from annotator.cli.main import main
 from annotator.geometry.iou import iou_3d
-from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext, writing
+from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.event_types import FrameFinalised
 from annotator.project.writing import Writer
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Truth
@@ -391,7 +391,7 @@ def test_a_stretch_ends_at_the_next_reviewed_box(
 
 
 def test_what_cannot_be_followed_is_refused(
-    people: Project, truths: list[list[Truth]], view: ReadyDetector, monkeypatch: pytest.MonkeyPatch
+    people: Project, truths: list[list[Truth]], view: ReadyDetector, request: pytest.FixtureRequest
 ) -> None:
     frames = people.frames.of()
     with pytest.raises(ConfigError, match="frame 000000 has no reviewed box to follow; accept one first"):
@@ -408,8 +408,7 @@ def test_what_cannot_be_followed_is_refused(
         follow_one(people, view, None, 4)
     with pytest.raises(ConfigError, match="the next frame of frame 000000 has a reviewed box of this track already"):
         follow_one(people, view, None, 0)
-    # as older versions have stored it
-    monkeypatch.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
+    request.getfixturevalue("older_tracks")
     accept_truth(people, frames[1], truths[1][:1])
     with pytest.raises(ConfigError, match="frame 000001 has two reviewed boxes of track"):
         follow_recording(people, recording_of(people), view, ANN)

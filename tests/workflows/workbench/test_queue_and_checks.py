@@ -215,9 +215,8 @@ def test_a_size_and_its_median_name_their_sides_in_the_same_order(size_m: tuple[
     assert odd_size_message("person", np.array(size_m), usual) == f"person of {text}"
 
 
-def test_unusual_sizes_and_repeated_boxes_in_a_track_are_found(
-    people: Project, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("older_tracks")
+def test_unusual_sizes_and_repeated_boxes_in_a_track_are_found(people: Project) -> None:
     people.configure(classes=["person", "dog"])
     frames = people.frames.of()
     for number, frame in enumerate(frames):
@@ -230,8 +229,6 @@ def test_unusual_sizes_and_repeated_boxes_in_a_track_are_found(
     sizes = "1.20 x 0.50 x 1.70 m (length x width x height); the median is 0.80 x 0.50 x 1.70 m"
     assert message == f"track 1: person of {sizes}"
     more = [label(box_at(5.0), track=1), label(box_at(20.0), "dog", track=10)]
-    # as versions did that allowed it
-    monkeypatch.setattr("annotator.project.writing._tracks_with_several_boxes", lambda *_: {})
     people.labels.create(frames[2].id, more, WriteContext(people.frames.get(frames[2].id).revision, "ann"))
     reported = [(w.kind, w.message) for w in check(people, lambda frame, boxes: None, frames[2].id)]
     assert reported == [
