@@ -257,7 +257,7 @@ def test_file_names_outside_the_folder_are_refused(people: Project, tmp_path: Pa
     content = json.loads(file.read_text())
     content["images"][0]["file_name"] = "../../secret.png"
     file.write_text(json.dumps(content))
-    with pytest.raises(FormatError, match="leads out of the image folder"):
+    with pytest.raises(FormatError, match="leads out of the folder"):
         import_view_boxes(people, file, tmp_path / "out/all", BoxKind.SILHOUETTE)
 
 
