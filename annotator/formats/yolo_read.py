@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.file_names import OutsideError, inside, is_within, posix_path
+from annotator.file_names import OutsideError, inside, is_within, posix_path, spelled
 from annotator.files import why_missing
 from annotator.formats.reading import OnFault, known_kind, raise_fault
 from annotator.formats.text_folder import read_text
@@ -185,6 +185,12 @@ def _labels_of(path: Path, root: Path) -> Path:
     return root.resolve().joinpath(*parts)
 
 
+def _label_file(picture: Path, root: Path) -> Path:
+    """Returns the label file of an image, in the Unicode form in which its name exists."""
+    path = _labels_of(picture, root).with_suffix(".txt")
+    return spelled(path.parent, path.name)
+
+
 def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> Iterator[YoloPicture]:
     if place.is_file():
         yield from (_read(picture, root, names, on_fault) for picture in _listed(place, root))
@@ -192,7 +198,7 @@ def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFaul
     pictures = sorted(each for each in place.rglob("*") if each.suffix.lower() in SUFFIXES)
     for picture in pictures:
         yield _read(_inside(picture, root), root, names, on_fault)
-    seen = {_labels_of(picture, root).with_suffix(".txt") for picture in pictures}
+    seen = {_label_file(picture, root) for picture in pictures}
     labels = _inside(_labels_of(place, root), root)
     for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
         if label_file not in seen and label_file.name != CLASSES:
@@ -215,7 +221,7 @@ def _listed(file: Path, root: Path) -> Iterator[Path]:
 def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
     if picture.is_file():
         _require_readable(picture, on_fault)
-    label_file = _inside(_labels_of(picture, root).with_suffix(".txt"), root)
+    label_file = _inside(_label_file(picture, root), root)
     boxes = _boxes(label_file, names, on_fault) if label_file.is_file() else ()
     return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
 

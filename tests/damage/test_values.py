@@ -6,15 +6,10 @@ import pytest
 from known_numbers import TARGETS, Target
 from values import TEXTS, case, mutations
 
-# Read wrong in silence by some readers; `scripts/fuzz values` names them.
-NOT_YET = {
-    "degrees", "grey_10", "grey_12", "hole_65504", "hole_65535", "map_zero", "nfd", "quaternion", "saturated", "words"
-}  # fmt: skip
-
 
 @pytest.mark.parametrize(("number", "target"), list(enumerate(TARGETS)), ids=[each.name for each in TARGETS])
 def test_numbers_are_read_as_they_are_or_refused(number: int, target: Target) -> None:
-    left_out = NOT_YET | TEXTS.keys() - {list(TEXTS)[number % len(TEXTS)]}
+    left_out = TEXTS.keys() - {list(TEXTS)[number % len(TEXTS)]}
     for mutation in mutations(target):
         if mutation not in left_out:
             kind, what = case(target, mutation, "quick")
