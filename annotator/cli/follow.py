@@ -28,9 +28,9 @@ def run(
 
     An object is followed by its points, frame by frame, until too little of it is left in the box, it leaves the image,
     or the recording ends. Its boxes keep the reviewed size, unless the project's view detector knows its class and
-    measures it. Between two reviewed boxes it is followed from both ends, and frames in which the results differ are
-    left out. A reviewed box of its class that it comes to gets its track, unless it has another one: there it stops.
-    The new boxes are proposals, to be reviewed.
+    measures it. Between two reviewed boxes it is followed from both ends. If it gets to neither from the other one,
+    frames in which the results differ are left out. A reviewed box of its class that it comes to gets its track, unless
+    it has another one: there it stops. The new boxes are proposals, to be reviewed.
 
     Args:
         tracks: ids of the tracks to follow; default: all tracks with a reviewed box.

@@ -32,10 +32,10 @@ def follow_recording(
 ) -> Following:
     """Proposes boxes of tracks from their reviewed boxes on, as one action.
 
-    Between two reviewed boxes a track is followed from both; frames in which the results differ are left out. Reviewed
-    and rejected labels stay, and unreviewed proposals of the same objects are replaced. A reviewed label without a
-    track gets one with its first new box, or that of an object that comes to it. Finalised frames stay as they are,
-    except that a reviewed box there may get a track.
+    Between two reviewed boxes a track is followed from both; if it gets to neither from the other one, frames in which
+    the results differ are left out. Reviewed and rejected labels stay, and unreviewed proposals of the same objects are
+    replaced. A reviewed label without a track gets one with its first new box, or that of an object that comes to it.
+    Finalised frames stay as they are, except that a reviewed box there may get a track.
 
     Args:
         view: the project's view detector, if any (`view_with_classes`).

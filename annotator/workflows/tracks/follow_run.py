@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -190,6 +191,15 @@ class FollowRun:
             self._stop(item, walk, index, OTHER_TRACK.format("another followed object"))
         else:
             walk.find(index, followed.proposal)
+            if not walk.left and not part.is_open:
+                self._arrive(part, walk, walk.follower)
+
+    def _arrive(self, part: Part, walk: Walk, follower: Follower) -> None:
+        """Notes whether an object that was followed up to its next reviewed box is found at that one."""
+        (key,) = (other.key for other in part.walks if other is not walk)
+        with suppress(FrameError):
+            found = follower.step(self._timeline.moment(key.index)).proposal
+            part.is_joined |= found is not None and bool(overlap_at_place([found.box], [key.label.box]).any())
 
     def _standing_at(self, item: FollowedObject, index: int, box: OrientedBox) -> Label | None:
         """Returns the label at a place beside which no box of an object is proposed, or None."""

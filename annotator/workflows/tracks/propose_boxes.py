@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from annotator.geometry.iou import iou_3d_matrix
 from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.overview import read_page
 from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
-from annotator.project.sources.covering import SAME_OBJECT_IOU, covered_by
+from annotator.project.sources.covering import covered_by
 from annotator.tracking.same_place import overlap_at_place
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.label import AttributeValue
@@ -48,8 +47,9 @@ def proposal_events(
     """Returns the events that propose boxes in a frame; empty if all boxes are left out.
 
     A box is left out if its track has a reviewed box in the frame, or if its place is taken: by a reviewed label of its
-    class (`overlap_at_place`), by a rejected one (3D IoU 0.5 or more), or by a proposal of another track. Unreviewed
-    proposals of the same objects are replaced; values that a person has set of them stay.
+    class (`overlap_at_place`), by a rejected one (3D IoU 0.5 or more), or by a proposal that a person or a file has
+    given another track. Other proposals at its place, or of its track, are replaced; values that a person has set of
+    them stay.
 
     Args:
         frame: the frame before the change.
@@ -102,7 +102,7 @@ def blocking(box: NewProposal, labels: Sequence[StoredLabel]) -> Label | None:
     """Returns the label of a frame beside which a box is not proposed, or None.
 
     That is a reviewed label of its track; or a label of its class at its place, if it is reviewed, or a proposal to
-    which a person, a file or following has given another track.
+    which a person or a file has given another track.
     """
     for stored in labels:
         label = stored.label
@@ -135,6 +135,4 @@ def _is_replaced(stored: StoredLabel, new: Sequence[NewProposal]) -> bool:
     if any(each.track_id is not None and each.track_id == label.track_id for each in new):
         return True
     same_class = [each.box for each in new if each.label == label.label]
-    if has_given_track or not same_class:
-        return False
-    return float(np.max(iou_3d_matrix([label.box], same_class))) >= SAME_OBJECT_IOU
+    return not has_given_track and bool(overlap_at_place([label.box], same_class).any())

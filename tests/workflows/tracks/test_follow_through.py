@@ -69,16 +69,24 @@ def test_between_reviewed_boxes_without_a_track_both_directions_count(people: Pr
     assert offs == [0.08, 0.16, -0.08], "each from the nearer reviewed box"
 
 
-def test_no_box_is_left_out_before_a_reviewed_one_that_was_reached(people: Project) -> None:
-    accept(people, 0, 0)
-    accept(people, 4, 0)
+@pytest.mark.parametrize("track", [None, 1])
+def test_no_box_is_left_out_before_a_reviewed_one_that_was_reached(people: Project, track: int | None) -> None:
+    accept(people, 0, (0, track))
+    accept(people, 4, (0, track))
     # off by 0.28 m there, half of the width; so are the boxes of both directions from each other
-    (track,) = follow(people, Walking(drift_m=0.07), 0).tracks
-    assert (track.boxes, track.doubtful, track.stops) == (3, 0, ())
+    (done,) = follow(people, Walking(drift_m=0.07), 0).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
     people.history.undo(ANN)
-    # only expected there
-    (track,) = follow(people, Walking(drift_m=0.07, lost={(0, 4)}), 0).tracks
-    assert (track.boxes, track.doubtful, track.stops) == (0, 3, ())
+    # the other way, or again
+    (done,) = follow(people, Walking(drift_m=0.07, lost={(0, 0)}), 4, forward=False).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
+    (done,) = follow(people, Walking(drift_m=0.07), 0).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (3, 0, ())
+    people.history.undo(ANN)
+    people.history.undo(ANN)
+    # it is expected there, but not found
+    (done,) = follow(people, Walking(drift_m=0.07, lost={(0, 0), (0, 4)}), 0).tracks
+    assert (done.boxes, done.doubtful, done.stops) == (0, 3, ())
 
 
 def test_what_both_directions_do_not_agree_on_is_left_out(people: Project) -> None:

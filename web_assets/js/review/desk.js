@@ -515,7 +515,7 @@ export function createDesk(app) {
           app.frames.take(await copy());
         } catch (error) {
           if (!isStale(error)) throw error;
-          // tried again without asking: boxes are only added, so nothing of the others' version is lost
+          // tried again without asking: the others' reviewed boxes stay
           app.frames.take(error.body.state);
           before = labels();
           app.frames.take(await copy());
