@@ -59,7 +59,8 @@ def outcome(folder: Path, scans: tuple[bytes, ...], columns: int) -> str:
             results.add(WRONG)
             continue
         rows = np.frombuffer(content, "<f4").reshape(-1, columns)
-        sound = np.isfinite(rows[:, :3]).all(axis=1)
+        # a point at (0, 0, 0) is no return
+        sound = np.isfinite(rows[:, :3]).all(axis=1) & rows[:, :3].any(axis=1)
         # points whose reflectance is not finite are left out, too
         is_right = any(
             np.array_equal(xyz_m, rows[kept, :3]) for kept in (sound, sound & np.isfinite(rows[:, 3 % columns]))
@@ -127,7 +128,7 @@ def real(data: Path) -> dict[str, dict[str, int]]:
 
 def _has_points(file: Path, columns: int) -> bool:
     rows = np.frombuffer(file.read_bytes(), "<f4").reshape(-1, columns)
-    return bool(np.array_equal(Scans().read(file).xyz_m, rows[:, :3]))
+    return bool(np.array_equal(Scans().read(file).xyz_m, rows[rows[:, :3].any(axis=1), :3]))
 
 
 def main() -> None:

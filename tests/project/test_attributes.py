@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 from store_samples import box_at, by_hand, by_machine, give_attributes, proposal_at, some_boxes, state_of
 
-from annotator.project import NewLabel, Origin, Project, StoredRecording, open_project
+from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
@@ -140,7 +140,6 @@ def test_values_that_the_schema_lacks_are_refused(
         with pytest.raises(ProjectError, match=problem.replace("(", r"\(").replace(")", r"\)")):
             change()
     # what is carried along is no mistake of the operator
-    assert of(project, create(project, frame, attributes=values, origin=Origin.COPIED)) == {"severity": 0}
     carried = LabelProposed(uid="carried", label="hand", box=BoxRecord.of(box_at(4.0)), attributes=values)
     project.log.append(frame, [carried], revised(project, frame))
     assert of(project, "carried") == {"severity": 0}
