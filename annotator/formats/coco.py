@@ -17,17 +17,25 @@ from itertools import repeat
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
+import numpy as np
+from jaxtyping import Bool, Float64
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.json_file import read_model, write_text
 from annotator.formats.reading import OnFault, known_kind, raise_fault
+from annotator.formats.units import NEARLY_ALL
 from annotator.types import Box2D, BoxKind
+from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
 
 EDGE_TO_CENTRE_PX = -0.5
 # CVAT's attribute of turned boxes: degrees about the centre of `bbox`, which is the box before the turn.
 ROTATION = "rotation"
+# Right boxes, and corners in place of them, reach beyond the image by at most this share of its side, but for a few.
+WELL_BEYOND, MANY = 0.1, 0.25
+# Rounding of areas; some tools count the pixels of both edges.
+AREA_OFF = 0.01
 
 
 @dataclass(frozen=True)
@@ -90,6 +98,7 @@ class _Annotation(_Part):
     bbox: Annotated[tuple[Number, Number, Number, Number] | None, BeforeValidator(lambda value: value or None)] = None
     # polygons x1 y1 x2 y2 ...; or a mask, which is ignored
     segmentation: object = None
+    area: object = None
     iscrowd: int = 0
     score: float = Field(1.0, ge=0, le=1)
     attributes: object = None
@@ -112,7 +121,8 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
 
     Raises:
         FormatError: malformed JSON, a missing field, an id that is unknown or used twice, a file or category name
-            used twice, the same box twice, a box without positive width and height, or a box fully outside its image.
+            used twice, the same box twice, a box without positive width and height, a box fully outside its image, or
+            boxes that are corners x1 y1 x2 y2.
     """
     file = read_model(path, _File)
     _require_unique(path, "category id", (category.id for category in file.categories))
@@ -128,6 +138,7 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
 
     images = {image.id: image for image in file.images}
     names = {category.id: category.name for category in file.categories}
+    _refuse_corners(path, file.annotations, images)
     boxes: dict[int, list[_Found]] = {image.id: [] for image in file.images}
     for annotation in file.annotations:
         try:
@@ -137,6 +148,58 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
         else:
             boxes[annotation.image_id].append(found)
     return [_image(image, boxes[image.id]) for image in file.images]
+
+
+def _refuse_corners(path: Path, annotations: Iterable[_Annotation], images: Mapping[int, _Image]) -> None:
+    """Refuses boxes that are x1 y1 x2 y2.
+
+    As corners, nearly all must be valid, as those of large objects in the upper left are, too. Then the areas decide.
+    If these fit both readings, or neither, many boxes must reach well beyond their images if read as sizes.
+    """
+    found = [each for each in annotations if each.bbox is not None and not each.iscrowd and each.image_id in images]
+    if not found:
+        return
+    boxes = np.array([each.bbox for each in found], np.float64)
+    shown = np.array([(images[each.image_id].width, images[each.image_id].height) for each in found], np.float64)
+    low, last = boxes[:, :2], boxes[:, 2:]
+    most = (1 + WELL_BEYOND) * shown
+    are_corners = ((last > low) & (last <= most) & (low >= -WELL_BEYOND * shown)).all(axis=1)
+    if are_corners.mean() < NEARLY_ALL:
+        return
+    beyond = (low + last > most).any(axis=1)
+    areas = np.array([_area_px(each) for each in found])
+    as_sizes, as_corners = _have_area(last, areas), _have_area(last - low, areas)
+    of_sizes, of_corners = (as_sizes & ~as_corners).mean(), (as_corners & ~as_sizes).mean()
+    if of_sizes > 0.5 or (of_corners <= 0.5 and beyond.mean() < MANY):
+        return
+    shows = (
+        f"as such, {np.count_nonzero(as_corners)} fit their area"
+        if of_corners > 0.5
+        else f"as x y width height, {beyond.sum()} reach far beyond their image"
+    )
+    raise FormatError(
+        path,
+        f"bbox is x1 y1 x2 y2 in {are_corners.sum()} of {amount(len(found), 'box')}, and COCO has x y width height: "
+        f"{shows}; write the width x2 - x1 and the height y2 - y1",
+    )
+
+
+def _area_px(annotation: _Annotation) -> float:
+    """Returns the area that the box must have, as something else than the box says it; NaN if nothing does.
+
+    It is that of the rectangle around the polygons; without a segmentation, it is `area`.
+    """
+    corners = np.array([value for polygon in _polygons(annotation.segmentation) for value in polygon]).reshape(-1, 2)
+    if len(corners):
+        return float(np.prod(np.ptp(corners, axis=0)))
+    if annotation.segmentation or not isinstance(annotation.area, int | float):
+        return math.nan
+    return float(max(0, min(annotation.area, LARGEST**2)))
+
+
+def _have_area(sizes: Float64[np.ndarray, "n 2"], areas: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    least, most = sizes.prod(axis=1) * (1 - AREA_OFF), (sizes + 1).prod(axis=1) * (1 + AREA_OFF)
+    return (areas >= least) & (areas <= most)
 
 
 class _Found(NamedTuple):

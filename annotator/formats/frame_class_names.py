@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from annotator.file_names import normal
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, has_frames, read_frames
 from annotator.formats.text_folder import read_text
 from annotator.types.errors import FormatError
@@ -85,7 +86,7 @@ class DatasetNames:
 
     Attributes:
         root: the folder with frames.csv; None without that file.
-        frames: the frames' origins by the stem of their files.
+        frames: the frames' origins by the `normal` stem of their files.
         classes: class names by word, where the two differ.
     """
 
@@ -115,11 +116,12 @@ class DatasetNames:
         return cls(root, frames, read_class_names(root))
 
     def frame(self, stem: str) -> str:
-        """Returns `RECORDING/KEY` of a label file; its stem without a frames.csv.
+        """Returns `RECORDING/KEY` of a label file; its `normal` stem without a frames.csv.
 
         Raises:
             FormatError: frames.csv does not list it.
         """
+        stem = normal(stem)
         if self.root is None:
             return stem
         if stem not in self.frames:

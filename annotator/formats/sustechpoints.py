@@ -34,7 +34,7 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.file_names import normal
+from annotator.file_names import normal, spelled
 from annotator.files import new_folder
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
@@ -248,7 +248,7 @@ def _camera(file: Path) -> SceneCamera:
 
 def _place(label_file: Path) -> RigidTransform | None:
     """Returns the pose of a cloud in map coordinates; None without a file of it."""
-    file = label_file.parent.parent / POSES / label_file.name
+    file = spelled(label_file.parent.parent / POSES, label_file.name)
     if not file.is_file():
         return None
     pose = read_model(file, _EgoPose)

@@ -47,8 +47,16 @@ def _of_folder(path: Path, suffix: str) -> Iterator[tuple[str, Path, str]]:
         raise FormatError(path, f"cannot be read ({error.strerror})") from error
     if not files:
         raise FormatError(path, f"has no {suffix} files; give the folder that contains them")
+    seen = set[str]()
     for file in files:
-        yield normal(file.stem), file, read_text(file)
+        if (key := normal(file.stem)) in seen:
+            raise _twice(path, file.name)
+        seen.add(key)
+        yield key, file, read_text(file)
+
+
+def _twice(path: Path, name: str) -> FormatError:
+    return FormatError(path, f"has two files called {name}; keep one")
 
 
 def _is_wanted(file: PurePath, suffix: str) -> bool:
@@ -84,7 +92,7 @@ def _of_archive(path: Path, suffix: str, within: str | None) -> Iterator[tuple[s
             for info in _wanted(archive, suffix, within):
                 name = PurePosixPath(info.filename)
                 if normal(name.stem) in named:
-                    raise FormatError(path, f"has two files called {name.name}; keep one")
+                    raise _twice(path, name.name)
                 named[normal(name.stem)] = info
             if not named:
                 raise FormatError(path, f"has no {suffix} files")

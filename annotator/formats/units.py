@@ -20,8 +20,10 @@ from jaxtyping import Float64
 from annotator.types.amounts import amount
 from annotator.types.errors import UnitError, UnitKind
 
-# An angle in radians is at most a full turn; files round to two decimals.
-MOST_RAD = 2 * math.pi + 0.01
+# Programs write angles in radians that they have not normalised: OpenPCDet's KITTI results have rotation_y down to
+# -2.75 pi. Those of a set in degrees nearly always have a larger one. Files round to two decimals.
+MOST_RAD = 3 * math.pi + 0.01
+BEYOND = "beyond 3 pi"
 # Limits of the median of the boxes' longest sides, metres. Few objects of a scene are longer than the first one, as
 # ships are; none is longer than the second one, or shorter than the third.
 LONG_M, LONGEST_M, SHORTEST_M = 100.0, 1000.0, 0.005
@@ -71,9 +73,9 @@ class Angles:
             return None
         return (
             f"{self._worst[0]:g} is no angle in radians, which this format has ({self._beyond} of "
-            f"{amount(self._count, 'angle')} other than 0 beyond a full turn); write radians, or run "
-            f"`annotator import` with --angles {AngleUnit.DEGREES} to convert degrees, or with --angles "
-            f"{AngleUnit.RADIANS} to read the angles as they are"
+            f"{amount(self._count, 'angle')} other than 0 {BEYOND}); write radians (`annotator import` converts "
+            f"degrees with --angles {AngleUnit.DEGREES}, and reads the angles as they are with --angles "
+            f"{AngleUnit.RADIANS})"
         )
 
     def require(self) -> None:

@@ -22,9 +22,10 @@ from annotator.file_names import OutsideError, inside, is_within, posix_path, sp
 from annotator.files import why_missing
 from annotator.formats.reading import OnFault, known_kind, raise_fault
 from annotator.formats.text_folder import read_text
-from annotator.formats.yolo import YoloBox, parse_boxes
+from annotator.formats.yolo import KEYPOINTS, YoloBox, are_keypoints, parse_boxes
 from annotator.formats.yolo_dataset import DATA_YAML, PARTS
 from annotator.types import BoxKind
+from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
 from annotator.types.validation import first_problem
 
@@ -89,11 +90,13 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
         on_fault: called with the fault of a label file or an image of another type; see `OnFault`.
 
     Raises:
-        FormatError: `path` is not one of these, `data.yaml` is damaged or has keypoints, a part is missing or is
+        FormatError: `path` is not one of these, `data.yaml` is damaged, there are keypoints, a part is missing or is
             outside the folder, a label file does not follow the format, or an image is neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
-        return list(_with_classes(path, on_fault))
+        pictures = list(_with_classes(path, on_fault))
+        _refuse_keypoints(path, pictures, is_said=False)
+        return pictures
     file = _inside(path / DATA_YAML, path) if path.is_dir() else path
     data = _read_yaml(file)
     names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
@@ -107,11 +110,15 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
                 by_label_file.setdefault(picture.label_file, picture)
     if not by_label_file:
         raise FormatError(file, "names no image: train, val and test are empty")
-    if data.kpt_shape is not None and any(box.is_around for each in by_label_file.values() for box in each.boxes):
-        raise FormatError(
-            file, "has keypoints (kpt_shape), which are not supported; keep the first five fields of rows"
-        )
+    _refuse_keypoints(file, by_label_file.values(), is_said=data.kpt_shape is not None)
     return data.with_kinds(by_label_file.values())
+
+
+def _refuse_keypoints(path: Path, pictures: Iterable[YoloPicture], *, is_said: bool) -> None:
+    around = [box for each in pictures for box in each.boxes if box.is_around]
+    if around and (is_said or are_keypoints(around)):
+        shown = "kpt_shape" if is_said else f"{amount(len(around), 'row')} with points inside the box"
+        raise FormatError(path, KEYPOINTS.format(shown))
 
 
 def _read_yaml(file: Path) -> _DataYaml:
@@ -265,7 +272,7 @@ def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[YoloPicture]:
         raise FormatError(labels, "has no label file (*.txt)")
     for label_file in label_files:
         folders = [each / label_file.parent.relative_to(labels) for each in image_roots]
-        candidates = [each / f"{label_file.stem}{suffix}" for each in folders for suffix in SUFFIXES]
+        candidates = [spelled(each, f"{label_file.stem}{suffix}") for each in folders for suffix in SUFFIXES]
         picture = next(
             (_inside(each, root) for each in candidates if why_missing(each) is None and each.is_file()), None
         )

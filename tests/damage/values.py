@@ -9,7 +9,7 @@ saturated   the numbers are lost: only a refusal is right.
 
 A mutation that nobody could see in the files is no fault of a reader, and is counted apart as ambiguous:
 
-degrees     unless an angle that is written exceeds a full turn, 2 pi.
+degrees     unless an angle that is written exceeds 3 pi, as in radians of no program.
 quaternion  unless a box is tilted by more than 10 degrees, as on no slope, in a format whose boxes are upright. Those
             of OpenLABEL, and of annotator's own exports, may be tilted.
 others      if the files have nothing to change: no text, or no path.
@@ -41,6 +41,7 @@ import numpy as np  # noqa: E402
 from known_numbers import TARGETS, Numbers, Reading, Target  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
+from annotator.formats.units import MOST_RAD  # noqa: E402
 from annotator.types.errors import AnnotatorError  # noqa: E402
 
 TILTED_RAD = np.radians(10)
@@ -147,7 +148,7 @@ def degrees(folder: Path, _: random.Random) -> str:
                 place = 8 if file.suffix == ".csv" else 16 if row[0].isdigit() else 14
                 row[place] = repr(turned(row[place]))
             file.write_text("".join(mark.join(row) + "\n" for row in rows))
-    return "" if max(map(abs, written)) > 2 * np.pi else "no angle exceeds a full turn"
+    return "" if max(map(abs, written)) > MOST_RAD else "no angle exceeds 3 pi"
 
 
 def quaternion(folder: Path, _: random.Random) -> str:

@@ -255,3 +255,81 @@ def test_the_rectangle_around_a_turned_box_of_cvat(shared: Path) -> None:
     (box,) = read_coco(shared / "cases/08_coco_fields/rotation.json")[0].boxes
     assert (round(box.width_px), round(box.height_px)) == (61, 61)
     assert (box.x_min + box.x_max, box.y_min + box.y_max) == pytest.approx((2 * 302.0, 2 * 102.0))
+
+
+SHOWN = (640, 480)
+# upper left and lower right corners, well spread over the image
+CORNERS = np.array(
+    [[30, 40, 130, 90], [300, 200, 420, 330], [500, 350, 640, 481], [20, 300, 200, 420], [330, 20, 630, 300]], float
+)
+SIZES = np.c_[CORNERS[:, :2], CORNERS[:, 2:] - CORNERS[:, :2]]
+# as of one large object in each image: both readings are in the image
+LARGE = np.array([[20, 30, 500, 400], [100, 80, 420, 390], [0, 0, 640, 480], [50, 20, 590, 460]], float)
+# those of small objects in the upper left, which do not reach beyond the image as sizes
+NEAR = np.array([[10, 20, 100, 90], [50, 40, 200, 150], [110, 100, 240, 210]], float)
+
+
+def areas(rows: np.ndarray, *, as_corners: bool = False, more: float = 0.0) -> list[float]:
+    sides = rows[:, 2:] - (rows[:, :2] if as_corners else 0) + more
+    return sides.prod(axis=1).tolist()
+
+
+@pytest.mark.parametrize(
+    ("rows", "area", "are_corners"),
+    [
+        pytest.param(CORNERS, None, True, id="corners"),
+        pytest.param(CORNERS[2:3], None, True, id="one"),
+        pytest.param(CORNERS, areas(CORNERS, as_corners=True), True, id="areas-of-corners"),
+        pytest.param(CORNERS, areas(CORNERS, as_corners=True, more=1), True, id="areas-with-both-edges"),
+        pytest.param(NEAR, areas(NEAR, as_corners=True), True, id="only-the-areas-show-it"),
+        pytest.param(CORNERS, [0.6 * each for each in areas(CORNERS, as_corners=True)], True, id="areas-of-masks"),
+        pytest.param(np.r_[CORNERS.repeat(8, 0) + np.arange(40)[:, None] / 99, [[9, 9, 9, 20]]], None, True, id="odd"),
+        pytest.param(SIZES, None, False, id="sizes"),
+        pytest.param(SIZES, areas(SIZES), False, id="sizes-with-areas"),
+        pytest.param(LARGE, None, False, id="large"),
+        pytest.param(LARGE, areas(LARGE), False, id="large-with-areas"),
+        pytest.param(LARGE + np.array([5, 5, 40, 30]), None, False, id="slightly-outside"),
+        pytest.param(NEAR, areas(NEAR), False, id="near"),
+        pytest.param(NEAR, None, False, id="near-without-areas"),
+        pytest.param(CORNERS[2:3], areas(CORNERS[2:3]), False, id="far-outside-with-its-area"),
+        pytest.param(CORNERS[:0], None, False, id="none"),
+    ],
+)
+@pytest.mark.parametrize("said", ["area", "polygon", "crowd"])
+def test_corners_in_place_of_sizes_are_refused(
+    tmp_path: Path, rows: np.ndarray, area: list[float] | None, are_corners: bool, said: str
+) -> None:
+    annotations = [
+        {"id": number, "image_id": 1, "category_id": 1, "bbox": row, "segmentation": []}
+        for number, row in enumerate(rows.tolist())
+    ]
+    for entry, px in zip(annotations, area or (), strict=False):
+        if said == "polygon":
+            # a lozenge in a rectangle of this area
+            entry |= {"segmentation": [[50, 0, 100, px / 200, 50, px / 100, 0, px / 200]], "area": px / 2}
+        else:
+            entry |= {"area": px}
+    images = [{"id": 1, "file_name": "a.png", "width": SHOWN[0], "height": SHOWN[1]}]
+    if said == "crowd":
+        rle = {"counts": [0, 5], "size": [480, 640]}
+        crowd = {"bbox": [600, 400, 30, 20], "iscrowd": 1, "segmentation": rle, "area": 5}
+        annotations.append({"id": 99, "image_id": 1, "category_id": 1} | crowd)
+    path = put(tmp_path, {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "a"}]})
+    if are_corners:
+        with pytest.raises(
+            FormatError, match=r"bbox is x1 y1 x2 y2 in \d+ of \d+ box(es)?, and COCO has x y width height"
+        ):
+            read_coco(path)
+    else:
+        faults: list[FormatError] = []
+        (image,) = read_coco(path, faults.append)
+        low, size = rows[:, :2], rows[:, 2:]
+        want = np.c_[low, np.minimum(low + size, SHOWN)] - 0.5
+        np.testing.assert_allclose(np.array([box.xyxy for box in image.boxes]).reshape(-1, 4), want)
+        assert len(faults) == (said == "crowd")
+
+
+@pytest.mark.parametrize("area", ["80", None, True, -1, 10**400, -(10**400), [1]])
+def test_areas_of_any_kind_are_ignored(tmp_path: Path, area: object) -> None:
+    first, _ = read_coco(put(tmp_path, broken("annotations.0.area", area)))
+    assert first.boxes[0] == Box2D("hand", -0.5, -0.5, 9.5, 7.5)

@@ -23,12 +23,15 @@ TURN = 2 * math.pi
         ([0.0, 0.0], None),
         ([3.14, -3.14, 1.5], None),
         ([TURN, -6.28, 6.29], None),
+        # OpenPCDet: rotation_y = -heading - pi/2, heading in pi/4 .. 9/4 pi
+        ([-8.64, -2.36, -5.0], None),
+        ([9.43, -9.43], None),
         ([-90.0], r"-90 is no angle in radians.* \(1 of 1 angle other"),
         ([0.0, 2.0, 180.0, -270.0], r"-270 is no angle in radians.* \(2 of 3 angles other"),
-        ([7.0, 1.0], r"7 is no angle in radians.* \(1 of 2 angles"),
+        ([9.45, 1.0], r"9.45 is no angle in radians.* \(1 of 2 angles"),
     ],
 )
-def test_angles_beyond_a_full_turn_are_no_radians(values: list[float], said: str | None) -> None:
+def test_angles_beyond_one_and_a_half_turns_are_no_radians(values: list[float], said: str | None) -> None:
     angles = Angles()
     assert [angles.radians(value, FILE, line) for line, value in enumerate(values, 1)] == values
     if said is None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import unicodedata
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -221,3 +223,74 @@ def test_a_path_of_another_computer_is_named(tmp_path: Path) -> None:
         FormatError, match=r"data\.yaml: train: 'D:.*images' is a path of another computer; write it rel"
     ):
         read_yolo(tmp_path)
+
+
+def plates(centers: list[tuple[float, float]], w: float, h: float, *visibilities: int, dots: int = 4) -> list[str]:
+    """Rows of boxes with points in a ring around their centres."""
+    rows = []
+    for cx, cy in centers:
+        ring = [
+            (cx + 0.45 * w * np.cos(a), cy + 0.45 * h * np.sin(a)) for a in np.arange(dots) * 2 * np.pi / dots + 0.4
+        ]
+        values = [f"{x:.6f} {y:.6f} {v}" for (x, y), v in zip(ring, visibilities or [""] * dots, strict=True)]
+        rows.append(f"0 {cx} {cy} {w} {h} {' '.join(values)}")
+    return rows
+
+
+def turned(centers: list[tuple[float, float]], w: float, h: float, turn: float, corners: int = 4) -> list[str]:
+    """Rows of polygons."""
+    angles = np.arange(corners) * 2 * np.pi / corners + turn
+    rings = [[(cx + w / 2 * np.cos(a), cy + h / 2 * np.sin(a)) for a in angles] for cx, cy in centers]
+    return ["0 " + " ".join(f"{x:.6f} {y:.6f}" for x, y in ring) for ring in rings]
+
+
+PLACES = [(0.5, 0.5), (0.4, 0.6), (0.45, 0.35)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "are_keypoints"),
+    [
+        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53"], True, id="pairs"),
+        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47"], True, id="one-point"),
+        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0 0"], True, id="one-is-missing"),
+        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 2 0.52 0.53 1"], True, id="triples"),
+        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 1 0.52 0.53 0"], True, id="triples-without-2"),
+        pytest.param(["0 0.5 0.5 0.1 0.1 0 0 0 0.52 0.53 1", "0 0.5 0.5 0.2 0.2"], True, id="beside-boxes"),
+        pytest.param(plates(PLACES, 0.1, 0.05), True, id="plates"),
+        pytest.param(plates(PLACES, 0.6, 0.55), True, id="large"),
+        pytest.param(plates(PLACES, 0.6, 0.55, 2, 2, 0, 1), True, id="large-triples"),
+        pytest.param(plates([(0.1, 0.1), (0.12, 0.11), (0.11, 0.13)], 0.1, 0.1), True, id="size-as-place"),
+        # polygons and turned boxes: small ones in the upper left hold their points, read as boxes
+        *(
+            pytest.param(turned(PLACES[:count], w, h, turn, corners), False, id=f"{count}-{w}-{turn}-{corners}")
+            for count in (1, 3)
+            for w, h in ((0.05, 0.05), (0.1, 0.02), (0.5, 0.4))
+            for turn in (0.0, 0.4, 2.0, 4.0)
+            for corners in (3, 4, 12)
+        ),
+        # one polygon by chance, the other not
+        pytest.param(["0 0.5 0.5 0.1 0.1 0.48 0.47 0.52 0.53", *turned(PLACES, 0.1, 0.1, 0.4)], False, id="chance"),
+    ],
+)
+@pytest.mark.parametrize("files", ["data.yaml", "classes.txt"])
+def test_rows_that_are_all_boxes_with_points_are_keypoints(
+    tmp_path: Path, rows: list[str], are_keypoints: bool, files: str
+) -> None:
+    put(tmp_path, **{"data.yaml": "train: images\nnames: [a]", "images/0.png": ""} if files == "data.yaml" else {})
+    put(tmp_path, **{"classes.txt": "a\n"} if files == "classes.txt" else {})
+    put(tmp_path, **{f"labels/{number}.txt": f"{row}\n" for number, row in enumerate(rows)})
+    if are_keypoints:
+        with pytest.raises(FormatError, match=r"has keypoints \(.*keep the first five fields"):
+            read_yolo(tmp_path)
+    else:
+        found = [box for picture in read_yolo(tmp_path) for box in picture.boxes]
+        want = [np.array(row.split()[1:], float).reshape(-1, 2) for row in rows]
+        edges = [[*(each.min(0) + each.max(0)) / 2, *np.ptp(each, axis=0)] for each in want]
+        np.testing.assert_allclose([box.shares for box in found], edges)
+
+
+def test_names_of_pictures_in_another_unicode_form_are_found(tmp_path: Path) -> None:
+    names = [unicodedata.normalize(form, "Bü") for form in ("NFC", "NFD")]
+    put(tmp_path, **{"classes.txt": "a\nb\n", f"labels/{names[0]}.txt": ROW, f"images/{names[1]}.png": ""})
+    (picture,) = read_yolo(tmp_path)
+    assert picture.picture == tmp_path / "images" / f"{names[1]}.png"

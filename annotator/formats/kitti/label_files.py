@@ -45,7 +45,7 @@ class KittiLabel:
     """One row as stored: KITTI's order, units and frame (metres, radians, pixels).
 
     Attributes:
-        label: KITTI's `type`, such as "Car"; "DontCare" for an unlabelled area.
+        label: KITTI's `type`, such as "Car"; `DONT_CARE` for an unlabelled area, whatever its case in the file.
         truncated: fraction of the object outside the image, 0..1; -1 if unknown.
         occluded: 0 visible, 1 partly, 2 largely hidden, 3 unknown; -1 for DontCare.
         alpha: observation angle.
@@ -229,7 +229,9 @@ def parse_fields(fields: list[str], path: Path, line: int) -> KittiLabel:
         )
     values = [finite_number(field, path, line) for field in fields[1:]]
     occluded = _integer(fields[2], path, line)
-    return KittiLabel(fields[0], values[0], occluded, *values[2:])
+    # the devkit ignores the case of this type
+    label = DONT_CARE if fields[0].lower() == DONT_CARE.lower() else fields[0]
+    return KittiLabel(label, values[0], occluded, *values[2:])
 
 
 def _integer(field: str, path: Path, line: int) -> int:

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.file_names import spelled
 from annotator.formats.frame_class_names import DatasetNames
 from annotator.formats.json_file import MOST
 from annotator.formats.kitti.label_files import (
@@ -136,10 +137,13 @@ MOST_SHIFT_M = 100.0
 
 
 def calibration_beside(label_file: Path) -> Path | None:
-    """Returns `calib/STEM.txt` beside the `label_2` folder of a label file; None if there is no such file."""
+    """Returns `calib/STEM.txt` beside the `label_2` folder of a label file; None if there is no such file.
+
+    It may have the name in another Unicode form.
+    """
     if label_file.parent.name != LABELS:
         return None
-    file = label_file.parent.parent / CALIBRATIONS / label_file.name
+    file = spelled(label_file.parent.parent / CALIBRATIONS, label_file.name)
     return file if file.is_file() else None
 
 
@@ -210,7 +214,7 @@ def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> Kitt
             file, f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}", line
         )
     size = (row.height, row.width, row.length)
-    if min(size) <= 0 and size not in UNKNOWN_SIZES and row.label.lower() != DONT_CARE.lower():
+    if min(size) <= 0 and size not in UNKNOWN_SIZES and row.label != DONT_CARE:
         height, width, length = size
         raise FormatError(file, f"height width length must be positive, not {height:g} {width:g} {length:g}", line)
     if has_solid(row):

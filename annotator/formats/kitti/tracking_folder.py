@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.file_names import spelled
 from annotator.files import new_folder
 from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
 from annotator.formats.frame_class_names import CLASS_NAMES, ClassWords, DatasetNames
@@ -214,7 +215,7 @@ def read_kitti_tracks(path: Path, found: KittiRows) -> tuple[Frames, dict[str, F
     for origin in dataset_names.frames.values():
         frames[origin.name] = []
     for sequence, file, text in text_files(place, within=LABELS):
-        calibration = place.parent / CALIBRATIONS / f"{sequence}.txt"
+        calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
         shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
         for line, row in enumerate(text.splitlines(), 1):
             if not row.strip():

@@ -17,7 +17,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.labelcloud.model import Axes, BoxObject, Dimensions
-from annotator.formats.units import MOST_RAD
+from annotator.formats.units import BEYOND, MOST_RAD
 from annotator.types import OrientedBox
 from annotator.types.amounts import amount
 
@@ -113,7 +113,7 @@ def contradiction(angles: Sequence[float], *, degrees: bool) -> str | None:
     worst, count = max(others, key=abs), amount(len(others), "angle")
     if not degrees and abs(worst) > MOST_RAD:
         beyond = sum(abs(angle) > MOST_RAD for angle in others)
-        return f"{worst:g} is no angle in radians ({beyond} of {count} other than 0 beyond a full turn)"
+        return f"{worst:g} is no angle in radians ({beyond} of {count} other than 0 {BEYOND})"
     half = math.pi + 10.0**-DECIMALS
     if degrees and abs(worst) <= half and (min(others) < 0 or len(others) >= LEAST_SMALL):
         return f"{count} other than 0, all within -pi..pi, look like radians"

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import OutsideError, inside
+from annotator.file_names import OutsideError, inside, spelled
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from, pose_from
@@ -90,7 +90,7 @@ class RcvDataset:
 
     def label_path(self, i: int) -> Path:
         """Returns the file with the labels and the camera of frame `i`."""
-        return self.path / "labels" / f"{self.manifest.frames[i]}.json"
+        return spelled(self.path / "labels", f"{self.manifest.frames[i]}.json")
 
     def _frame(self, path: Path, record: RcvLabels) -> Frame:
         rgb, file = _image(_inside(self.path, record.image, path)), _inside(self.path, record.cloud, path)

@@ -22,6 +22,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
+from annotator.file_names import spelled
 from annotator.formats.frame_class_names import DatasetNames
 from annotator.formats.json_file import read_model
 from annotator.formats.reading import finite_number
@@ -177,6 +178,6 @@ def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
         lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
         truths = [extracted_truth(fields, None, file, line) for line, fields in lines]
         named = tuple(replace(truth, label=dataset_names.label(truth.label)) for truth in truths)
-        calibration = place.parent / "calib" / f"{stem}.txt" if place.is_dir() else None
+        calibration = spelled(place.parent / "calib", f"{stem}.txt") if place.is_dir() else None
         frames[dataset_names.frame(stem)] = ExtractedFrame(named, calibration)
     return frames

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -212,10 +213,11 @@ def text_columns(
 
 def _numbers(path: Path, texts: np.ndarray, above: int) -> Float64[np.ndarray, "n c"]:
     """Returns the numbers of a table of texts that has `above` rows before it."""
-    try:
-        return np.asarray(texts.astype(np.float64))
-    except ValueError:
-        return np.array([[_number(path, text, row) for text in texts_of] for row, texts_of in enumerate(texts, above)])
+    # numpy would accept 1_000, which `to_number` refuses
+    if b"_" not in texts.tobytes():
+        with suppress(ValueError):
+            return np.asarray(texts.astype(np.float64))
+    return np.array([[_number(path, text, row) for text in texts_of] for row, texts_of in enumerate(texts, above)])
 
 
 def _number(path: Path, text: bytes, row: int) -> float:

@@ -13,7 +13,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import normal
+from annotator.file_names import normal, spelled
 from annotator.formats.boxes_json import each_entries, entry_truth
 from annotator.formats.kitti.label_files import (
     DONT_CARE,
@@ -98,7 +98,7 @@ class RowFiles:
     parse: RowParser
 
     def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
-        path = self.folder / f"{key}.txt"
+        path = spelled(self.folder, f"{key}.txt")
         if not path.is_file():
             return FrameLabels(missing=path)
         try:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from annotator.file_names import normal
 from annotator.files import open_file, read_file
 from annotator.formats import sustechpoints
 from annotator.formats.coco_dataset import is_coco_dataset, read_coco_dataset
@@ -140,8 +141,8 @@ def _is_yolo(path: Path) -> bool:
         return False
     if any(file.name != CLASSES for file in (path / "labels").glob("*.txt")):
         return True
-    pictures = {file.stem for file in path.iterdir() if file.suffix.lower() in SUFFIXES}
-    return any(file.stem in pictures for file in path.glob("*.txt"))
+    pictures = {normal(file.stem) for file in path.iterdir() if file.suffix.lower() in SUFFIXES}
+    return any(normal(file.stem) in pictures for file in path.glob("*.txt"))
 
 
 def _nuscenes(path: Path, on_fault: OnFault) -> Iterator[Part]:

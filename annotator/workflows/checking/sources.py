@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from annotator.file_names import normal, spelled
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import FOLDERS, MANIFEST, SPLITS
 from annotator.formats.rcv.read import RcvDataset
@@ -110,7 +111,7 @@ class RecordingSource:
     def calibration(self, index: int) -> Path:
         if isinstance(self.recording, SunRgbdScenes):
             return self.recording.scenes[index] / "intrinsics.txt"
-        places = (self.recording.root / name.format(key=self.keys[index]) for name in CALIBRATIONS)
+        places = (spelled(self.recording.root, name.format(key=self.keys[index])) for name in CALIBRATIONS)
         return next((place for place in places if place.is_file()), self.path)
 
 
@@ -176,14 +177,14 @@ class RcvLabelFiles:
         return ()
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        frames = set(self.dataset.manifest.frames)
+        frames = set(map(normal, self.dataset.manifest.frames))
         for folder in FOLDERS:
             for file in sorted((self.dataset.path / folder).glob("*")):
-                if file.stem not in frames:
+                if normal(file.stem) not in frames:
                     yield file, None, file.stem
         for file in sorted((self.dataset.path / SPLITS).glob("*.txt")):
             for line, name in frame_names(file):
-                if name not in frames:
+                if normal(name) not in frames:
                     yield file, line, name
 
 

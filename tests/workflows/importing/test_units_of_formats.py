@@ -142,8 +142,10 @@ def test_degrees_are_refused_and_converted_on_request(
 
 
 @pytest.mark.parametrize(("format", "write"), WITH_ANGLES)
-@pytest.mark.parametrize("radians", [0.0, -3.14159, 3.9, 6.2831])
-def test_radians_up_to_a_full_turn_are_read(tmp_path: Path, format: BoxFormat, write: Write, radians: float) -> None:
+@pytest.mark.parametrize("radians", [0.0, -3.14159, 3.9, 6.2831, -8.64])
+def test_radians_are_read_also_if_they_are_not_normalised(
+    tmp_path: Path, format: BoxFormat, write: Write, radians: float
+) -> None:
     found = boxes(format, write(tmp_path / "a", radians))
     wanted = boxes(format, write(tmp_path / "b", math.remainder(radians, 2 * math.pi)))
     for one, other in zip(found, wanted, strict=True):
