@@ -18,10 +18,15 @@ from annotator.cli.projects import open_named
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.project import REVIEWED
 from annotator.types.amounts import amount
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.types.names import alternatives
 from annotator.workflows.add_recordings import Added, add_recordings
 from annotator.workflows.recorded.own_labels import OwnLabels, has_own_labels, import_own_labels
+
+ONLY_ADDED = (
+    "{0}\n{1} is in the project, without the labels beside it; correct them and give this command again, or import "
+    "them: annotator import {2} LABELS"
+)
 
 
 def run(
@@ -77,9 +82,12 @@ def run(
             if not no_labels:
                 has_labels = has_own_labels(opened, added.recording.id)
                 with counted("reading labels") if has_labels else nullcontext() as progress:
-                    imported = import_own_labels(
-                        opened, added.recording.id, progress, [each.recording.id for each in every]
-                    )
+                    try:
+                        imported = import_own_labels(
+                            opened, added.recording.id, progress, [each.recording.id for each in every]
+                        )
+                    except FormatError as error:
+                        raise ConfigError(ONLY_ADDED.format(error, added.recording.name, project)) from error
                 for line in _label_lines(imported, opened.config.classes):
                     print_line(line)
         if not opened.labels.select(states=REVIEWED):

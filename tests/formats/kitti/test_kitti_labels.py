@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,13 @@ from annotator.formats.kitti.label_files import (
     label_box,
     parse_label_line,
     read_object_labels,
+    read_tracking_areas,
     read_tracking_labels,
 )
+from annotator.formats.kitti.label_folders import KittiRows, each_kitti_frame, read_kitti_file, read_kitti_shifts
+from annotator.formats.kitti.tracking_folder import read_kitti_tracks
 from annotator.geometry.oriented_box import box_corners
-from annotator.types.errors import FormatError
+from annotator.types.errors import FormatError, UnitError
 
 CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
 DONT_CARE = "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10"
@@ -83,10 +87,23 @@ def test_heading_rotations_are_about_the_vertical(rotation_y: float):
     assert np.arctan2(-R[2, 0], R[0, 0]) == pytest.approx(rotation_y, abs=1e-12)
 
 
-def test_dontcare_rows_and_blank_lines_are_skipped(tmp_path: Path):
+@pytest.mark.parametrize("word", ["DontCare", "dontcare", "DONTCARE"])
+@pytest.mark.parametrize("sizes", ["-1 -1 -1", "1.5 1.6 3.9"])
+def test_dontcare_rows_and_blank_lines_are_skipped(tmp_path: Path, word: str, sizes: str):
+    """In any case, as in the devkit, and whatever stands in the fields of a 3D box."""
     path = tmp_path / "a.txt"
-    path.write_text(f"{DONT_CARE}\n\n{CAR}\n")
+    area = DONT_CARE.replace("DontCare", word).replace("-1 -1 -1 -1000", f"{sizes} -1000")
+    path.write_text(f"{area}\n\n{CAR}\n")
     assert [truth.label for truth in read_object_labels(path, None)] == ["Car"]
+    found = KittiRows()
+    ((name, truths),) = each_kitti_frame(tmp_path, found)
+    assert (name, [truth.label for truth in truths], found.flat[name]) == ("a", ["Car"], 0)
+    assert [row.label for row in read_kitti_file(path, scored=False)] == ["DontCare", "Car"]
+    (tmp_path / "label_02.txt").write_text(f"0 -1 {area}\n0 7 {CAR}\n")
+    assert {k: len(rows) for k, rows in read_tracking_areas(tmp_path / "label_02.txt").items()} == {0: 1}
+    assert {k: len(rows) for k, rows in read_tracking_labels(tmp_path / "label_02.txt", None).items()} == {0: 1}
+    path.write_text(f"{area}\n")
+    assert read_object_labels(path, None) == []
     path.write_text("")
     assert read_object_labels(path, None) == []
 
@@ -148,3 +165,51 @@ def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
 def test_a_missing_label_file_is_an_error(tmp_path: Path):
     with pytest.raises(FormatError, match=r"000009\.txt"):
         read_object_labels(tmp_path / "000009.txt", None)
+
+
+@pytest.mark.parametrize(("label", "calibration"), [("NFC", "NFD"), ("NFD", "NFC"), ("NFD", "NFD"), ("NFC", "NFC")])
+@pytest.mark.parametrize("listed", ["", "NFC", "NFD"], ids=["no-csv", "csv-nfc", "csv-nfd"])
+def test_accented_names_keep_the_shift_to_the_colour_camera(tmp_path: Path, label: str, calibration: str, listed: str):
+    def name(form: str) -> str:
+        return unicodedata.normalize(form, "Bü")
+
+    for folder in ("label_2", "label_02", "calib"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / f"label_2/{name(label)}.txt").write_text(CAR)
+    (tmp_path / f"label_02/{name(label)}.txt").write_text(f"3 1 {CAR}")
+    (tmp_path / f"calib/{name(calibration)}.txt").write_text("P2: 100 0 50 6 0 100 40 0 0 0 1 0\n")
+    (key,) = (frame for frame, _ in each_kitti_frame(tmp_path, KittiRows()))
+    shifts = read_kitti_shifts(tmp_path)
+    assert key == name("NFC") and list(shifts) == [key]
+    np.testing.assert_allclose(shifts[key], [0.06, 0, 0])
+    frames, shifts = read_kitti_tracks(tmp_path, KittiRows())
+    assert list(frames) == list(shifts) == [f"{key}/000003"]
+    np.testing.assert_allclose(shifts[f"{key}/000003"], [0.06, 0, 0])
+    if listed:
+        (tmp_path / "label_02").rename(tmp_path / "other")
+        (tmp_path / "frames.csv").write_text(f"id,recording,key,split\n{name(listed)},take,7,\n")
+        assert [frame for frame, _ in each_kitti_frame(tmp_path, KittiRows())] == ["take/7"]
+        np.testing.assert_allclose(read_kitti_shifts(tmp_path)["take/7"], [0.06, 0, 0])
+
+
+def test_a_name_in_both_unicode_forms_is_refused(tmp_path: Path):
+    for form in ("NFC", "NFD"):
+        (tmp_path / f"{unicodedata.normalize(form, 'Bü')}.txt").write_text(CAR)
+    with pytest.raises(FormatError, match=r"has two files called Bü\.txt; keep one"):
+        list(each_kitti_frame(tmp_path, KittiRows()))
+
+
+@pytest.mark.parametrize("heading", [0.785, 1.5, 3.14, 4.71, 6.28, 7.06])
+def test_angles_of_openpcdet_are_read(tmp_path: Path, heading: float):
+    """It writes rotation_y = -heading - pi/2 with a heading in pi/4 .. 9/4 pi."""
+    rotation_y = -heading - np.pi / 2
+    path = tmp_path / "000000.txt"
+    path.write_text(f"{CAR.replace('-1.62', f'{rotation_y:.4f}')} 0.9\n")
+    (row,) = read_kitti_file(path, scored=True)
+    (truth,) = read_object_labels(path, None)
+    turn = np.arctan2(-truth.box.rotation[2, 0], truth.box.rotation[0, 0])
+    assert row.rotation_y == pytest.approx(rotation_y, abs=1e-4)
+    assert np.cos(turn - rotation_y) == pytest.approx(1, abs=1e-6)
+    path.write_text(f"{CAR.replace('-1.62', '-92.8')} 0.9\n")
+    with pytest.raises(UnitError, match=r"write radians \(`annotator import` converts degrees with --angles degrees"):
+        read_kitti_file(path, scored=True)

@@ -362,3 +362,15 @@ def test_text_with_a_mark_and_line_ends_of_windows_is_read_and_a_decimal_comma_n
     path.write_text(text.replace("4.5", "4,5"))
     with pytest.raises(FrameError, match="'4,5' has a decimal comma; write a point"):
         read_cloud(path)
+
+
+@pytest.mark.parametrize("text", ["1_000", "1_0.5", "1e1_0", "_1"])
+@pytest.mark.parametrize("rows", [1, 3])
+def test_a_number_with_an_underscore_is_refused(tmp_path: Path, text: str, rows: int):
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    path = tmp_path / "a.ply"
+    path.write_text(head % rows + "1 2 3\n" * (rows - 1) + f"1 {text} 3\n")
+    with pytest.raises(FrameError, match=f"point {rows}: '{text}' is not a number"):
+        read_cloud(path)

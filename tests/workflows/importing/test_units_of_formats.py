@@ -334,7 +334,7 @@ def test_the_report_counts_turned_2d_boxes(
 
 @pytest.mark.shared
 def test_labels_beside_a_recording_are_judged_together(
-    make_project: Callable[..., Project], shared: Path, tmp_path: Path
+    make_project: Callable[..., Project], shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A frame whose only angle may be radians is not labelled, because others show degrees."""
     training = shared / "data/kitti/training"
@@ -352,6 +352,13 @@ def test_labels_beside_a_recording_are_judged_together(
     put(tmp_path / f"label_2/{keys[1]}.txt", kitti_row(-1.5) + FLAT)
     done = import_own_labels(project, project.recordings.all()[0].id)
     assert (done.labels, done.flat, done.unreadable) == ({"Car": 2}, 1, [])
+    put(tmp_path / f"label_2/{keys[1]}.txt", kitti_row(-90.0))
+    project.close()
+    assert main(["add", project.path.name, str(tmp_path), "--projects", str(project.path.parent)]) == 2
+    said = capsys.readouterr().err
+    assert "-90 is no angle in radians" in said and "`annotator import` converts degrees with --angles degrees" in said
+    assert f"{tmp_path.name} is in the project, without the labels beside it" in said
+    assert f"give this command again, or import them: annotator import {project.path.name} LABELS" in said
 
 
 @pytest.mark.parametrize("format", list(ExportFormat))
