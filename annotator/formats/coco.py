@@ -173,9 +173,9 @@ def _refuse_corners(path: Path, annotations: Iterable[_Annotation], images: Mapp
     if of_sizes > 0.5 or (of_corners <= 0.5 and beyond.mean() < MANY):
         return
     shows = (
-        f"as such, {np.count_nonzero(as_corners)} fit their area"
+        f"as such, {amount(int(as_corners.sum()), 'box fits its area', 'boxes fit their areas')}"
         if of_corners > 0.5
-        else f"as x y width height, {beyond.sum()} reach far beyond their image"
+        else f"as these, {amount(int(beyond.sum()), 'box reaches', 'boxes reach')} far beyond the image"
     )
     raise FormatError(
         path,
