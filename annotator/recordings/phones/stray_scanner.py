@@ -105,7 +105,7 @@ class StrayScanner(KeyedFrames):
         cloud, in_color_m = phone_cloud(
             depth_path, camera, rgb, depth_m, self._confidence(confidence, depth_m), self.min_confidence
         )
-        self._time_ns(i)
+        self._time_ns(i)  # raises for a damaged one
         return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=self._times_ns[i])
 
     def _image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
