@@ -1,9 +1,8 @@
-"""Whether the numbers of a set of boxes are in the unit, and in the order, that their format has.
+"""Whether the numbers of a set of boxes are in the unit that their format has.
 
-Programs write degrees where a format has radians, millimetres where it has metres, quaternions with w last where it has
-w first. One box seldom shows that, but all boxes of a set together do. So a reader hands over the numbers of all boxes
-that belong together, and a set that cannot be right is refused. What can be right is read: a format's unit is doubted
-only where its numbers contradict it.
+Programs write degrees where a format has radians, millimetres where it has metres. One box seldom shows that, but all
+boxes of a set together do. So a reader hands over the numbers of all boxes that belong together, and a set that cannot
+be right is refused. What can be right is read: a format's unit is doubted only where its numbers contradict it.
 """
 
 from __future__ import annotations
@@ -27,10 +26,6 @@ BEYOND = "beyond 3 pi"
 # Limits of the median of the boxes' longest sides, metres. Few objects of a scene are longer than the first one, as
 # ships are; none is longer than the second one, or shorter than the third.
 LONG_M, LONGEST_M, SHORTEST_M = 100.0, 1000.0, 0.005
-# The boxes of a level frame stand upright; least cosine of their tilt: slopes, and drives over bumps.
-UPRIGHT = math.cos(math.radians(10))
-# Share of boxes that are upright if their quaternions are read in the other order.
-NEARLY_ALL = 0.95
 
 
 class AngleUnit(StrEnum):
@@ -124,54 +119,6 @@ class Lengths:
         """
         if (problem := self.problem()) is not None and not SHORTEST_M <= self._median_m <= LONGEST_M:
             raise UnitError(UnitKind.LENGTH, path, problem)
-
-
-class Quaternions:
-    """The quaternions of a set of boxes that stand upright in their frame, as they are in the file.
-
-    Args:
-        w_first: the format's order is w x y z; False: x y z w.
-    """
-
-    def __init__(self, *, w_first: bool = True) -> None:
-        self._w_first = w_first
-        self._values = array("d")
-
-    def add(self, quaternion: Iterable[float]) -> None:
-        """Adds the quaternion of a box."""
-        self._values.extend(quaternion)
-
-    def problem(self) -> str | None:
-        """Returns what shows that the quaternions are in the other order; None if nothing does."""
-        values = np.array(self._values).reshape(-1, 4)
-        if len(values) == 0:
-            return None
-        first, last = _upright(values, w_first=True), _upright(values, w_first=False)
-        own, other = (first, last) if self._w_first else (last, first)
-        if other.mean() < NEARLY_ALL or other.sum() <= own.sum():
-            return None
-        orders = ("w x y z", "x y z w") if self._w_first else ("x y z w", "w x y z")
-        tilted = len(own) - int(own.sum())
-        return (
-            f"the quaternions are in the order {orders[1]}, and this format has {orders[0]}: as {orders[0]}, "
-            f"{tilted} of {amount(len(own), 'box is', 'boxes are')} tilted, and as {orders[1]} "
-            f"{len(own) - int(other.sum())}; write them as {orders[0]}"
-        )
-
-    def require(self, path: Path) -> None:
-        """
-        Raises:
-            UnitError: the quaternions are in the other order.
-        """
-        if (problem := self.problem()) is not None:
-            raise UnitError(UnitKind.QUATERNION, path, problem)
-
-
-def _upright(values: Float64[np.ndarray, "n 4"], *, w_first: bool) -> np.ndarray:
-    """Returns which quaternions leave the z axis upright: R[2, 2] = 1 - 2 (x^2 + y^2) of a unit quaternion."""
-    x, y = (values[:, 1], values[:, 2]) if w_first else (values[:, 0], values[:, 1])
-    squares = (values**2).sum(axis=1)
-    return 1 - 2 * (x**2 + y**2) / np.where(squares > 0, squares, 1) > UPRIGHT
 
 
 def rotation_problem(R: Float64[np.ndarray, "3 3"], most_off: float) -> str | None:

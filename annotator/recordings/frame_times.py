@@ -8,17 +8,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
-from annotator.types.times import LATEST_NS, too_late
+from annotator.types.times import LATEST_NS, too_dense, too_late
 
 FILE_NAME = "timestamps.csv"
 HEADER = "key,timestamp_ns"
 REMEDY = "correct the line, or remove the file to use the frames without times"
 LONGEST_TIME = 40
 DAY_NS = 86_400 * 10**9
+# No sensor takes frames at 10 kHz, but microseconds at 10 Hz have this step. Numbers that are microseconds since 1970
+# (of the years 2000 to 2100) may have that of 1 Hz.
+MOST_DENSE_NS, MOST_DENSE_US = 100_000, 1_000_000
+SINCE_1970_US = (946_684_800 * 10**6, 4_102_444_800 * 10**6)
 
 Times = tuple[int | None, ...]
 
@@ -45,7 +51,8 @@ def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[s
     Lines of missing frames are ignored, and times that are not set (`known_times`).
 
     Raises:
-        RecordingError: an invalid header, a line that is not a key and a whole number, or a key that occurs twice.
+        RecordingError: an invalid header, a line that is not a key and a whole number, a key that occurs twice, or
+            times that are hardly nanoseconds.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -71,6 +78,20 @@ def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[s
         times[normal(key)] = int(time)
     written = tuple(times.get(normal(key)) for key in keys)
     known = known_times(written)
+    if (problem := _unit_problem(known)) is not None:
+        raise RecordingError(
+            f"{path}: {problem}; write nanoseconds, or remove the file to use the frames without times"
+        )
     unset = sum(time is not None for time in written) - sum(time is not None for time in known)
     note = f"The time of {amount(unset, 'frame')} in {FILE_NAME} is 0, which is taken as unknown."
     return known, (note,) if unset else ()
+
+
+def _unit_problem(times_ns: Times) -> str | None:
+    """Returns what shows that times are in seconds, milliseconds or microseconds; None if nothing does."""
+    times = np.unique([time for time in times_ns if time is not None])
+    if len(times) < 2:
+        return None
+    step = float(np.median(np.diff(times)))
+    are_us = SINCE_1970_US[0] <= times[0] and times[-1] <= SINCE_1970_US[1]
+    return too_dense(step) if step <= (MOST_DENSE_US if are_us else MOST_DENSE_NS) else None

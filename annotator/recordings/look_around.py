@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.options import Place, ReaderOptions
-from annotator.recordings.recording import KeyedFrames, origin_of
+from annotator.recordings.recording import KeyedFrames, files_of, origin_of
 from annotator.recordings.rig import Scan, Scanned
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError
@@ -37,13 +37,13 @@ class LookAround(KeyedFrames):
         base: the recording of the LiDAR.
         count: number of virtual cameras.
         camera: this camera's name: `around-060` looks 60 degrees to the left of ahead.
-        notes: those of `base`, and the other cameras.
+        others: a note on the other cameras; "" if this one was chosen.
     """
 
     base: Scanned
     count: int
     camera: str
-    notes: tuple[str, ...] = ()
+    others: str = ""
     format: ClassVar[str] = "look_around"
 
     @property
@@ -59,6 +59,10 @@ class LookAround(KeyedFrames):
         return f"{self.base.name.partition('@')[0]}@{self.camera}"
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        return (*self.base.notes, self.others) if self.others else self.base.notes
+
+    @property
     def origin(self) -> Place | None:
         return origin_of(self.base)
 
@@ -66,6 +70,9 @@ class LookAround(KeyedFrames):
     def cameras(self) -> tuple[str, ...]:
         """The names of all virtual cameras."""
         return camera_names(self.count)
+
+    def files(self, i: int) -> tuple[Path, ...]:
+        return files_of(self.base, i)
 
     def intrinsics(self, i: int) -> Camera:
         """Returns the virtual camera, the same for all frames."""
@@ -115,9 +122,8 @@ def look_around(base: Scanned, options: ReaderOptions) -> LookAround:
     camera = options.camera or AHEAD
     if camera not in names:
         raise ConfigError(f"{base.path}: has no virtual camera {camera}; it has {', '.join(names)}")
-    others = f"{len(names)} cameras: {', '.join(names)} (--camera names another, or all)"
-    notes = base.notes if options.camera else (*base.notes, others)
-    return LookAround(base.path, base.keys, base, options.look_around, camera, notes)
+    others = "" if options.camera else f"{len(names)} cameras: {', '.join(names)} (--camera names another, or all)"
+    return LookAround(base.path, base.keys, base, options.look_around, camera, others)
 
 
 def camera_names(count: int) -> tuple[str, ...]:

@@ -8,6 +8,8 @@ from jaxtyping import Bool, Num
 # Limit for all numbers, metres or pixels.
 LARGEST = 1e9
 SMALLEST_FOCAL_PX = 1e-3
+# Range of the median distance of a cloud's points from their camera, metres.
+DISTANCES_M = (0.05, 300.0)
 # No camera's image has a longer side.
 LARGEST_SIDE_PX = 1 << 16
 

@@ -127,6 +127,11 @@ def is_parallel(recording: Recording) -> bool:
     return isinstance(recording, KeyedFrames) and recording.is_parallel
 
 
+def files_of(recording: Recording, i: int) -> tuple[Path, ...]:
+    """Returns the files that only frame `i` is read from, `KeyedFrames.files`."""
+    return recording.files(i) if isinstance(recording, KeyedFrames) else ()
+
+
 def origin_of(recording: Recording) -> Place | None:
     """Returns the origin of a recording in map coordinates, `KeyedFrames.origin`. It may read a cloud."""
     return recording.origin if isinstance(recording, KeyedFrames) else None

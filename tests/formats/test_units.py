@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.formats.units import Angles, AngleUnit, Lengths, Quaternions, rotation_problem
+from annotator.formats.units import Angles, AngleUnit, Lengths, rotation_problem
+from annotator.geometry.quaternion_order import Quaternions
 from annotator.types.errors import UnitError, UnitKind
 
 FILE = Path("a.txt")

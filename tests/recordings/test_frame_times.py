@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from annotator.recordings import open_recording
-from annotator.recordings.frame_times import known_times
+from annotator.recordings.frame_times import known_times, read_times
 from annotator.recordings.times import has_times, recorded_times
 from annotator.types.errors import RecordingError
 
@@ -38,6 +38,35 @@ def test_times_of_0_are_unknown(tmp_path: Path, written: tuple[int | None, ...],
     assert has_times(recording) == (sum(time is not None for time in known) > 1)
     told = [note for note in recording.notes if "which is taken as unknown" in note]
     assert len(told) == (written != known)
+
+
+# Unit in nanoseconds, frames per second, start in seconds, and the step that is told; None: they are read.
+UNITS = [
+    *((unit, rate, EPOCH / 1e9, 1e9 / rate / unit) for unit in (10**9, 10**6, 10**3) for rate in (1, 2, 10, 30)),
+    *((unit, rate, 0.5, 1e9 / rate / unit) for unit in (10**9, 10**6, 10**3) for rate in (10, 25)),
+    # nanoseconds, also of a computer that has run for 20 days, and of fast sensors
+    *((1, rate, start, None) for rate in (0.1, 1, 30, 1000, 5000) for start in (0.5, EPOCH / 1e9)),
+    *((1, rate, 20 * 86_400, None) for rate in (0.1, 1, 30, 500)),
+]
+
+
+@pytest.mark.parametrize(("unit_ns", "rate", "start_s", "step"), UNITS)
+def test_times_in_another_unit_are_refused(
+    tmp_path: Path, unit_ns: int, rate: float, start_s: float, step: float | None
+):
+    start, step_ns = round(start_s * 1e9), round(1e9 / rate)
+    times = [(start + number * step_ns) // unit_ns for number in range(40)]
+    (tmp_path / "timestamps.csv").write_text(
+        "key,timestamp_ns\n" + "".join(f"{number:02},{time}\n" for number, time in enumerate(times))
+    )
+    keys = [f"{number:02}" for number in range(40)]
+    if step is None:
+        assert read_times(tmp_path, keys) == (tuple(times), ())
+        return
+    with pytest.raises(RecordingError, match=r"timestamps\.csv: the times are .*so their unit is probably") as caught:
+        read_times(tmp_path, keys)
+    told = float(str(caught.value).split("the times are ")[1].split()[0])
+    assert told == pytest.approx(max(step, 1), rel=0.02, abs=0.51)
 
 
 def test_lists_of_tum_without_times_are_an_error(tmp_path: Path):

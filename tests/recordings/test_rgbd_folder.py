@@ -280,12 +280,12 @@ def test_no_real_depth_is_taken_for_rotated(shared: Path):
 def test_files_of_one_name_in_two_unicode_forms_are_one_frame(folder: Path, color: np.ndarray):
     for name, key in (("color", "caf\u00e9"), ("depth", "cafe\u0301")):
         (folder / name / "000000.png").rename(folder / name / f"{key}.png")
-    (folder / "timestamps.csv").write_text("key,timestamp_ns\ncafe\u0301,7\n000001,8\n", encoding="utf-8")
+    (folder / "timestamps.csv").write_text("key,timestamp_ns\ncafe\u0301,7000000\n000001,8000000\n", encoding="utf-8")
     recording = open_recording(folder)
     assert recording.keys == ("000001", "caf\u00e9")
     frame = recording.frame(1)
     np.testing.assert_array_equal(frame.rgb, color)
-    assert (frame.key, frame.timestamp_ns) == ("caf\u00e9", 7)
+    assert (frame.key, frame.timestamp_ns) == ("caf\u00e9", 7_000_000)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
@@ -293,11 +293,11 @@ def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth:
     for name, content in (
         ("camera_intrinsic.json", json.dumps(INTRINSICS | {"depth_scale": 5000}, indent=1)),
         ("gravity.json", '{"up": [0, -2, 0]}\n'),
-        ("timestamps.csv", "key,timestamp_ns\n000000,5\n000001,6\n"),
+        ("timestamps.csv", "key,timestamp_ns\n000000,5000000\n000001,6000000\n"),
     ):
         (folder / name).write_bytes(content.replace("\n", "\r\n").encode(encoding))
     frame = open_recording(folder).frame(1)
-    assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6, [0, -1, 0])
+    assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6_000_000, [0, -1, 0])
     np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)
 
 

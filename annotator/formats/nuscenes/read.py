@@ -18,8 +18,8 @@ from annotator.formats.json_file import read_model
 from annotator.formats.nuscenes.model import Attribute, Category, Instance, SampleAnnotation, Visibility
 from annotator.formats.nuscenes.shapes import box_from
 from annotator.formats.reading import OnFault, raise_fault
-from annotator.formats.units import Quaternions
 from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.quaternion_order import Quaternions
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Record, SampleData, Sensor, pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError

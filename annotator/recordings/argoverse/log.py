@@ -22,9 +22,10 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.exif import Size
 from annotator.feather import FeatherError, Kind, read_feather
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti.frame import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
@@ -77,6 +78,13 @@ class ArgoverseLog(KeyedFrames):
     def name(self) -> str:
         return f"{self.path.resolve().name}@{self.camera}" if self.camera else self.path.resolve().name
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        key = self.key(i)
+        if not self.camera:
+            return (self._sweep_file(key),)
+        folder = self.path / CAMERAS / self.camera
+        return self._sweep_file(key), frame_file(folder, self.images[i], IMAGE_SUFFIXES, f"the sweep {key}")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud holds the points inside the image, or all without images.
 
@@ -87,8 +95,9 @@ class ArgoverseLog(KeyedFrames):
         key = self.key(i)
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
-        image = frame_file(self.path / CAMERAS / self.camera, self.images[i], IMAGE_SUFFIXES, f"the sweep {key}")
-        rgb = read_rgb(image)
+        sweep, image = self.files(i)
+        picture = read_color_image(image, self._size())
+        rgb = picture.rgb
         camera = self._intrinsics(rgb.shape[1], rgb.shape[0])
         T_city_camera = self._T_city_ego(self.images[i]) * self._mount(self.camera)
         T_camera_ego = T_city_camera.inv() * self._T_city_ego(key)
@@ -96,13 +105,25 @@ class ArgoverseLog(KeyedFrames):
         cloud = visible_cloud(camera, T_camera_ego.apply(xyz_m), reflectance, rgb)
         if len(cloud) == 0:
             raise FrameError(
-                self._sweep_file(key),
+                sweep,
                 f"none of its points lies in the image {image.name} ({len(xyz_m)} in all), so the cloud is empty",
                 f"check {MOUNTS} and {POSES}",
             )
         up = T_city_camera.rotation.inv().apply(UP)
         time_ns = int(self.images[i])
-        return Frame(key, i, camera, rgb, cloud, None, up, T_camera_ego, time_ns, T_world_camera=T_city_camera)
+        return Frame(
+            key,
+            i,
+            camera,
+            rgb,
+            cloud,
+            None,
+            up,
+            T_camera_ego,
+            time_ns,
+            T_world_camera=T_city_camera,
+            exif_orientation=picture.exif_orientation,
+        )
 
     def scan(self, i: int) -> Scan:
         """Reads the whole sweep of frame `i`.
@@ -127,11 +148,10 @@ class ArgoverseLog(KeyedFrames):
             IndexError: there is no such frame.
         """
         self.key(i)
-        rows = _named(self.path / INTRINSICS, ("width_px", "height_px"))
-        width_px, height_px = rows[self.camera].tolist() if self.camera in rows else (0.0, 0.0)
-        if min(width_px, height_px) < 1:
+        size = self._size()
+        if size is None:
             raise FrameError(self.path / INTRINSICS, f"has no size of {self.camera}", REMEDY)
-        return self._intrinsics(int(width_px), int(height_px))
+        return self._intrinsics(*size)
 
     def moment(self, i: int) -> str:
         """Returns the time of the sweep."""
@@ -172,6 +192,15 @@ class ArgoverseLog(KeyedFrames):
         if sensor not in mounts:
             raise FrameError(self.path / MOUNTS, f"has no row for {sensor} (it has {', '.join(mounts)})", REMEDY)
         return _rigid(self.path / MOUNTS, sensor, mounts[sensor])
+
+    def _size(self) -> Size | None:
+        """Returns the size of the images that the calibration names; None if it does not."""
+        try:
+            rows = _named(self.path / INTRINSICS, ("width_px", "height_px"))
+        except FrameError:  # without these columns; those that are needed are required below
+            return None
+        width_px, height_px = rows[self.camera].tolist() if self.camera in rows else (0.0, 0.0)
+        return None if min(width_px, height_px) < 1 else (int(width_px), int(height_px))
 
     def _intrinsics(self, width_px: int, height_px: int) -> Camera:
         path = self.path / INTRINSICS

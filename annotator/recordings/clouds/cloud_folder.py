@@ -41,13 +41,13 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.options import Place, ReaderOptions
+from annotator.recordings.options import Place, ReaderOptions, option_flag
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.rig import Scan
 from annotator.recordings.scan_file import Scans
 from annotator.types import Camera, Frame, PointCloud
-from annotator.types.errors import FrameError
+from annotator.types.errors import ConfigError, FrameError
 
 LOOKED_FOR = f"files of points ({' '.join(CLOUD_SUFFIXES)}), here or in points/"
 CLOUD_FOLDERS = ("points", "clouds", "cloud", "pointcloud", "pointclouds", "velodyne", "lidar", "pcd", "ply")
@@ -217,21 +217,23 @@ class CloudFolder(KeyedFrames):
 
     def _image_size(self, key: str) -> Size | None:
         """Returns the size that the calibration says; None for KITTI's, which does not, and without one."""
-        path = self.path / FILE_NAME
-        return read_camera(path).size if self._kitti_file(key) is None and path.is_file() else None
+        path = self.calibration(key)
+        return None if path is None or path.name != FILE_NAME else read_camera(path).size
 
-    def _kitti_file(self, key: str) -> Path | None:
-        files = (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt")
+    def calibration(self, key: str) -> Path | None:
+        """Returns the file of a frame's calibration, KITTI's or annotator's; None without one."""
+        files = (spelled(self.path / "calib", f"{key}.txt"), self.path / "calib.txt", self.path / FILE_NAME)
         return next((path for path in files if path.is_file()), None)
 
     def _cloud_camera(self, key: str, rgb: np.ndarray | None) -> CloudCamera | None:
         """Returns the camera from the folder's calibration; None without one."""
-        calibration = self._kitti_file(key)
-        if calibration is not None:
-            camera = _kitti_camera(calibration, rgb)
-            return _in_world(replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera)
-        path = self.path / FILE_NAME
-        return _in_world(_json_camera(path, rgb)) if path.is_file() else None
+        path = self.calibration(key)
+        if path is None:
+            return None
+        if path.name == FILE_NAME:
+            return _in_world(_json_camera(path, rgb))
+        camera = _kitti_camera(path, rgb)
+        return _in_world(replace(camera, up=_z_of(camera)) if (self.path / LEVEL_MARK).is_file() else camera)
 
     def _raise_no_calibration(self, key: str) -> Never:
         raise FrameError(
@@ -246,6 +248,7 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
     """Opens the folder of point clouds at `path`; `NotFound` if it is not one.
 
     Raises:
+        ConfigError: an origin, although a calibration says where the camera is.
         RecordingError: `timestamps.csv` is invalid.
     """
     if not path.is_dir():
@@ -258,7 +261,14 @@ def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFo
                 images = clouds
             ordered = sorted_keys(path, keys, LOOKED_FOR)
             times = read_times(path, ordered)
-            return CloudFolder(path, ordered, clouds, images, *times, Scans(options.columns), options.origin)
+            folder = CloudFolder(path, ordered, clouds, images, *times, Scans(options.columns), options.origin)
+            calibration = folder.calibration(ordered[0])
+            if options.origin is not None and calibration is not None:
+                raise ConfigError(
+                    f"{path}: {calibration.name} says where the camera is, so {option_flag('origin')} is not taken; "
+                    "leave out one of them"
+                )
+            return folder
     return NotFound(LOOKED_FOR)
 
 

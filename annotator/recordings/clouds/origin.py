@@ -21,6 +21,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.options import Place
+from annotator.recordings.plausible import DISTANCES_M
 from annotator.types.errors import FrameError
 
 # A LiDAR may see farther, but the middle of what it sees is nearer.
@@ -63,10 +64,11 @@ class Origin:
 
     def of(self, raw: RawCloud) -> Float64[np.ndarray, "3"]:
         """Returns the place of a frame's virtual camera, in the clouds' coordinates."""
-        middle = _middle(raw)
+        points = _different(raw)
+        middle = np.median(points, axis=0)
         if self._given is None and not is_far(middle):
             return NOWHERE
-        self.notes = self.notes or _rounding_note(raw)
+        self.notes = self.notes or (*_unit_note(points, middle), *_rounding_note(raw))
         away = middle - self.xyz_m
         reach = STEP_M if self.xyz_m.any() else FARTHEST_MIDDLE_M
         return self.xyz_m if np.linalg.norm(away) <= reach else self.xyz_m + STEP_M * np.round(away / STEP_M)
@@ -104,9 +106,20 @@ def is_far(xyz_m: Float64[np.ndarray, "3"]) -> bool:
     return bool(np.linalg.norm(xyz_m) > FARTHEST_MIDDLE_M)
 
 
-def _middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:
-    """Returns the median of a cloud's points (of every n-th one, if they are many)."""
-    return np.asarray(np.median(raw.xyz_m[:: len(raw.xyz_m) // MOST_POINTS + 1], axis=0))
+def _different(raw: RawCloud) -> Float64[np.ndarray, "n 3"]:
+    """Returns a cloud's different points (of every n-th one, if they are many).
+
+    A driver may write one place for all beams without a return, which may be most of the points.
+    """
+    return np.unique(raw.xyz_m[:: len(raw.xyz_m) // MOST_POINTS + 1], axis=0)
+
+
+def _unit_note(points: Float64[np.ndarray, "n 3"], middle: Float64[np.ndarray, "3"]) -> tuple[str, ...]:
+    """Returns a note on a cloud that has its place in a map only because it is not in metres, as it seems."""
+    distance_m = float(np.median(np.linalg.norm(points - middle, axis=1)))
+    if distance_m <= DISTANCES_M[1]:
+        return ()
+    return (f"half of its points are more than {distance_m:.4g} m from their middle; are they in metres?",)
 
 
 def _rounding_note(raw: RawCloud) -> tuple[str, ...]:
@@ -122,5 +135,5 @@ def _rounding_note(raw: RawCloud) -> tuple[str, ...]:
 
 
 def _far_middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:
-    middle = _middle(raw)
+    middle = np.median(_different(raw), axis=0)
     return np.floor(middle) if is_far(middle) else NOWHERE

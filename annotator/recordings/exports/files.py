@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -35,11 +36,22 @@ def read_document(path: Path) -> Any:
         raise FrameError(path, f"cannot be read as JSON ({str(error)[:80]})", REMEDY) from error
 
 
+def exported_files(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
+    """Returns the paths of files that a document names.
+
+    Raises:
+        FrameError: one is outside the dataset.
+    """
+    try:
+        return tuple(inside(folder, name) for name in names)
+    except OutsideError as error:
+        raise FrameError(folder, f"has a frame whose file {error}", REMEDY) from error
+
+
 def exported_frame(
     key: str,
     index: int,
-    folder: Path,
-    files: tuple[str, str],
+    files: tuple[Path, ...],
     camera: Camera,
     up: Float64[np.ndarray, "3"] | None,
     timestamp_ns: int | None,
@@ -48,16 +60,12 @@ def exported_frame(
     """Reads the image and the cloud of a frame.
 
     Args:
-        folder: the dataset.
-        files: paths of image and cloud in it.
+        files: image and cloud.
 
     Raises:
-        FrameError: a file is missing, broken, outside the dataset, or the image has another size than the camera.
+        FrameError: a file is missing or broken, or the image has another size than the camera.
     """
-    try:
-        image, cloud = (inside(folder, name) for name in files)
-    except OutsideError as error:
-        raise FrameError(folder, f"has a frame whose file {error}", REMEDY) from error
+    image, cloud = files
     picture = read_color_image(image, (camera.width_px, camera.height_px))
     _check_size(image, picture.rgb, camera)
     if cloud.suffix.lower() not in CLOUD_SUFFIXES:

@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import normal, stem_of
 from annotator.files import open_file
-from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
+from annotator.recordings.exports.files import REMEDY, exported_files, exported_frame, read_document
 from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
 from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
@@ -69,6 +69,10 @@ class OpenLabelFolder(KeyedFrames):
         """
         return self.documents[0] if len(self.documents) == 1 else self._listed(key).document
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        listed = self._listed(self.key(i))
+        return exported_files(self.path, (listed.image, listed.cloud))
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its up direction is unknown.
 
@@ -80,8 +84,7 @@ class OpenLabelFolder(KeyedFrames):
         listed = self._listed(key)
         camera = _camera(listed.document, key, listed.intrinsics)
         world = None if listed.place is None else _pose(listed.document, key, listed.place)
-        files = (listed.image, listed.cloud)
-        return exported_frame(key, i, self.path, files, camera, None, listed.timestamp_ns, world)
+        return exported_frame(key, i, self.files(i), camera, None, listed.timestamp_ns, world)
 
     def _listed(self, key: str) -> DocumentFrame:
         listed = self._frames.get(normal(key))

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.files import read_text_file
-from annotator.recordings.exports.files import REMEDY, exported_frame, read_document
+from annotator.recordings.exports.files import REMEDY, exported_files, exported_frame, read_document
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side
@@ -88,6 +88,10 @@ class RcvFolder(KeyedFrames):
     format: ClassVar[str] = "rcv"
     is_sequence: ClassVar[bool] = False
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        path, record = self._record(self.key(i))
+        return path, *exported_files(self.path, (record.image, record.cloud))
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`.
 
@@ -96,23 +100,30 @@ class RcvFolder(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        path = self.path / LABELS / f"{key}.json"
+        path, record = self._record(key)
         try:
-            record = FrameFile.model_validate_json(read_text_file(path))
             camera = Camera(**record.camera.model_dump())
             world = None if record.world is None else record.world.transform()
-        except OSError as error:
-            raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
-        except ValueError as error:  # pydantic's errors, too
-            raise FrameError(path, f"does not describe a frame ({_first_line(error)})", REMEDY) from error
+        except ValueError as error:
+            raise FrameError(path, f"does not describe a frame ({error})", REMEDY) from error
         up = None if record.up is None else np.array(record.up)
         if up is not None:
             length = np.linalg.norm(up)
             if length < LEAST_LENGTH:
                 raise FrameError(path, "up has length 0", REMEDY)
             up = up / length
-        files = (record.image, record.cloud)
-        return exported_frame(key, i, self.path, files, camera, up, record.timestamp_ns, world)
+        files = exported_files(self.path, (record.image, record.cloud))
+        return exported_frame(key, i, files, camera, up, record.timestamp_ns, world)
+
+    def _record(self, key: str) -> tuple[Path, FrameFile]:
+        """Returns the path and the content of a frame's file."""
+        path = self.path / LABELS / f"{key}.json"
+        try:
+            return path, FrameFile.model_validate_json(read_text_file(path))
+        except OSError as error:
+            raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
+        except ValueError as error:  # pydantic's errors, too
+            raise FrameError(path, f"does not describe a frame ({_first_line(error)})", REMEDY) from error
 
 
 def open_rcv(path: Path) -> RcvFolder | NotFound:

@@ -11,6 +11,7 @@ from typing import TypeVar
 from scipy.spatial.transform import RigidTransform
 
 from annotator.file_names import posix_path
+from annotator.geometry.quaternion_order import Quaternions
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
@@ -100,7 +101,8 @@ def read_scene(tables: Path, token: str) -> SceneData:
     """Reads a scene; the last few scenes are cached, because each of its cameras is a recording.
 
     Raises:
-        RecordingError: a table is missing or damaged, or refers to rows that do not exist.
+        RecordingError: a table is missing or damaged, refers to rows that do not exist, or has quaternions of the
+            vehicle with w last.
     """
     names = ("sample", "sample_data", "calibrated_sensor", "sensor", "ego_pose")
     try:
@@ -136,6 +138,7 @@ def _read_scene(
             data.append((sensor, mount, row))
     wanted = {row.ego_pose_token for _, _, row in data}
     poses = {row.token: row for row in _rows(tables, EgoPose, "token", wanted)}
+    _require_w_first(tables, poses)
     for sensor, mount, row in data:
         ego = _row(tables, "sample_data", row.token, poses, EgoPose, row.ego_pose_token)
         shot = Shot(
@@ -149,6 +152,18 @@ def _read_scene(
         )
         shots.setdefault((sensor.modality, sensor.channel), []).append(shot)
     return {key: tuple(sorted(each, key=lambda shot: shot.time_us)) for key, each in shots.items()}
+
+
+def _require_w_first(tables: Path, poses: dict[str, EgoPose]) -> None:
+    """
+    Raises:
+        RecordingError: the vehicle stands upright only if w is the last number of its quaternions.
+    """
+    quaternions = Quaternions(thing="pose of the vehicle is", things="poses of the vehicle are")
+    for row in poses.values():
+        quaternions.add(row.rotation)
+    if (problem := quaternions.problem()) is not None:
+        raise RecordingError(f"{tables / 'ego_pose.json'}: {problem}, also in calibrated_sensor.json")
 
 
 def _inside(tables: Path, token: str, name: str) -> str:

@@ -26,6 +26,7 @@ from annotator.frame_limits import require_pixels
 from annotator.geometry.depth_values import in_metres
 from annotator.geometry.projection import resized
 from annotator.image_bytes import decode_image
+from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
@@ -194,12 +195,15 @@ class Record3D(KeyedFrames):
         place = i if length == len(self.keys) else int(self.keys[i])
         return place if place < length else None
 
+    @cached_property
+    def _known_times_ns(self) -> Times:
+        return known_times(tuple(round(time * S_TO_NS) for time in self.metadata.frameTimestamps))
+
     def _time_ns(self, i: int) -> int | None:
-        times, fps = self.metadata.frameTimestamps, self.metadata.fps
+        times, fps = self._known_times_ns, self.metadata.fps
         place = self._place(i, len(times))
-        # all 0: not set
-        if place is not None and any(times):
-            return round(times[place] * S_TO_NS)
+        if place is not None and any(time is not None for time in times):
+            return times[place]
         time_ns = None if fps is None else round(int(self.keys[i]) / fps * S_TO_NS)
         return None if time_ns is None or time_ns > LATEST_NS else time_ns
 

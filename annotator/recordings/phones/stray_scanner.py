@@ -17,6 +17,7 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, Never
 
@@ -27,6 +28,7 @@ from annotator.files import TABLE_BYTES, read_text_file
 from annotator.frame_limits import read_frame_file
 from annotator.geometry.depth_values import in_metres
 from annotator.recordings.clouds.numpy_file import read_array
+from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.image_file import read_confidence, read_depth
 from annotator.recordings.listing import frame_file
 from annotator.recordings.options import ReaderOptions
@@ -80,6 +82,13 @@ class StrayScanner(KeyedFrames):
             pass
         return tuple(notes)
 
+    def files(self, i: int) -> tuple[Path, ...]:
+        key = self.key(i)
+        depth = frame_file(self.path / DEPTH, key, (".png", ".npy"), VIDEO)
+        if not (self.path / CONFIDENCE).is_dir():
+            return (depth,)
+        return depth, frame_file(self.path / CONFIDENCE, key, (".png",), f"{DEPTH}/{key}.png")
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i`; its cloud has `rgb`.
 
@@ -91,13 +100,13 @@ class StrayScanner(KeyedFrames):
         rgb = self._image(i)
         camera = turned(self._camera(i, rgb), self.turns)
         rgb = self._turned(rgb)
-        depth_path = frame_file(self.path / DEPTH, key, (".png", ".npy"), VIDEO)
+        depth_path, *confidence = self.files(i)
         depth_m = self._turned(_depth_m(depth_path))
         cloud, in_color_m = phone_cloud(
-            depth_path, camera, rgb, depth_m, self._confidence(key, depth_m), self.min_confidence
+            depth_path, camera, rgb, depth_m, self._confidence(confidence, depth_m), self.min_confidence
         )
-        time_ns = round(self._numbers(i, ("timestamp",))[0] * S_TO_NS) or None
-        return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=time_ns)
+        self._time_ns(i)  # raises for a damaged one
+        return Frame(key, i, camera, rgb, cloud, in_color_m, up=self._up(i), timestamp_ns=self._times_ns[i])
 
     def _image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
         path = self.path / VIDEO
@@ -107,11 +116,12 @@ class StrayScanner(KeyedFrames):
         except (OSError, ValueError) as error:
             raise FrameError(path, f"frame {self.keys[i]}: {error}", REMEDY) from error
 
-    def _confidence(self, key: str, depth_m: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"] | None:
-        folder = self.path / CONFIDENCE
-        if not folder.is_dir():
+    def _confidence(
+        self, files: Sequence[Path], depth_m: Float32[np.ndarray, "h w"]
+    ) -> UInt8[np.ndarray, "h w"] | None:
+        if not files:
             return None
-        path = frame_file(folder, key, (".png",), f"{DEPTH}/{key}.png")
+        path = files[0]
         confidence = self._turned(read_confidence(path))
         if confidence.shape != depth_m.shape:
             raise FrameError(
@@ -133,6 +143,20 @@ class StrayScanner(KeyedFrames):
         if not is_pinhole(K):
             raise FrameError(path, f"frame {self.keys[i]}: it has no camera matrix", REMEDY)
         return pinhole(K, rgb.shape[1], rgb.shape[0])
+
+    def _time_ns(self, i: int) -> int:
+        return round(self._numbers(i, ("timestamp",))[0] * S_TO_NS)
+
+    @cached_property
+    def _times_ns(self) -> Times:
+        """The times of all frames; None for those that are not set, or damaged, which each frame reports."""
+        times: list[int | None] = []
+        for i in range(len(self)):
+            try:
+                times.append(self._time_ns(i))
+            except FrameError:
+                times.append(None)
+        return known_times(tuple(times))
 
     def _up(self, i: int) -> Float64[np.ndarray, "3"]:
         orientation = rotation_of(self._numbers(i, QUATERNION))

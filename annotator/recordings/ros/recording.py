@@ -29,7 +29,7 @@ from annotator.recordings.clouds.origin import Origin, without_strays, world_pos
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.deep_images import Levels
 from annotator.recordings.kitti.frame import UP
-from annotator.recordings.options import Place, ReaderOptions
+from annotator.recordings.options import Place, ReaderOptions, option_flag
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
 from annotator.recordings.ros.bag import Bag, Topic
@@ -46,7 +46,7 @@ from annotator.recordings.ros.transforms import LinkMissingError, TransformReade
 from annotator.recordings.ros.video import video_image
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
-from annotator.types.errors import FrameError, GeometryError, RecordingError
+from annotator.types.errors import ConfigError, FrameError, GeometryError, RecordingError
 
 TOLERANCE_S = 0.05
 # Frames that do not move with the rig (REP 105).
@@ -338,7 +338,7 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
     """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one.
 
     Raises:
-        ConfigError: an option names a topic that the bag does not have.
+        ConfigError: an option names a topic that the bag does not have, or an origin although there are images.
         RecordingError: the topics are ambiguous or missing, no messages are partners, or a file cannot be used.
     """
     bag = open_bag(path)
@@ -354,6 +354,11 @@ def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
             ("has no images: a virtual camera looks forward from the LiDAR, which must be level",),
         )
     else:
+        if options.origin is not None:
+            raise ConfigError(
+                f"{path}: the images of {chosen.image.topic.name} say where the camera is, so {option_flag('origin')} "
+                "is not taken; it is for bags without images"
+            )
         tolerance_s = options.tolerance_s or (
             TOLERANCE_S if realsense is None else max(realsense.period_s, TOLERANCE_S)
         )

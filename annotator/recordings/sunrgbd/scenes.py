@@ -69,6 +69,12 @@ class SunRgbdScenes(KeyedFrames):
     def _by_key(self) -> dict[str, str]:
         return dict(zip(self.keys, self.folders, strict=True))
 
+    def files(self, i: int) -> tuple[Path, Path, Path, Path]:
+        self.key(i)
+        scene = Path(self.folders[i])
+        image, depth = _latest(scene, ("image",), IMAGE_SUFFIXES), _latest(scene, DEPTH_FOLDERS, (".png",))
+        return scene / MARK, _latest(scene, ("extrinsics",), (".txt",)), image, depth
+
     def frame(self, i: int) -> Frame:
         """Reads frame `i` with `depth_m`; labels are in upright depth (`T_camera_label`).
 
@@ -77,11 +83,10 @@ class SunRgbdScenes(KeyedFrames):
             IndexError: there is no such frame.
         """
         key = self.key(i)
-        scene = Path(self.folders[i])
-        calibration = read_scene_calibration(scene / MARK, _latest(scene, ("extrinsics",), (".txt",)))
-        image = read_color_image(_latest(scene, ("image",), IMAGE_SUFFIXES), has_depth=True)
+        intrinsics, extrinsics, image_path, depth_path = self.files(i)
+        calibration = read_scene_calibration(intrinsics, extrinsics)
+        image = read_color_image(image_path, has_depth=True)
         rgb = image.rgb
-        depth_path = _latest(scene, DEPTH_FOLDERS, (".png",))
         raw = read_depth(depth_path)
         if raw.shape != rgb.shape[:2]:
             raise FrameError(

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from annotator.geometry.projection import project
+from annotator.recordings.plausible import DISTANCES_M
 from annotator.types import Camera, Frame
 from annotator.workflows.checking.rules import (
     CAMERA_OF_OTHER_SIZE,
@@ -24,8 +25,6 @@ FOCAL_LENGTHS = (0.13, 30.0)
 MOST_ASPECT = 2.0
 # Range of the principal point as a fraction of the image size; cropped images have it far from the middle.
 PRINCIPAL_POINT = (0.2, 0.8)
-# Range of the median distance of a cloud's points, metres.
-DISTANCES_M = (0.05, 300.0)
 SAMPLE = 5000
 MOST_OFF_PIXEL_PX = 1.0
 # Nearly all points of a depth camera are on its image, except at the border.

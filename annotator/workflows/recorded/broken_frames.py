@@ -12,7 +12,7 @@ from annotator.files import open_file
 from annotator.image_bytes import JPEG_START, PNG_SIGNATURE
 from annotator.recordings import Recording
 from annotator.recordings.listing import IMAGE_SUFFIXES
-from annotator.recordings.recording import KeyedFrames
+from annotator.recordings.recording import files_of
 from annotator.types.amounts import amount
 from annotator.types.errors import FrameError
 from annotator.types.names import first_few
@@ -31,7 +31,7 @@ class BrokenFrames:
     Attributes:
         frames: number of frames.
         errors: why frames cannot be read, by key, in the recording's order.
-        unread: number of frames of which only the files were looked at.
+        unread: number of frames of which at most the files were looked at, where the reader knows them.
     """
 
     frames: int = 0
@@ -48,7 +48,7 @@ class BrokenFrames:
             kinds.setdefault(_kind(key, error), []).append(key)
         first = f"{len(self.errors)} of {amount(self.frames, 'frame')} cannot be read"
         if self.unread:
-            first += f" (of {self.unread}, only the files were looked at)"
+            first += f" (of {self.unread}, at most the files were looked at)"
         return (
             first,
             *(
@@ -100,7 +100,7 @@ def _error(recording: Recording, i: int) -> dict[int, str]:
 def _is_suspicious(recording: Recording, i: int) -> bool:
     """True if a file of a frame is missing or empty, or begins like no image although it should."""
     try:
-        files = recording.files(i) if isinstance(recording, KeyedFrames) else ()
+        files = files_of(recording, i)
     except FrameError:
         return True
     for file in files:

@@ -15,7 +15,7 @@ from annotator.files import why_missing
 from annotator.project import Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
 from annotator.types import Frame
-from annotator.types.errors import FrameError, MovedError
+from annotator.types.errors import ConfigError, FrameError, MovedError
 
 
 def fingerprint_of(frame: Frame) -> str:
@@ -43,7 +43,10 @@ def require_not_moved(project: Project, recording: Recording, options: ReaderOpt
         is_alike = known.format == recording.format and options.may_be(stored)
         if not is_alike or why_missing(known.path) is None:
             continue
-        as_known = recording if stored.origin is None else open_recording(recording.path, stored)
+        try:
+            as_known = recording if stored.origin is None else open_recording(recording.path, stored)
+        except ConfigError:  # it has a camera, and the other one had none
+            continue
         is_same = _is_same(project, known, as_known)
         if not is_same:
             continue

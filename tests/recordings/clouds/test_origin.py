@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -239,6 +240,47 @@ def test_coordinates_that_a_file_has_rounded_are_noted(tmp_path: Path):
         recording.frame(0)
         expected = "its coordinates, up to 4,485,524 m, are rounded to 0.5 m, as 32-bit floats are; save clouds with"
         assert [note[: len(expected)] for note in recording.notes] == ([expected] if name == "coarse" else []), name
+
+
+@pytest.mark.parametrize("share", [0.4, 0.9])
+def test_one_place_of_many_points_does_not_move_the_origin(tmp_path: Path, share: float):
+    xyz = np.random.default_rng(5).uniform((-10, -10, -1.6), (10, 10, 0), (60_000, 3)) + UTM_M
+    strays = np.random.default_rng(6).permutation(len(xyz))[: round(share * len(xyz))]
+    xyz[strays] = (0, 0, 1.8)
+    write_npy(tmp_path / "7", xyz)
+    recording = open_recording(tmp_path)
+    assert np.abs(np.subtract(origin_of(recording), UTM_M - [0, 0, 0.8])).max() < 1.5
+    np.testing.assert_allclose(placed(recording.frame(0)), np.delete(xyz, strays, axis=0), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift_m", "note"),
+    [(1000.0, 0.0, r"half of its points are more than \d{4} m from their middle; are they in metres\?"),
+     (1.0, 5000.0, None), (1.0, 4.5e6, None)],
+)  # fmt: skip
+def test_a_cloud_in_millimetres_is_doubted_where_it_gets_an_origin(
+    tmp_path: Path, scale: float, shift_m: float, note: str | None
+):
+    write_npy(tmp_path / "7", scale * (XYZ + np.array([4.0, 0, 0])) + shift_m)
+    for options in (ReaderOptions(), ReaderOptions(look_around=4, camera="around-000")):
+        recording = open_recording(tmp_path, options)
+        assert recording.notes == ()
+        recording.frame(0)
+        # look-around tells what its base has found while it read
+        assert len(recording.notes) == (note is not None)
+        assert note is None or re.fullmatch(note, recording.notes[0])
+
+
+@pytest.mark.parametrize("name", ["camera_intrinsic.json", "calib.txt", "calib/7.txt"])
+def test_an_origin_beside_a_calibration_is_refused(tmp_path: Path, name: str):
+    write_npy(tmp_path / "7", XYZ)
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(camera_file(cloud_to_camera=np.eye(4).tolist()) if "json" in name else OBJECT_CALIB)
+    says = f"{Path(name).name} says where the camera is, so --origin is not taken"
+    for around in (None, 4):
+        with pytest.raises(ConfigError, match=says):
+            open_recording(tmp_path, ReaderOptions(origin=(1.0, 2.0, 3.0), look_around=around))
+    assert len(open_recording(tmp_path)) == 1
 
 
 def test_clouds_near_their_sensor_cost_no_other_cloud():

@@ -103,6 +103,45 @@ def test_the_real_boxes_hold_the_points_that_nuscenes_counted(shared: Path, tmp_
     assert len(counted) == 69 and sum(counted) > 1000
 
 
+def turn_rows(tables: Path, *names: str) -> None:
+    """Writes the quaternions of tables as x y z w."""
+    for name in names:
+        rows = json.loads((tables / f"{name}.json").read_text())
+        for row in rows:
+            row["rotation"] = [*row["rotation"][1:], row["rotation"][0]]
+        (tables / f"{name}.json").write_text(json.dumps(rows))
+
+
+@pytest.mark.shared
+def test_a_real_vehicle_whose_quaternions_have_w_last_is_refused(shared: Path, tmp_path: Path):
+    real(shared / "data" / "nuscenes_frame", tmp_path)
+    turn_rows(tmp_path / "v1.0-mini", "ego_pose", "calibrated_sensor")
+    says = r"ego_pose\.json: .* x y z w, .* as w x y z, 7 of 7 poses of the vehicle are tilted, and as x y z w 0; write"
+    with pytest.raises(RecordingError, match=says):
+        opened(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("yaws_deg", "w_last", "refused"),
+    [((0, 0), False, False), ((30, 40), False, False), ((180, 180), False, False), ((-90, 0), False, False),
+     ((30, 40), True, True), ((-90, 180), True, True), ((0, 45), True, True)],
+)  # fmt: skip
+def test_vehicles_stand_upright(tmp_path: Path, yaws_deg: tuple[float, float], w_last: bool, refused: bool):
+    tables = small(tmp_path, scenes=1) / "v1.0-mini"
+    rows = json.loads((tables / "ego_pose.json").read_text())
+    for row, yaw in zip(rows, np.radians(np.linspace(*yaws_deg, len(rows))) / 2, strict=True):
+        row["rotation"] = [np.cos(yaw), 0, 0, np.sin(yaw)]
+    (tables / "ego_pose.json").write_text(json.dumps(rows))
+    if w_last:
+        turn_rows(tables, "ego_pose")
+    if refused:
+        with pytest.raises(RecordingError, match=rf"of {len(rows)} poses of the vehicle are tilted"):
+            opened(tmp_path)
+    else:
+        turn = opened(tmp_path).moments[0][1].ego.rotation
+        np.testing.assert_allclose(turn, rows[2]["rotation"])
+
+
 def test_a_frame_is_an_image_with_the_scan_moved_to_its_time(tmp_path: Path):
     recording = opened(small(tmp_path), scene="scene-0000", camera="CAM_BACK")
     assert (recording.name, recording.format, len(recording)) == ("scene-0000@CAM_BACK", "nuscenes", 6)

@@ -255,6 +255,35 @@ def test_numbers_and_times_beyond_all_clocks_are_left_out(tmp_path: Path):
     assert [recording.frame(i).timestamp_ns for i in range(2)] == [0, None]
 
 
+THIRD = 33_333_333
+TIMES = [
+    # at the start of a clock, 0 is a time
+    ([0, 1 / 30, 2 / 30], [0, THIRD, 2 * THIRD + 1]),
+    ([0, 0, 0], None),
+    ([7.5, 0, 7.75], [7_500_000_000, None, 7_750_000_000]),
+    ([0, 1e6, 1e6 + 1], [None, 10**15, 10**15 + 10**9]),
+]
+
+
+@pytest.mark.parametrize(("seconds", "known"), TIMES)
+def test_times_of_record3d_that_are_0_are_unknown(tmp_path: Path, seconds: list[float], known: list[int | None] | None):
+    recording = open_recording(made.write_record3d(tmp_path / "take", made.frames(3), frameTimestamps=seconds))
+    by_rate = [0, 16_666_667, THIRD]
+    assert [recording.frame(i).timestamp_ns for i in range(3)] == (by_rate if known is None else known)
+
+
+@pytest.mark.parametrize(("seconds", "known"), TIMES)
+def test_times_of_stray_scanner_that_are_0_are_unknown(
+    tmp_path: Path, seconds: list[float], known: list[int | None] | None
+):
+    path = made.write_stray_scanner(tmp_path / "take", made.frames(3))
+    head, *rows = (path / "odometry.csv").read_text().splitlines()
+    rows = [",".join([f"{time:.9f}", *row.split(",")[1:]]) for time, row in zip(seconds, rows, strict=True)]
+    (path / "odometry.csv").write_text("\n".join([head, *rows]) + "\n")
+    recording = open_recording(path)
+    assert [recording.frame(i).timestamp_ns for i in range(3)] == ([None] * 3 if known is None else known)
+
+
 def test_a_file_that_is_no_archive_is_an_error(tmp_path: Path):
     path = tmp_path / "take.r3d"
     path.write_bytes(b"RED1" + bytes(100))

@@ -131,6 +131,13 @@ def test_the_raw_image_is_preferred_to_its_compressed_form_and_colour_to_infrare
     np.testing.assert_array_equal(open_recording(bag.path).frame(0).rgb, IMAGE)
 
 
+def test_an_origin_is_for_bags_without_images(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_take(bag)
+    with pytest.raises(ConfigError, match=r"images of /cam/\S* say where the camera is, so --origin is not taken"):
+        open_recording(bag.path, ReaderOptions(origin=(1.0, 2.0, 3.0)))
+
+
 def test_partners_are_counted(tmp_path: Path):
     with BagWriter(tmp_path, "mcap") as bag:
         write_mount(bag)

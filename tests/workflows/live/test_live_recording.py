@@ -63,12 +63,12 @@ def seen(frame: Frame, at_s: float = 0.0) -> Detected:
 
 def test_frames_with_depth_are_read_back_unchanged(frames: list[Frame], tmp_path: Path) -> None:
     writer = FrameWriter(tmp_path)
-    assert [writer.add(frame, 10**18 + n) for n, frame in enumerate(frames)] == ["000000", "000001", "000002"]
+    assert [writer.add(frame, 10**18 + n * 10**8) for n, frame in enumerate(frames)] == ["000000", "000001", "000002"]
     recording = open_recording(tmp_path)
     assert recording.format == "rgbd_folder"
     for number, frame in enumerate(frames):
         read = recording.frame(number)
-        assert read.timestamp_ns == 10**18 + number
+        assert read.timestamp_ns == 10**18 + number * 10**8
         assert (read.depth_m == frame.depth_m).all()
         assert (read.cloud.xyz_m == frame.cloud.xyz_m).all()
         assert np.abs(read.rgb.astype(int) - frame.rgb).mean() < 4
@@ -106,10 +106,10 @@ def test_frames_without_depth_are_read_back_as_clouds(frames: list[Frame], tmp_p
 def test_a_folder_has_one_camera_and_one_up_direction(frames: list[Frame], tmp_path: Path) -> None:
     writer = FrameWriter(tmp_path)
     writer.add(frames[0], 0)
-    writer.add(replace(frames[1], up=np.array([1.0, 0.0, 0.0])), 1)
+    writer.add(replace(frames[1], up=np.array([1.0, 0.0, 0.0])), 10**8)
     assert open_recording(tmp_path).frame(0).up is None, "the frames have different up directions"
     with pytest.raises(RecordingError, match="frame 000002 has a different camera"):
-        writer.add(replace(frames[2], camera=replace(frames[2].camera, fx=300.0)), 2)
+        writer.add(replace(frames[2], camera=replace(frames[2].camera, fx=300.0)), 2 * 10**8)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def test_without_time_only_files_are_looked_at(damaged: Path, generated: Path) -
     broken = broken_frames(open_recording(damaged), seconds=-1)
     assert list(broken.errors) == BROKEN[:2]
     assert broken.unread == 3
-    assert broken.sentences[0] == "2 of 5 frames cannot be read (of 3, only the files were looked at)"
+    assert broken.sentences[0] == "2 of 5 frames cannot be read (of 3, at most the files were looked at)"
     assert list(broken_frames(open_recording(damaged), {"000004"}, seconds=-1).errors) == BROKEN
     assert broken_frames(open_recording(generated / "people"), seconds=ALWAYS).sentences == ()
 
