@@ -24,7 +24,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter,
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
 from annotator.formats.json_file import read_model, write_text
 from annotator.formats.reading import OnFault, known_kind, raise_fault
-from annotator.formats.units import NEARLY_ALL
 from annotator.types import Box2D, BoxKind
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
@@ -34,6 +33,8 @@ EDGE_TO_CENTRE_PX = -0.5
 ROTATION = "rotation"
 # Right boxes, and corners in place of them, reach beyond the image by at most this share of its side, but for a few.
 WELL_BEYOND, MANY = 0.1, 0.25
+# Share of a file's boxes that are valid corners if all were written as such.
+NEARLY_ALL = 0.95
 # Rounding of areas; some tools count the pixels of both edges.
 AREA_OFF = 0.01
 
