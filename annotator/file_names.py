@@ -48,6 +48,11 @@ def inside(folder: Path, name: str) -> Path:
     return path
 
 
+def is_absolute(name: str) -> bool:
+    """True for a path from the root of a computer, of any system."""
+    return name.startswith("/") or bool(_OF_WINDOWS.match(name))
+
+
 def posix_path(name: str) -> str:
     """Returns a path of any system with `/` between its parts."""
     return name.replace("\\", "/")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from annotator.file_names import OutsideError, inside, normal, stem_of
+from annotator.file_names import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.formats.attributes import Values
 from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
 from annotator.formats.frames_csv import FrameOrigin, read_frames
@@ -55,7 +55,7 @@ class PictureLabels:
         return normal(stem_of(self.file_name))
 
     def file(self, path: Path) -> Path | None:
-        """Returns the image file; None if it does not exist.
+        """Returns the image file; None if it does not exist, such as one that was on another computer.
 
         Args:
             path: the dataset, for the message.
@@ -66,6 +66,8 @@ class PictureLabels:
         try:
             file = inside(self.folder, self.file_name)
         except OutsideError as error:
+            if is_absolute(self.file_name):
+                return None
             raise FormatError(path, str(error)) from error
         # labels without an image have the name of their label file, which may be in this folder
         return file if file.is_file() and file.suffix.lower() != ".txt" else None

@@ -183,6 +183,16 @@ def test_sizes_of_coco_decide(make_project: Make, tmp_path: Path, orientation: i
     assert imported(project, coco(tmp_path / "d", box, size), FlatFormat.COCO) == BOX
 
 
+@pytest.mark.parametrize(
+    "name", ["C:\\data\\000000.jpg", "\\\\server\\data\\000000.jpg", "/data/000000.jpg", "images\\000000.jpg"]
+)
+def test_images_of_other_computers_are_matched_by_their_names(make_project: Make, tmp_path: Path, name: str):
+    project = make_project(recording(tmp_path / "r", 1), classes=("red",))
+    path = coco(tmp_path / "d", BOX, (WIDTH, HEIGHT))
+    path.write_text(path.read_text().replace('"000000.jpg"', json.dumps(name)))
+    assert imported(project, path, FlatFormat.COCO) == BOX
+
+
 @pytest.mark.parametrize("orientation", TURNED)
 def test_a_labelled_copy_without_the_tag_decides(make_project: Make, tmp_path: Path, orientation: int):
     project = make_project(recording(tmp_path / "r", orientation), classes=("red",))
