@@ -66,7 +66,9 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 1 box")
     following_gate.release(3)
     expect(title).to_have_text("Followed forward with the project's detector")
-    expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 4 boxes, to the end")
+    expect(page.get_by_test_id("followed")).to_have_text(
+        f"Track {truth.track_id} (person): 4 boxes, to the recording's last frame"
+    )
     expect(page.get_by_test_id("track-tick")).to_have_count(5)
     expect(page.get_by_test_id("follow-stop")).to_be_hidden()
     # all of it is one action
@@ -176,7 +178,7 @@ def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> 
     show(desk, 0, uid)
     desk.press("v")
     expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward by points")
-    expect(desk.page.get_by_test_id("followed")).to_contain_text("4 boxes, to the end")
+    expect(desk.page.get_by_test_id("followed")).to_contain_text("4 boxes, to the recording's last frame")
     # also if the run is faster than the answer that names it
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
 

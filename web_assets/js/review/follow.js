@@ -99,6 +99,7 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     body.hidden = run === null;
     if (!run) return;
     const isRunning = run.state === "running";
+    const isBackward = run.direction === "backward";
     body.dataset.state = run.state;
     const how = `${run.direction} ${run.has_detector ? "with the project's detector" : "by points"}`;
     title.textContent = { running: "Following", done: "Followed", stopped: "Stopped", failed: "Failed", undone: "" }[
@@ -110,7 +111,7 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     bar.value = run.total > 0 ? run.done / run.total : 1;
     list.replaceChildren(
       ...(run.message ? [h("li", { class: "bad" }, run.message)] : []),
-      ...run.tracks.map((track) => trackRow(track, isRunning, open)),
+      ...run.tracks.map((track) => trackRow(track, isRunning, isBackward, open)),
     );
   }
 
@@ -183,12 +184,14 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
 /**
  * @param {Api.FollowedJson} track
  * @param {boolean} isRunning
+ * @param {boolean} isBackward
  * @param {(target: Target) => unknown} open
  */
-function trackRow(track, isRunning, open) {
+function trackRow(track, isRunning, isBackward, open) {
   const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
   const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
-  const end = isRunning || track.stops.length > 0 ? "" : ", to the end";
+  const reached = track.is_open ? `the recording's ${isBackward ? "first" : "last"} frame` : "its next reviewed box";
+  const end = isRunning || track.stops.length > 0 ? "" : `, to ${reached}`;
   const text = h("span", { class: "grow" }, `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
   if (track.track_id !== null) {
     // the colours of tracks are too light for text
