@@ -173,12 +173,18 @@ def test_the_operator_goes_to_the_frame_where_an_object_was_lost(desk: Desk, mon
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
 
 
-def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> None:
+@pytest.mark.parametrize(
+    ("next_key", "far"),
+    [(None, "4 boxes, to the recording's last frame"), (3, "2 boxes, to its next reviewed box")],
+)
+def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk, next_key: int | None, far: str) -> None:
     (uid,) = accept_truth(desk, 0)
+    if next_key is not None:
+        accept_truth(desk, next_key)
     show(desk, 0, uid)
     desk.press("v")
     expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward by points")
-    expect(desk.page.get_by_test_id("followed")).to_contain_text("4 boxes, to the recording's last frame")
+    expect(desk.page.get_by_test_id("followed")).to_contain_text(far)
     # also if the run is faster than the answer that names it
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
 
