@@ -150,7 +150,7 @@ def _compared(rows: Sequence[AnyRow], proposed: Mapping[str, str]) -> dict[str, 
     changed = []
     for n, row in enumerate(rows):
         state = proposed.get(row.uid)
-        # a copy was open, too
+        # a copy was open, too, but nobody else proposed it
         if state is None or row.origin is not None:
             continue
         # as `LabelState` begins; whatever is written otherwise is compared by its numbers

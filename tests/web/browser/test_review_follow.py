@@ -148,6 +148,8 @@ def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, follow
     page.get_by_test_id("follow-stop").click()
     following_gate.release(3)
     expect(page.get_by_test_id("follow-title")).to_have_text("Stopped backward with the project's detector")
+    # none of them has come to the first frame
+    expect(page.get_by_test_id("followed").filter(has_text=", to ")).to_have_count(0)
     page.get_by_test_id("follow-close").click()
     expect(page.get_by_test_id("follow")).to_be_hidden()
     page.reload()
