@@ -165,6 +165,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
         "box": payload.box.model_dump_json(),
         "track_id": payload.track_id,
         "track_linked": False,
+        "origin": payload.origin,
         "box_kind": payload.box_kind.value,
         "attributes": values_json(payload.attributes),
         "said": said_json(payload.said),
@@ -172,8 +173,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
     row |= _authorship(event)
     if isinstance(payload, LabelCreated):
         row |= {"score": payload.score, "state": payload.state.value}
-        row |= {"origin": payload.origin, "image_box": box_2d_json(payload.image_box)}
-        row |= {"suggestion": suggestion_json(payload.suggestion)}
+        row |= {"image_box": box_2d_json(payload.image_box), "suggestion": suggestion_json(payload.suggestion)}
     else:
         row |= {"state": ReviewState.PROPOSED.value, "source": Source.AUTO.value}
         row |= {"track_linked": payload.track_id is not None}

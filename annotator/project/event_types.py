@@ -27,10 +27,10 @@ TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 
 class Origin(StrEnum):
-    """How an operator made a label that was not proposed.
+    """How an operator made a label that no detector proposed.
 
-    DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another
-    frame; now, copies are proposals.
+    DRAWN: by 2D boxes on the image and on pseudo-views. PLACED: as a 3D box. COPIED: from another frame; copies are
+    open until they are reviewed.
     """
 
     DRAWN = "drawn"
@@ -285,6 +285,7 @@ class LabelProposed(_Payload):
         proposal: with its trace, if the recursion found the box.
         box_kind: what the box encloses.
         attributes: as in `LabelCreated`.
+        origin: of a copy, which an operator has made; older logs do not tell.
         said: what other software says of the object, if this takes the place of its proposal.
     """
 
@@ -296,6 +297,7 @@ class LabelProposed(_Payload):
     proposal: ProposalRecord | None = None
     box_kind: BoxKind = BoxKind.BOX
     attributes: Values = Field(default_factory=dict)
+    origin: Origin | None = None
     said: tuple[SaidRecord, ...] = ()
 
     def classes(self) -> set[str]:

@@ -434,8 +434,8 @@ def _action_words(connection: Connection, rows: Sequence[AnyRow]) -> str:
         return _adjustment_words(connection, rows[0])
     kinds = {row.kind for row in rows}
     kind, verb = next(((kind, verb) for kind, verb in VERBS if kind in kinds), ("", "change"))
-    # labels that new proposals replace are not counted
-    counted = [row for row in rows if row.target.startswith(LABEL) and (verb != "propose" or row.kind == kind)]
+    # not those that are replaced by new proposals, or given the track of a deleted box
+    counted = [row for row in rows if row.target.startswith(LABEL) and kind in ("", row.kind)]
     by_target = {row.target: row for row in counted}
     if len(by_target) > 1:
         return f"{verb} {len(by_target)} labels ({where})"

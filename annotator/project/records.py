@@ -128,6 +128,7 @@ class OwnColumns(BaseModel):
 
     Attributes:
         author: who made the pass, or asked for the proposal.
+        origin: of a copy.
     """
 
     model_config = EXACT
@@ -141,6 +142,7 @@ class OwnColumns(BaseModel):
     proposal_event_id: int | None = None
     run_id: int | None = None
     track_linked: bool = False
+    origin: str | None = None
 
 
 class SaidRecord(BaseModel):

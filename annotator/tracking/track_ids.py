@@ -7,15 +7,20 @@ from collections.abc import Sequence
 
 
 def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first: int = 1) -> list[int]:
-    """An id for each track, unique except for given ids.
+    """An id for each track, for those of its boxes that have none from an operator or a file; all are unique.
+
+    So a box never gets the given id of another object, which may be in the same frame.
 
     Args:
-        given: the id of each track from an operator or a file, or None.
+        given: the id of each track from an operator or a file, or None. One that several tracks have, such as a
+            person and a chair, is the id of neither.
         before: the ids of each track's boxes from an earlier linking. A track reuses its most frequent id. If
             several tracks compete for an id, the one with the most boxes of this id gets it.
         first: the lowest new id.
     """
     used = {number for number in given if number is not None}
+    times = Counter(given)
+    given = [None if times[number] > 1 else number for number in given]
     candidates = [
         (count, -place, number)
         for place, numbers in enumerate(before)

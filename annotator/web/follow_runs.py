@@ -36,7 +36,11 @@ class StopJson(Schema):
 
 
 class FollowedJson(Schema):
-    """One followed object: its reviewed box, its track (null while it has none), and the result so far."""
+    """One followed object: its reviewed box, its track (null while it has none), and the result so far.
+
+    Attributes:
+        is_open: whether it is followed to an end of the recording, not only to its next reviewed box.
+    """
 
     uid: str
     track_id: int | None
@@ -44,6 +48,7 @@ class FollowedJson(Schema):
     boxes: int
     doubtful: int
     stops: list[StopJson]
+    is_open: bool
 
 
 class FollowRunJson(Schema):
@@ -205,4 +210,5 @@ def _track(track: FollowedTrack, public_message: Callable[[str], str]) -> Follow
         boxes=track.boxes,
         doubtful=track.doubtful,
         stops=stops,
+        is_open=track.is_open,
     )

@@ -29,7 +29,7 @@ from store_samples import (
 )
 
 from annotator.project import FramePart, NewLabel, Project, StoredRecording, create_project, open_project
-from annotator.project.event_types import FrameFinalised, LabelCreated, LabelDeleted, Payload
+from annotator.project.event_types import FrameFinalised, LabelCreated, LabelDeleted, LabelTracked, Payload
 from annotator.project.records import BoxRecord
 from annotator.project.writing import new_action
 from annotator.types import BoxKind, ReviewState
@@ -111,6 +111,12 @@ def test_rebuilt_and_maintained_state_agree_after_proposals_and_undo(
         assert content(project) == order
         with open_project(project.path) as again:
             assert again.history.next("ann") == undo
+
+
+def test_only_labels_that_an_action_is_named_after_are_counted(project: Project, frame: int) -> None:
+    uids = project.labels.create(frame, [NewLabel("hand", box_at(x)) for x in (0.0, 5.0)], by_hand()).uids
+    project.log.append(frame, [LabelDeleted(uid=uids[0]), LabelTracked(uid=uids[1], track_id=1)], by_hand(2))
+    assert project.history.undo("ann").words == "delete hand (frame 2)"
 
 
 def test_the_next_undo_and_redo_are_described(project: Project, frame: int) -> None:

@@ -10,13 +10,15 @@ import pytest
 from sqlalchemy import select
 from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
-from annotator.project import NewLabel, Project, ProjectConfig, StoredRecording, new_action
+from annotator.project import NewLabel, Origin, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
+from annotator.project.event_types import LabelProposed
 from annotator.project.labels import StoredLabel
+from annotator.project.records import BoxRecord
 from annotator.project.review.waiting import By
 from annotator.project.schema import labels
 from annotator.project.sources.bring import Brought
@@ -98,6 +100,18 @@ def test_ours_and_theirs_are_one_proposal_in_either_order(project: Project, fram
     ours()
     bring(project, frame, "one")
     assert shown(project) == [("ours", 0.0, []), ("ours", 5.0, []), ("ours", 9.0, [])]
+
+
+def test_a_copy_that_a_sure_box_has_hidden_is_a_copy_when_it_is_shown_again(project: Project, frame: int) -> None:
+    copy = LabelProposed(uid="copy", label="hand", box=BoxRecord.of(box_at()), origin=Origin.COPIED)
+    project.log.append(frame, [copy], by_hand())
+    bring(project, frame, "one", box(0.01))
+    assert shown(project) == [("one", 0.01, ["annotator"])]
+    bring(project, frame, "one")
+    for _ in range(2):
+        (stored,) = project.labels.select()
+        assert (stored.label.uid, stored.origin) == ("copy", Origin.COPIED)
+        project.log.rebuild()
 
 
 def test_reviewed_labels_stay_and_cover(project: Project, frame: int) -> None:

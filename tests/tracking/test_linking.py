@@ -101,6 +101,7 @@ def test_motion_is_extrapolated_linearly_from_the_last_boxes() -> None:
         ([None, None], [[3], [3]], [3, 4]),
         ([3, None], [[], [3]], [3, 4]),
         ([-2, None], [[], []], [-2, 1]),
+        ([2, 2, None], [[2], [2], [2]], [3, 4, 5]),
     ],
 )
 def test_track_ids_are_kept_where_possible(given: list[int | None], before: list[list[int]], wanted: list[int]) -> None:

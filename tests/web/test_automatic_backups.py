@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from pathlib import Path
 
 import pytest
+from replacing import replace_folder
 
 from annotator.project import WriteContext, create_project
 from annotator.project.backup.automatic import FOLDER, Reason, automatic_backups, back_up_automatically
@@ -61,6 +63,33 @@ def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
         assert ["no automatic backup" in record.message for record in caplog.records] == [True]
         assert automatic_backups(changed) == []
         now[0] = PAUSE_S
+        backups.make_due()
+        assert len(automatic_backups(changed)) == 1
+    finally:
+        context.close()
+
+
+@pytest.mark.parametrize("has_failed", [False, True])
+def test_neither_a_backup_nor_a_failure_of_a_replaced_project_counts_for_the_new_one(
+    changed: Path, tmp_path: Path, has_failed: bool
+) -> None:
+    backup, made = shutil.copytree(changed, tmp_path / "copies" / "room"), changed.parent / FOLDER
+    if has_failed:
+        made.write_text("in the way")
+    context = Context(ServerSettings(changed.parent))
+    try:
+        context.project("room")
+        backups = AutomaticBackups(context, lambda: 0.0)
+        backups.make_due()
+        assert len(automatic_backups(changed)) == (not has_failed)
+        if has_failed:
+            made.unlink()
+        else:
+            shutil.rmtree(made)
+        backups.make_due()
+        assert automatic_backups(changed) == []
+        replace_folder(changed, backup)
+        context.project("room")
         backups.make_due()
         assert len(automatic_backups(changed)) == 1
     finally:

@@ -150,7 +150,8 @@ def _compared(rows: Sequence[AnyRow], proposed: Mapping[str, str]) -> dict[str, 
     changed = []
     for n, row in enumerate(rows):
         state = proposed.get(row.uid)
-        if state is None:
+        # a copy was open, too, but nobody else proposed it
+        if state is None or row.origin is not None:
             continue
         # as `LabelState` begins; whatever is written otherwise is compared by its numbers
         if state.startswith(f'{{"label":{to_json(row.label).decode()},"box":{row.box},'):

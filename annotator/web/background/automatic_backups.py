@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from weakref import WeakKeyDictionary
 
+from annotator.project import Project
 from annotator.project.backup.automatic import BackupClock, Reason, back_up_automatically
 from annotator.types.errors import AnnotatorError
 from annotator.web.background.periodic import Periodic
@@ -28,20 +30,20 @@ class AutomaticBackups(Periodic):
         """
         super().__init__("automatic backups", EVERY_S, self.make_due)
         self._context, self._seconds = context, seconds
-        self._clock = BackupClock()
+        self._clocks = WeakKeyDictionary[Project, BackupClock]()
         # when to try again, by project whose last backup failed
-        self._paused: dict[str, float] = {}
+        self._paused = WeakKeyDictionary[Project, float]()
 
     def make_due(self) -> None:
         """Backs up every open project that is due."""
         for name, project in self._context.all_open_projects():
-            if self._seconds() < self._paused.get(name, 0.0):
+            if self._seconds() < self._paused.get(project, 0.0):
                 continue
+            clock = self._clocks.setdefault(project, BackupClock(project.path, project.store))
             try:
-                if self._clock.is_due(project.path, project.store):
-                    backup = back_up_automatically(project.path, Reason.CHANGES)
-                    self._clock.made(project.path, backup)
-                self._paused.pop(name, None)
+                if clock.is_due():
+                    clock.made(back_up_automatically(project.path, Reason.CHANGES))
+                self._paused.pop(project, None)
             except AnnotatorError as error:
                 LOG.warning("%s: no automatic backup could be made; the next try is in an hour: %s", name, error)
-                self._paused[name] = self._seconds() + PAUSE_S
+                self._paused[project] = self._seconds() + PAUSE_S

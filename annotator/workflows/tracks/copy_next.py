@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel
+from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, Receipt, StoredFrame, StoredLabel
 from annotator.project.event_types import LabelProposed, LabelTracked
 from annotator.project.overview import neighbours, read_page
 from annotator.rcv.follow_object import Look, follow_object
@@ -17,7 +17,7 @@ from annotator.types import Frame, Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.follow_frames import DEFAULTS
-from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events
+from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events, why_left_out
 from annotator.workflows.tracks.times import times_of
 from annotator.workflows.workbench.drawing_steps import frame_config
 
@@ -85,10 +85,13 @@ def copy_next(
         box = _registered(project, label, read(frame), read(next_frame), box)
     is_new = label.track_id is None
     track_id = next_track_id(project, frame.recording_id) if label.track_id is None else label.track_id
-    proposal = NewProposal(label.label, box, track_id, box_kind=label.box_kind, attributes=label.attributes)
+    proposal = NewProposal(
+        label.label, box, track_id, box_kind=label.box_kind, attributes=label.attributes, origin=Origin.COPIED
+    )
     payloads = proposal_events(project, next_frame, [proposal])
     if not payloads:
-        raise ConfigError(f"nothing was proposed in frame {next_frame.key}: it already has this box")
+        why = why_left_out(proposal, read_page(project, next_id).labels)
+        raise ConfigError(f"nothing was proposed in frame {next_frame.key}: {why}")
     parts: list[FramePart] = [part_of(next_frame, payloads, author, effort)]
     if is_new:
         parts.append(part_of(frame, [LabelTracked(uid=uid, track_id=track_id)], author))

@@ -35,6 +35,7 @@ class FollowedTrack:
         boxes: number of new proposals.
         doubtful: number of frames left out because following forward and backward gave different boxes.
         stops: where it was lost before the next reviewed box or the end of the recording.
+        is_open: whether it was to be followed to an end of the recording, not only to its next reviewed box.
     """
 
     uid: str
@@ -43,6 +44,7 @@ class FollowedTrack:
     boxes: int
     doubtful: int
     stops: tuple[StoppedAt, ...]
+    is_open: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ class FollowedObject:
     Attributes:
         keys: its reviewed boxes; those at the start in order, then those met on the way.
         met: the latter, until their track is stored.
-        passed: the frames in which it was looked for.
+        passed: the frames in which it was found, met or lost, and those that it would have come to after that.
         proposed: uid of its new proposal, by frame.
         uids: of all its new proposals, also replaced ones.
         doubtful: the frames in which following forward and backward gave different boxes.
@@ -249,6 +251,7 @@ class FollowedObject:
             len(self.proposed),
             len(self.doubtful),
             tuple(self.stops),
+            any(part.is_open for part in self.parts),
         )
 
 

@@ -104,8 +104,8 @@ class FollowRun:
         """Follows all objects to their ends.
 
         An object that meets a reviewed box of its class at its place goes on from that box, which gets its track. If
-        that box has another track, the object stops there. Where the run has looked for an object, boxes that earlier
-        runs, copies or interpolations have proposed for it are removed.
+        that box has another track, the object stops there. Boxes that earlier runs have proposed for it, and this one
+        has not confirmed, are removed, also beyond the frame in which it is lost.
 
         Args:
             progress: called after each round, in which objects have moved on by one frame.
@@ -234,6 +234,7 @@ class FollowRun:
         return bool(overlap_at_place([box], found).any())
 
     def _stop(self, item: FollowedObject, walk: Walk, index: int, reason: str) -> None:
+        item.passed.update(walk.left)
         walk.left.clear()
         frame = self._timeline.frames[index]
         item.stops.append(StoppedAt(frame.id, frame.key, reason))
@@ -333,13 +334,15 @@ class FollowRun:
     def _without_stale(
         self, item: FollowedObject, track_id: int, read: Mapping[int, StoredFrame]
     ) -> dict[int, list[Payload]]:
-        """Returns the events that remove what the run has not confirmed where it has looked for an object, by frame.
+        """Returns the events that remove what the run has not confirmed of an object, by frame.
 
-        That is: boxes that earlier runs, copies or interpolations have proposed for it, and the run's own ones that
-        following in the other direction has contradicted.
+        That is: boxes that earlier runs have proposed for it, and the run's own ones that following in the other
+        direction has contradicted.
         """
         project = self._timeline.project
-        indices = {self._timeline.frames[index].id: index for index in item.passed}
+        # a run that was stopped has not come to all
+        to_come = {index for _, walk in item.walks() for index in walk.left}
+        indices = {self._timeline.frames[index].id: index for index in item.passed - to_come}
         events: dict[int, list[Payload]] = {}
         is_open = project.labels.select(
             states=[ReviewState.PROPOSED], recordings=[self._timeline.recording_id], tracks=[track_id]
@@ -348,16 +351,17 @@ class FollowRun:
             uid, index = stored.label.uid, indices.get(stored.frame_id)
             if index is None or item.proposed.get(index) == uid or read[index].finalised:
                 continue
-            if uid in item.uids or (self._was_asked_for(stored) and uid not in project.labels.kept(stored.frame_id)):
+            if uid in item.uids or (self._was_followed(stored) and uid not in project.labels.kept(stored.frame_id)):
                 events.setdefault(index, []).append(LabelDeleted(uid=uid))
         return events
 
-    def _was_asked_for(self, stored: StoredLabel) -> bool:
-        """Whether an operator has asked for a proposal before this run; automatic passes propose others."""
+    def _was_followed(self, stored: StoredLabel) -> bool:
+        """Whether an earlier run has proposed a box; automatic passes and operators propose others."""
         events = self._timeline.project.log.of_frame(stored.frame_id)
         return any(
             isinstance(event.payload, LabelProposed)
             and event.payload.uid == stored.label.uid
+            and event.payload.proposal is not None
             and event.id <= self._last_event
             for event in events
         )

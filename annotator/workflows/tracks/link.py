@@ -110,7 +110,7 @@ class _Recording:
         frames: the frames with labels, in order.
         labels: of each of these frames.
         tracks: the linked tracks.
-        numbers: the id of each track.
+        numbers: the id of each track's labels without a given one.
         left: number of labels in finalised frames without an id.
     """
 
@@ -154,14 +154,7 @@ class _Recording:
         for index, (frame, labels) in enumerate(zip(self.frames, self.labels, strict=True)):
             if frame.finalised:
                 continue
-            # an id that another class of the frame has from a person or a file is not given again
-            given = {_given(stored, frame) for stored in labels}
-            entries = [
-                self._change(
-                    stored, frame, stored.label.track_id if ids[index, number] in given else ids[index, number]
-                )
-                for number, stored in enumerate(labels)
-            ]
+            entries = [self._change(stored, frame, ids[index, number]) for number, stored in enumerate(labels)]
             changed = tuple(entry for entry in entries if entry is not None)
             if changed:
                 context = WriteContext(frame.revision, AUTHOR, Source.AUTO)
@@ -175,7 +168,7 @@ class _Recording:
             summary.changed += sum(counts[first : first + FRAMES_PER_WRITE])
         return True
 
-    def _change(self, stored: StoredLabel, frame: StoredFrame, number: int | None) -> LinkedLabel | None:
+    def _change(self, stored: StoredLabel, frame: StoredFrame, number: int) -> LinkedLabel | None:
         label = stored.label
         is_given = _given(stored, frame) is not None
         is_new = not is_given and label.track_id != number

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from annotator.project import REVIEWED, Effort, FramePart, Project, StoredFrame, StoredLabel, WriteContext
+from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.overview import read_page
 from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
@@ -29,6 +29,7 @@ class NewProposal:
         proposal: with its trace, if the recursion found the box.
         box_kind: what the box encloses.
         attributes: values of the object in the frame that the box comes from.
+        origin: how an operator made it, if one did.
         said: what other software says of the object, if the box takes the place of its proposal.
     """
 
@@ -38,6 +39,7 @@ class NewProposal:
     proposal: Proposal | None = None
     box_kind: BoxKind = BoxKind.BOX
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    origin: Origin | None = None
     said: tuple[SaidRecord, ...] = ()
 
 
@@ -72,6 +74,7 @@ def proposal_events(
             proposal=None if each.proposal is None else ProposalRecord.of(each.proposal),
             box_kind=each.box_kind,
             attributes=dict(each.attributes),
+            origin=each.origin,
             said=each.said,
         )
         for each in new
@@ -111,6 +114,16 @@ def blocking(box: NewProposal, labels: Sequence[StoredLabel]) -> Label | None:
     near = [stored for stored in labels if stored.label.label == box.label and _stays(stored, box)]
     overlaps = overlap_at_place([box.box], [stored.label.box for stored in near])[0]
     return near[int(np.argmax(overlaps))].label if overlaps.any() else None
+
+
+def why_left_out(box: NewProposal, labels: Sequence[StoredLabel]) -> str:
+    """Says why `proposal_events` leaves a box out of a frame with these labels."""
+    label = blocking(box, labels)
+    if label is None:
+        return "a box was rejected here"
+    if label.state in REVIEWED:
+        return "a reviewed box is here already"
+    return f"a proposal of track {label.track_id} is here; if it is the same object, give both one track"
 
 
 def _stays(stored: StoredLabel, box: NewProposal) -> bool:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from annotator.project import REVIEWED, Project, Receipt, WriteContext
-from annotator.project.overview import neighbours
+from annotator.project import REVIEWED, Origin, Project, Receipt, WriteContext
+from annotator.project.overview import neighbours, read_page
 from annotator.types.errors import ConfigError
-from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events
+from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, why_left_out
 
 
 def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: WriteContext) -> Receipt:
@@ -20,9 +20,12 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
         NotFoundError: no such frame.
-        ConfigError: there is no previous frame, it is the same frame, or it has no box to copy.
+        ConfigError: the frame is finalised, there is no previous frame, it is the same frame, or it has no box to copy.
     """
-    frame = project.frames.get(frame_id)
+    page = read_page(project, frame_id)
+    frame = page.frame
+    if frame.finalised:
+        raise ConfigError(f"frame {frame.key} is finalised; reopen it first")
     if source_id is None:
         source_id = neighbours(project, frame)[0]
         if source_id is None:
@@ -32,12 +35,21 @@ def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: 
     source = project.frames.get(source_id)
     boxes = [label for label in project.labels.of_frame(source_id) if label.state in REVIEWED]
     copies = [
-        NewProposal(label.label, label.box, label.track_id, box_kind=label.box_kind, attributes=label.attributes)
+        NewProposal(
+            label.label,
+            label.box,
+            label.track_id,
+            box_kind=label.box_kind,
+            attributes=label.attributes,
+            origin=Origin.COPIED,
+        )
         for label in boxes
     ]
     # the operator asks for them, also where a wrong box was rejected
     payloads = proposal_events(project, frame, copies, where_rejected=True)
     if not payloads:
-        why = "has no reviewed boxes" if not boxes else "has only boxes that this frame has already"
-        raise ConfigError(f"frame {source.key} {why}; nothing was copied")
+        whys = dict.fromkeys(why_left_out(copy, page.labels) for copy in copies)
+        raise ConfigError(
+            f"nothing was copied from frame {source.key}: {'; '.join(whys) or 'it has no reviewed boxes'}"
+        )
     return project.log.append(frame_id, payloads, context)

@@ -58,20 +58,20 @@ def test_a_backup_is_due_some_hours_after_the_first_change(tmp_path: Path) -> No
     now = time.time_ns()
     with create_project(tmp_path, "hands", ("hand",), clock=lambda: now - int(hours[0] * 3600e9)) as project:
         project.recordings.add(tmp_path / "take", "rgbd", "take", ["0", "1"], True)
-        clock = BackupClock()
-        assert not clock.is_due(project.path, project.store)
+        clock = BackupClock(project.path, project.store)
+        assert not clock.is_due()
         project.boxes.set_on_image(1, [], BoxKind.BOX, by_hand())
-        assert clock.is_due(project.path, project.store)
-        clock.made(project.path, back_up_automatically(project.path, Reason.CHANGES))
-        assert not clock.is_due(project.path, project.store)
+        assert clock.is_due()
+        clock.made(back_up_automatically(project.path, Reason.CHANGES))
+        assert not clock.is_due()
         hours[0] = 3.0
         project.boxes.set_on_image(2, [], BoxKind.BOX, by_hand())
-        for each in (clock, BackupClock()):  # a new server reads the newest backup
-            assert not each.is_due(project.path, project.store)
+        for each in (clock, BackupClock(project.path, project.store)):  # a new server reads the newest backup
+            assert not each.is_due()
         project.configure(settings=project.config.settings.model_copy(update={"backup_hours": 2.0}))
-        assert BackupClock().is_due(project.path, project.store)
+        assert BackupClock(project.path, project.store).is_due()
         project.configure(settings=project.config.settings.model_copy(update={"backup_hours": None}))
-        assert not clock.is_due(project.path, project.store)
+        assert not clock.is_due()
 
 
 def test_a_backup_of_more_events_than_the_project_has_says_nothing_about_it(tmp_path: Path) -> None:
@@ -85,4 +85,4 @@ def test_a_backup_of_more_events_than_the_project_has_says_nothing_about_it(tmp_
     older.rename(project.path)
     with open_project(project.path, clock=lambda: time.time_ns() - int(5 * 3600e9)) as restored:
         restored.boxes.set_on_image(1, [], BoxKind.BOX, by_hand())
-        assert BackupClock().is_due(restored.path, restored.store)
+        assert BackupClock(restored.path, restored.store).is_due()

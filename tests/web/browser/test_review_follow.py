@@ -66,7 +66,9 @@ def test_a_reviewed_box_is_followed_and_the_page_goes_to_the_first_new_box(
     expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 1 box")
     following_gate.release(3)
     expect(title).to_have_text("Followed forward with the project's detector")
-    expect(page.get_by_test_id("followed")).to_have_text(f"Track {truth.track_id} (person): 4 boxes, to the end")
+    expect(page.get_by_test_id("followed")).to_have_text(
+        f"Track {truth.track_id} (person): 4 boxes, to the recording's last frame"
+    )
     expect(page.get_by_test_id("track-tick")).to_have_count(5)
     expect(page.get_by_test_id("follow-stop")).to_be_hidden()
     # all of it is one action
@@ -146,6 +148,8 @@ def test_all_reviewed_boxes_are_followed_backward_and_stopped(desk: Desk, follow
     page.get_by_test_id("follow-stop").click()
     following_gate.release(3)
     expect(page.get_by_test_id("follow-title")).to_have_text("Stopped backward with the project's detector")
+    # none of them has come to the first frame
+    expect(page.get_by_test_id("followed").filter(has_text=", to ")).to_have_count(0)
     page.get_by_test_id("follow-close").click()
     expect(page.get_by_test_id("follow")).to_be_hidden()
     page.reload()
@@ -171,12 +175,18 @@ def test_the_operator_goes_to_the_frame_where_an_object_was_lost(desk: Desk, mon
     expect(page.get_by_test_id("frame-position")).to_have_text("4 / 5")
 
 
-def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk) -> None:
+@pytest.mark.parametrize(
+    ("next_key", "far"),
+    [(None, "4 boxes, to the recording's last frame"), (3, "2 boxes, to its next reviewed box")],
+)
+def test_without_a_detector_objects_are_followed_by_their_points(desk: Desk, next_key: int | None, far: str) -> None:
     (uid,) = accept_truth(desk, 0)
+    if next_key is not None:
+        accept_truth(desk, next_key)
     show(desk, 0, uid)
     desk.press("v")
     expect(desk.page.get_by_test_id("follow-title")).to_have_text("Followed forward by points")
-    expect(desk.page.get_by_test_id("followed")).to_contain_text("4 boxes, to the end")
+    expect(desk.page.get_by_test_id("followed")).to_contain_text(far)
     # also if the run is faster than the answer that names it
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
 

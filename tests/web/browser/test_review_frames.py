@@ -22,14 +22,17 @@ def test_keys_change_the_frame_and_finalise_it(desk: Desk, wait_for) -> None:
     desk.press("n")
     expect(desk.page.get_by_test_id("frame-position")).to_have_text("2 / 5")
     assert desk.frame == frames[1]
-    desk.press("p")
-    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
+    expect(desk.page.get_by_test_id("act-copy")).to_be_enabled()
     desk.press("Control+Enter")
     desk.page.get_by_test_id("dialog-yes").click()
-    wait_for(lambda: desk.project.frames.get(frames[0]).finalised)
+    wait_for(lambda: desk.project.frames.get(frames[1]).finalised)
     expect(desk.page.get_by_test_id("act-finalise")).to_have_text("Reopen frame")
+    expect(desk.page.get_by_test_id("act-copy")).to_be_disabled()
     desk.page.get_by_test_id("act-finalise").click()
-    wait_for(lambda: not desk.project.frames.get(frames[0]).finalised)
+    wait_for(lambda: not desk.project.frames.get(frames[1]).finalised)
+    expect(desk.page.get_by_test_id("act-copy")).to_be_enabled()
+    desk.press("p")
+    expect(desk.page.get_by_test_id("frame-position")).to_have_text("1 / 5")
 
 
 def test_of_two_requested_frames_the_last_one_is_opened(desk: Desk) -> None:

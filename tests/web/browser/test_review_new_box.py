@@ -68,6 +68,22 @@ def test_reviewed_boxes_are_copied_from_the_previous_frame(desk: Desk, wait_for)
     expect(desk.page.get_by_text("1 copy holds no points here: move or delete it.")).to_be_visible()
 
 
+@pytest.mark.parametrize(
+    ("points", "says"),
+    [
+        ([5], "1 box copied from the previous frame, to be reviewed."),
+        ([0], "It holds no points here: move or delete it."),
+        ([4], "It holds hardly any points here: move or delete it."),
+        ([0, 9, 0], "2 copies hold no points here: move or delete them."),
+        ([0, 9, 1], "2 copies hold hardly any points here: move or delete them."),
+    ],
+)
+def test_copies_with_few_points_are_counted(desk: Desk, points: list[int], says: str) -> None:
+    ask = """async (points) =>
+        (await import("/assets/js/review/tracks.js")).copiedText(points.map((points) => ({ points })))[0]"""
+    assert desk.page.evaluate(ask, points).endswith(says)
+
+
 # Accepts a new box twice before the server has answered; returns the sent changes and the unsaved boxes.
 ACCEPTED_TWICE = """async () => {
   const { createDesk } = await import("/assets/js/review/desk.js");

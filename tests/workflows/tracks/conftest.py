@@ -24,6 +24,6 @@ def truths(generated: Path) -> list[list[Truth]]:
 @pytest.fixture
 def empty(generated: Path, tmp_path: Path) -> Path:
     """A closed project with a recording of 5 frames, to be copied."""
-    with closing(create_project(tmp_path, "empty", ("person",))) as project:
+    with closing(create_project(tmp_path, "empty", ("person", "chair"))) as project:
         register_recording(project, open_recording(generated / "people"))
         return project.path

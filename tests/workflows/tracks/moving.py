@@ -28,8 +28,8 @@ def box_of(person: int, frame: int, off_m: float = 0.0) -> OrientedBox:
     return OrientedBox.from_parts(np.array([APART_M * person + STEP_M * frame + off_m, 0.0, 4.0]), np.eye(3), SIZE_M)
 
 
-def proposal_of(box: OrientedBox) -> Proposal:
-    return Proposal("person", 0.5, box, Box2D("person", 1.0, 1.0, 9.0, 9.0), (), Quality(0.1, 0.9, 0.1))
+def proposal_of(box: OrientedBox, name: str = "person") -> Proposal:
+    return Proposal(name, 0.5, box, Box2D("person", 1.0, 1.0, 9.0, 9.0), (), Quality(0.1, 0.9, 0.1))
 
 
 @dataclass

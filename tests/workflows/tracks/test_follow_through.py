@@ -14,6 +14,7 @@ from annotator.project.event_types import LabelTracked
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
 from annotator.workflows.tracks.follow_run import Following
+from annotator.workflows.workbench.copy_boxes import copy_boxes
 
 
 def follow(
@@ -155,10 +156,52 @@ def test_a_new_run_leaves_nothing_of_an_earlier_one_where_it_passes(people: Proj
     first = tracks_of(people)
     assert first == ["1", "1?", "- 1?", "1?", "1?"]
     (track,) = follow(people, Walking(lost={(0, 3)}), 0, uid).tracks
-    assert tracks_of(people) == ["1", "1?", "1", "", "1?"]
+    # nor beyond the frame in which it stops
+    assert tracks_of(people) == ["1", "1?", "1", "", ""]
     assert [stop.key for stop in track.stops] == [people.frames.of()[3].key]
     people.history.undo(ANN)
     assert tracks_of(people) == first
+
+
+@pytest.mark.parametrize("start", [0, 3])
+@pytest.mark.parametrize(("lost", "between"), [([1], ["", "1?"]), ([2], ["1?", ""]), ([1, 2], ["", ""])])
+def test_a_new_run_leaves_nothing_of_an_earlier_one_up_to_the_next_reviewed_box(
+    people: Project, start: int, lost: list[int], between: list[str]
+) -> None:
+    (uid,) = accept(people, 0, (0, 1))
+    follow(people, Walking(), 0, uid)
+    frame, (label,) = people.frames.of()[3], labels_of(people, 3)
+    people.labels.accept(frame.id, label.uid, WriteContext(frame.revision, ANN))
+    before = tracks_of(people)
+    assert before == ["1", "1?", "1?", "1", "1?"]
+    (track,) = follow(people, Walking(lost={(0, index) for index in lost}), start, forward=start == 0).tracks
+    assert not track.is_open
+    assert tracks_of(people) == ["1", *between, "1", "1?"]
+    people.history.undo(ANN)
+    assert tracks_of(people) == before
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_copy_stays_where_the_object_is_lost_and_beyond(people: Project, lost: int) -> None:
+    (uid,) = accept(people, 0, (0, 1))
+    for index in (1, 2, 3):
+        frame = people.frames.of()[index]
+        copy_boxes(people, frame.id, people.frames.of()[0].id, WriteContext(frame.revision, ANN))
+    copies = [labels_of(people, index)[0].uid for index in (1, 2, 3)]
+    (track,) = follow(people, Walking(lost={(0, lost)}), 0, uid).tracks
+    assert track.is_open
+    assert tracks_of(people) == ["1", "1?", "1?", "1?", ""]
+    kept = [labels_of(people, index)[0].uid in copies for index in (1, 2, 3)]
+    assert kept == [index >= lost for index in (1, 2, 3)]
+
+
+def test_a_stopped_run_removes_nothing_where_it_has_not_looked(people: Project) -> None:
+    (uid,) = accept(people, 0, (0, 1))
+    follow(people, Walking(), 0, uid)
+    frame, asked = people.frames.of()[0], iter([False, False, True, True])
+    with Walking(drift_m=0.1).followed():
+        follow_from_frame(people, frame.id, frame.revision, None, ANN).run(stopped=lambda: next(asked))
+    assert tracks_of(people) == ["1", "1?", "1?", "1?", "1?"]
 
 
 def test_what_a_pass_has_found_stays_where_following_finds_nothing(people: Project) -> None:

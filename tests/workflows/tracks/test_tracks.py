@@ -218,7 +218,7 @@ def test_a_box_is_copied_to_its_predicted_position(people: Project, truths: list
     assert (label.uid, label.state) == (done.uid, ReviewState.PROPOSED)
     assert iou_3d(label.box, truths[2][0].box) > 0.8
     assert np.array_equal(label.box.size_m, people.labels.get(uid).label.box.size_m)
-    with pytest.raises(ConfigError, match="it already has this box"):
+    with pytest.raises(ConfigError, match=r"in frame 000002: a reviewed box is here already$"):
         people.labels.accept(frames[2].id, label.uid, by_hand(people, people.frames.get(frames[2].id)))
         copy_next(people, frames[1].id, uid, people.frames.get(frames[1].id).revision, ANN)
     (last,) = accept_truth(people, frames[4], truths[4][:1])

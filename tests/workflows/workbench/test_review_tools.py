@@ -12,13 +12,24 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains, same_box
 from annotator.geometry.outline import box_on_image
-from annotator.project import NewLabel, Project, WriteContext
-from annotator.project.event_types import LabelRejected
+from annotator.project import Effort, NewLabel, Project, WriteContext
+from annotator.project.event_types import LabelRejected, LabelTracked
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.drawing import BACKGROUND
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, Frame, OrientedBox, PointCloud, ReviewState, Truth
+from annotator.types import (
+    Box2D,
+    BoxKind,
+    Frame,
+    OrientedBox,
+    PointCloud,
+    Proposal,
+    Quality,
+    ReviewState,
+    Source,
+    Truth,
+)
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
@@ -206,7 +217,7 @@ def test_boxes_of_the_previous_frame_are_copied_once(people: Project) -> None:
     assert (copied.label.state, copied.label.track_id) == (ReviewState.PROPOSED, None)
     assert same_box(copied.label.box, label_at(2.0).box)
     people.labels.accept(second.id, copied.label.uid, WriteContext(2, "ann"))
-    with pytest.raises(ConfigError, match="has only boxes that this frame has already"):
+    with pytest.raises(ConfigError, match=r"nothing was copied from frame 000000: a reviewed box is here already$"):
         copy_boxes(people, second.id, None, WriteContext(3, "ann"))
     with pytest.raises(ConfigError, match="is the first of its recording"):
         copy_boxes(people, first.id, None, WriteContext(4, "ann"))
@@ -215,6 +226,42 @@ def test_boxes_of_the_previous_frame_are_copied_once(people: Project) -> None:
     with pytest.raises(StaleRevisionError):
         copy_boxes(people, third.id, first.id, WriteContext(5, "ann"))
     assert copy_boxes(people, third.id, first.id, WriteContext(0, "ann")).revision == 2
+
+
+def test_boxes_that_cannot_be_copied_are_refused_with_the_reason(people: Project) -> None:
+    first, second = people.frames.of()[:2]
+    made = people.labels.create(first.id, [label_at(0.0, 7)], WriteContext(0, "ann"))
+    people.log.append(first.id, [LabelRejected(uid=made.uids[0])], WriteContext(1, "ann"))
+    with pytest.raises(ConfigError, match=r"from frame 000000: it has no reviewed boxes$"):
+        copy_boxes(people, second.id, None, WriteContext(0, "ann"))
+    people.history.undo("ann")
+    image_box, quality = Box2D("person", 1.0, 1.0, 9.0, 9.0), Quality(0.1, 0.9, 0.1)
+    found = Proposal("person", 0.5, label_at(0.0).box, image_box, (), quality)
+    (uid,) = people.proposals.replace(second.id, [found], WriteContext(0, "rcv", Source.AUTO)).uids
+    people.log.append(second.id, [LabelTracked(uid=uid or "", track_id=9)], WriteContext(1, "bob"))
+    match = "from frame 000000: a proposal of track 9 is here; if it is the same object, give both one track$"
+    with pytest.raises(ConfigError, match=match):
+        copy_boxes(people, second.id, None, WriteContext(2, "ann"))
+    people.frames.finalise(second.id, WriteContext(2, "ann"))
+    with pytest.raises(ConfigError, match=r"^frame 000001 is finalised; reopen it first$"):
+        copy_boxes(people, second.id, None, WriteContext(3, "ann"))
+    (label,) = people.labels.of_frame(second.id)
+    assert label.uid == uid
+
+
+def test_copies_count_as_copied_and_not_as_proposals(people: Project) -> None:
+    first, second = people.frames.of()[:2]
+    people.labels.create(first.id, [label_at(0.0, 7), label_at(2.0), label_at(4.0)], WriteContext(0, "ann"))
+    copy_boxes(people, second.id, None, WriteContext(0, "ann", effort=Effort(1, 3.0)))
+    same, moved, wrong = people.labels.of_frame(second.id)
+    people.labels.accept(second.id, same.uid, WriteContext(3, "ann"))
+    people.labels.edit(second.id, moved.uid, WriteContext(4, "ann"), label="person", box=label_at(2.3).box)
+    people.labels.reject(second.id, wrong.uid, WriteContext(5, "ann"))
+    for _ in range(2):
+        numbers = people.statistics()
+        origins = {name: part.boxes for name, part in numbers.effort.by_origin.items() if part.boxes}
+        assert (origins, numbers.accepted_untouched, numbers.iou_proposal_to_final) == ({"copied": 2}, None, None)
+        people.log.rebuild()
 
 
 def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_rejected(people: Project) -> None:

@@ -90,7 +90,7 @@ export function createActions(host, act) {
           : ["Accept", "Accept (Space)"];
       if (accept.firstChild) accept.firstChild.textContent = text;
       accept.title = title;
-      copy.disabled = !frame || frame.frame.previous === null || busy;
+      copy.disabled = !frame || frame.frame.previous === null || busy || frame.frame.finalised;
       follow.disabled = !frame || frame.frame.next === null || !(isReviewed || label?.isNew) || busy;
       follow.title =
         "Follow this reviewed or new box through the recording (V; back: Shift V), or all of this frame (L, Shift L)";

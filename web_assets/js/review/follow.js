@@ -98,6 +98,7 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
   function show() {
     body.hidden = run === null;
     if (!run) return;
+    const present = run;
     const isRunning = run.state === "running";
     body.dataset.state = run.state;
     const how = `${run.direction} ${run.has_detector ? "with the project's detector" : "by points"}`;
@@ -110,7 +111,7 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
     bar.value = run.total > 0 ? run.done / run.total : 1;
     list.replaceChildren(
       ...(run.message ? [h("li", { class: "bad" }, run.message)] : []),
-      ...run.tracks.map((track) => trackRow(track, isRunning, open)),
+      ...run.tracks.map((track) => trackRow(track, reached(present, track), open)),
     );
   }
 
@@ -181,14 +182,25 @@ export function createFollow(host, app, desk, { open, onFirst, onProgress }) {
 }
 
 /**
+ * How far an object was followed; empty while it is not known, and if it has not come so far.
+ *
+ * @param {Api.FollowRunJson} run
  * @param {Api.FollowedJson} track
- * @param {boolean} isRunning
+ */
+function reached(run, track) {
+  if (run.state !== "done" || track.stops.length > 0) return "";
+  if (!track.is_open) return ", to its next reviewed box";
+  return `, to the recording's ${run.direction === "backward" ? "first" : "last"} frame`;
+}
+
+/**
+ * @param {Api.FollowedJson} track
+ * @param {string} end how far it was followed.
  * @param {(target: Target) => unknown} open
  */
-function trackRow(track, isRunning, open) {
+function trackRow(track, end, open) {
   const name = track.track_id === null ? track.label : `Track ${track.track_id} (${track.label})`;
   const left = track.doubtful > 0 ? `, ${count(track.doubtful, "doubtful frame")} left out` : "";
-  const end = isRunning || track.stops.length > 0 ? "" : ", to the end";
   const text = h("span", { class: "grow" }, `${name}: ${count(track.boxes, "box", "boxes")}${left}${end}`);
   if (track.track_id !== null) {
     // the colours of tracks are too light for text

@@ -64,6 +64,8 @@ export function createOpening(app, { desk, queue, onLoading, onOpened, onProblem
       if (opened !== id || !desk.stored(uid)) {
         desk.select(null);
         await app.loadFrame(id);
+        // the first one may be that of a page that was loaded again; `go` says if another one is the queue's, too
+        if (opened !== id && own > 1) sessionStorage.removeItem(FROM_QUEUE);
         opened = id;
         showProblem(null);
       }

@@ -21,11 +21,12 @@ const SHOWN = 40;
  * @returns {[string, "good" | "warn"]}
  */
 export function copiedText(copies) {
-  const empty = copies.filter(({ points }) => points < LEAST_POINTS).length;
+  const empty = copies.filter(({ points }) => points < LEAST_POINTS);
   const what = `${count(copies.length, "box", "boxes")} copied from the previous frame, to be reviewed.`;
-  if (empty === 0) return [what, "good"];
-  const which = copies.length === 1 ? "It holds" : `${count(empty, "copy holds", "copies hold")}`;
-  return [`${what} ${which} no points here: move or delete ${empty === 1 ? "it" : "them"}.`, "warn"];
+  if (empty.length === 0) return [what, "good"];
+  const which = copies.length === 1 ? "It holds" : `${count(empty.length, "copy holds", "copies hold")}`;
+  const few = empty.some(({ points }) => points > 0) ? "hardly any" : "no";
+  return [`${what} ${which} ${few} points here: move or delete ${empty.length === 1 ? "it" : "them"}.`, "warn"];
 }
 
 /**
