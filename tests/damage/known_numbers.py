@@ -87,7 +87,8 @@ class Numbers:
         xyz = np.r_[inside, rng.uniform((-18, -18, -2), (18, 18, -1.5), (OUTSIDE, 3))]
         depth = rng.integers(800, 6000, (HEIGHT, WIDTH)) * (rng.random((HEIGHT, WIDTH)) < 0.8)
         image = cv2.resize(rng.integers(0, 256, (4, 5, 3)).astype(np.uint8), SIZE)
-        corner = rng.integers(1, 8, (2, 2))
+        # two boxes of an image must differ
+        corner = np.c_[rng.permutation(np.arange(1, 8))[:2], rng.integers(1, 8, 2)]
         return cls(
             # to 1/128 m, which every format holds exactly
             np.round(xyz * 128) / 128, rng.integers(0, 256, xyz.shape, np.uint8), rng.integers(0, 256, len(xyz)) / 255,
