@@ -64,7 +64,7 @@ def why_missing(path: Path) -> str | None:
     """The reason why `path` is missing or inaccessible; None if it exists.
 
     Unlike `Path.exists`, this does not raise for a lost mount, a folder without read permission, or a name that is too
-    long.
+    long or has a null byte.
     """
     try:
         path.stat()
@@ -72,6 +72,8 @@ def why_missing(path: Path) -> str | None:
         return "no such file or folder"
     except OSError as error:
         return f"cannot be read ({error.strerror})"
+    except ValueError:
+        return "is not a valid name"
     return None
 
 

@@ -17,6 +17,8 @@ from annotator.types.errors import FormatError
 # The longest value, such as all boxes of a frame, characters.
 MOST_VALUE = 2**26
 BLANKS = re.compile(r"[ \t\r\n]*+")
+# What may belong to a number, up to the end of what was read.
+CUT_NUMBER = re.compile(r"[-+.\deE]*+\Z")
 # A number or a word at the end of what was read may go on.
 LONGEST_WORD = 32
 
@@ -98,8 +100,8 @@ class _Text:
                     self._at = error.pos
                     self.fail(f"is not valid JSON: {error.msg}")
                 continue
-            if end == len(self._text) and self._more():
-                continue  # a number may go on
+            if CUT_NUMBER.match(self._text, end) and self._more():
+                continue  # a number may go on: of "1.5" and "1e-3", "1" is one, too
             require_encodable(self._path, self._text[self._at : end], value)
             self._at = end
             return value

@@ -243,7 +243,7 @@ class History:
                 steps = list(_without(kept, removed_recordings(connection)))
             if not steps:
                 raise HistoryError(f"{author} has nothing to {'undo' if is_undo else 'redo'}")
-            config = read_config(self._writer.folder)
+            config, some_left = read_config(self._writer.folder), False
             for step in steps:
                 rows = _changes_of(connection, step.action, step.recordings)
                 since, allowed = Since(connection), AllowedValues(config.attributes)
@@ -259,6 +259,7 @@ class History:
                         break
                     except TrackTakenError as error:
                         conflict = f"{error}"
+                some_left = True
                 if not skip:
                     raise HistoryError(
                         f"{_description(connection, step)}: cannot be {'undone' if is_undo else 'redone'} because "
@@ -266,9 +267,9 @@ class History:
                         frame_id=rows[0].frame_id,
                     )
             else:
+                why = ": others have changed the same data, or its class was removed" if some_left else ""
                 raise HistoryError(
-                    f"{author} has nothing left to {'undo' if is_undo else 'redo'}: others have changed the same data, "
-                    "or its class was removed"
+                    f"{author} has nothing {'left ' if some_left else ''}to {'undo' if is_undo else 'redo'}{why}"
                 )
             (first, receipt), *others = zip(payloads_by_frame, receipts, strict=True)
             words = _description(connection, step)

@@ -46,6 +46,16 @@ def test_pairs_are_those_of_the_whole_file_wherever_its_parts_end(
         assert list(read_pairs(path, "in")) == list(content.items())
 
 
+@pytest.mark.parametrize("number", ["-1.5", "12e-3", "0.5E+10", "1e22"])
+@pytest.mark.parametrize("chunk", range(1, 16))
+def test_numbers_are_whole_wherever_a_part_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, chunk: int
+) -> None:
+    (tmp_path / "content.json").write_text(f'{{"a": {number}, "b": [{number}]}}')
+    monkeypatch.setattr(json_stream, "CHUNK_BYTES", chunk)
+    assert list(read_pairs(tmp_path / "content.json")) == [("a", float(number)), ("b", [float(number)])]
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [

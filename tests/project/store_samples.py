@@ -142,7 +142,7 @@ def _renamed(config: ProjectConfig, number: int) -> ClassEdit:
 
 def _merged(config: ProjectConfig, number: int) -> ClassEdit:
     old = config.classes[number % len(config.classes)]
-    return edit.merge_classes(config, [old], next(name for name in config.classes if name != old))
+    return edit.merge_classes(config, [old], next((name for name in config.classes if name != old), old))
 
 
 def _added(config: ProjectConfig, number: int) -> ClassEdit:

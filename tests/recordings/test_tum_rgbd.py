@@ -167,6 +167,7 @@ DAMAGES = [
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/../../rgb/"), "leads out of the folder", id="above"),
     pytest.param(replaced("rgb.txt", " rgb/", " /rgb/"), "leads out of the folder", id="absolute"),
     pytest.param(replaced("rgb.txt", " rgb/", f" {'x' * 300}/"), "leads out of the folder", id="too-long"),
+    pytest.param(replaced("rgb.txt", " rgb/", " r\0gb/"), "or is not a valid name", id="null-byte"),
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/x"), "cannot be read", id="no-file"),
     pytest.param(replaced("groundtruth.txt", "0.6132", "2"), r"groundtruth\.txt:2: must be a time, a", id="pose"),
     pytest.param(

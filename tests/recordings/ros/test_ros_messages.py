@@ -259,7 +259,8 @@ def cloud(points: np.ndarray, height: int = 1, row_padding: int = 0, **changed: 
     rows = np.frombuffer(points.tobytes(), np.uint8).reshape(height, -1)
     rows = np.pad(rows, ((0, 0), (0, row_padding)), constant_values=255)
     content = {"width": len(points) // height, "height": height, "fields": fields, "point_step": dtype.itemsize,
-               "is_bigendian": dtype[0].str[0] == ">", "row_step": rows.shape[1], "data": rows.reshape(-1)}  # fmt: skip
+               "is_bigendian": any(dtype[name].str[0] == ">" for name in dtype.names),
+               "row_step": rows.shape[1], "data": rows.reshape(-1)}  # fmt: skip
     return SimpleNamespace(**(content | changed))
 
 
