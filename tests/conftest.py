@@ -31,9 +31,11 @@ install_import_hook(
 )
 
 # Examples have no deadline, since their duration depends on the machine's load. The suite tries the same examples on
-# every run. `scripts/fuzz` tries others; add those that fail as `@example`.
+# every run, `scripts/test --all` ten times as many. `scripts/fuzz` tries others; add those that fail as `@example`.
+EXAMPLES = 20
 COMMON = settings(deadline=None, database=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("annotator", COMMON, derandomize=True)
+settings.register_profile("annotator", COMMON, derandomize=True, max_examples=EXAMPLES)
+settings.register_profile("all", COMMON, derandomize=True, max_examples=10 * EXAMPLES)
 settings.register_profile("fuzz", COMMON)
 settings.load_profile("annotator")
 
@@ -69,10 +71,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Starts files with slow tests first, so that a parallel run does not end with the longest one."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
-    if count := config.getoption("fuzz_examples"):
-        for function in {getattr(item, "obj", None) for item in items}:
-            if own := getattr(function, "_hypothesis_internal_use_settings", None):
-                function._hypothesis_internal_use_settings = settings(own, max_examples=count)
+    count, profile = config.getoption("fuzz_examples"), settings()
+    for function in {getattr(item, "obj", None) for item in items}:
+        if not (own := getattr(function, "_hypothesis_internal_use_settings", None)):
+            continue
+        if count or profile.derandomize:
+            # a test's own number is for scripts/fuzz, unless it is smaller, since its examples are dear
+            examples = count or min(own.max_examples, EXAMPLES) * (profile.max_examples // EXAMPLES)
+            function._hypothesis_internal_use_settings = settings(own, max_examples=examples)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
