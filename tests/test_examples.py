@@ -23,7 +23,7 @@ def drawn() -> list[tuple[int, float, str, bytes]]:
 
 def test_examples_depend_only_on_their_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = drawn()
-    assert len(before) > 50
+    assert len(before) >= 20
     random.seed(1)
     assert drawn() == before
     # by default, Hypothesis also draws constants of loaded modules

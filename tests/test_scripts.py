@@ -97,33 +97,6 @@ def test_changed_metadata_is_installed_again(clone: Path) -> None:
     assert len(log.read_text().splitlines()) == 2
 
 
-def old_distribution(site: Path, origin: Path, editable: bool = True) -> dict[str, str]:
-    """Creates a distribution `annotator` installed from a folder; returns environment variables to find it."""
-    info = site / "annotator-0.1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: annotator\nVersion: 0.1.0\n")
-    (info / "direct_url.json").write_text(json.dumps({"url": origin.as_uri(), "dir_info": {"editable": editable}}))
-    return {"PYTHONPATH": str(site)}
-
-
-def test_the_distribution_of_the_old_name_is_removed_first(clone: Path, tmp_path: Path) -> None:
-    log = fake_environment(clone)
-    assert setup(clone, **old_distribution(tmp_path / "site", clone)).returncode == 0
-    assert [line.partition("version-check ")[2] for line in log.read_text().splitlines()] == [
-        "uninstall -q -y annotator",
-        "install -q -e .",
-    ]
-
-
-@pytest.mark.parametrize(("origin", "editable"), [("elsewhere", True), ("my work/annotator", False)])
-def test_an_unrelated_distribution_of_the_old_name_is_kept(
-    clone: Path, tmp_path: Path, origin: str, editable: bool
-) -> None:
-    log = fake_environment(clone)
-    assert setup(clone, **old_distribution(tmp_path / "site", tmp_path / origin, editable)).returncode == 0
-    assert "uninstall" not in log.read_text()
-
-
 def test_a_failed_installation_is_repeated(clone: Path) -> None:
     log = fake_environment(clone, imports="echo 'ImportError: libX.so' >&2; exit 1")
     for count in (1, 2):
