@@ -37,21 +37,29 @@ from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.recursion import plan_step, start
 from annotator.rcv.starts import start_rivals
 from annotator.rcv.typical_size.sizes import TypicalSize
-from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PseudoView, Truth
+from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PointCloud, PseudoView, Truth
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import LiveDetection
 from annotator.workflows.live.source import Taken
 from annotator.workflows.warm_up import BOX, warm_frame
-from benchmarks.pseudo_view import frustum
 from benchmarks.report import Table, finish, guarded
 
 WORSE = 1
 POINTS = 50_000
 VIEW_PX = 64
 SORTED = 50_000
-# Camera and image box of the cloud of `benchmarks.pseudo_view`.
+# Camera and image box of `frustum`.
 CAMERA, ON_IMAGE = Camera(640, 480, 500.0, 500.0, 319.5, 239.5), Box2D("object", 269.5, 189.5, 369.5, 289.5)
 TYPICAL = TypicalSize(label="object", size_m=(0.4, 0.3, 0.2), spread=(0.1, 0.1, 0.1))
+
+
+def frustum(points: int, rng: np.random.Generator) -> PointCloud:
+    """A coloured cloud as from a depth camera: a wavy surface two metres away, in pixel order."""
+    side = int(np.ceil(np.sqrt(points)))
+    v, u = np.divmod(np.arange(points), side)
+    x, y = (u / side - 0.5) * 1.2, (v / side - 0.5) * 1.2
+    z = 2.0 + 0.2 * np.sin(6 * x) * np.cos(5 * y) + rng.normal(0, 0.003, points)
+    return PointCloud(np.stack([x, y, z], axis=1).astype(np.float32), rng.integers(0, 255, (points, 3), np.uint8))
 
 
 @dataclass

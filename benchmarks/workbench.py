@@ -1,6 +1,6 @@
 """The workbench's requirements: the operator's waiting times, and that no saved edit is lost.
 
-python -m benchmarks.workbench [--only switch,views,drag,sheet,million,kill,clients] [--json]
+python -m benchmarks.workbench [--only switch,views,clients] [--json]
 
 The browser is headless Chromium, which renders WebGL in software. On a computer with a graphics card the 3D view is
 faster.
@@ -9,27 +9,37 @@ faster.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from annotator.detection.base_detector import base_weights
 from annotator.types.errors import ConfigError
-from benchmarks import workbench_browser, workbench_edits, workbench_sheet
-from benchmarks.keystrokes import M
 from benchmarks.report import Table, finish, guarded
-from benchmarks.workbench_drag import first_drags
-from benchmarks.workbench_server import LABEL, PRESET, make_people, make_project, serving
+from benchmarks.workbench_browser import (
+    CLOUD_BYTES,
+    CLOUD_PROBE,
+    chromium,
+    draw_box,
+    frames_of,
+    measured,
+    open_mode,
+    signed_in,
+    wait_for_frame,
+    watch,
+)
+from benchmarks.workbench_edits import clients
+from benchmarks.workbench_server import LABEL, PRESET, Server, make_people, make_project, percentile, serving
 
-PARTS = ("switch", "views", "drag", "sheet", "million", "kill", "clients")
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+PARTS = ("switch", "views", "clients")
 KITTI = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc")
-# A depth image of this size has a million valid points.
-MILLION_PX = (1280, 800)
 
 
 @dataclass
@@ -44,10 +54,6 @@ class Arguments:
     """Number of frame switches on each recording."""
     boxes: int = 24
     """Number of image boxes to draw on each recording."""
-    sheet_boxes: int = 100
-    """Number of boxes on the contact sheet."""
-    kills: int = 50
-    """How often the server is killed."""
     clients: int = 20
     """Number of simultaneous clients on one frame."""
     edits: int = 5
@@ -72,15 +78,7 @@ def run(args: Arguments) -> dict[str, Any]:
 
 
 def _measures() -> dict[str, Callable[[Arguments, Path], dict[str, Any]]]:
-    measures = (
-        measure_switch,
-        measure_views,
-        measure_drag,
-        measure_sheet,
-        measure_million,
-        measure_kill,
-        measure_clients,
-    )
+    measures = (measure_switch, measure_views, measure_clients)
     return dict(zip(PARTS, measures, strict=True))
 
 
@@ -97,13 +95,8 @@ def measure_switch(args: Arguments, folder: Path) -> dict[str, Any]:
     available = {name: path for name, path in recordings.items() if path.is_dir()}
     for name, path in available.items():
         make_project(projects, name, (LABEL,) if name == "rgbd" else KITTI, [path])
-    with serving(projects) as server, workbench_browser.chromium() as browser:
-        return {
-            name: workbench_browser.switch(
-                browser, server, name, workbench_browser.frames_of(projects, name), args.switches
-            )
-            for name in available
-        }
+    with serving(projects) as server, chromium() as browser:
+        return {name: switch(browser, server, name, frames_of(projects, name), args.switches) for name in available}
 
 
 def measure_views(args: Arguments, folder: Path) -> dict[str, Any]:
@@ -111,28 +104,8 @@ def measure_views(args: Arguments, folder: Path) -> dict[str, Any]:
     projects, recording = folder / "views", _people(args, folder)
     make_project(projects, "views", (LABEL,), [recording])
     boxes = _true_boxes(projects, "views", recording)
-    with serving(projects) as server, workbench_browser.chromium() as browser:
-        return workbench_browser.views(browser, server, "views", boxes[: args.boxes])
-
-
-def measure_drag(args: Arguments, folder: Path) -> dict[str, Any]:
-    """Draws image boxes that the base detector completes.
-
-    Raises:
-        DetectionError: this installation has no base detector.
-    """
-    base_weights()
-    projects = folder / "drag"
-    recordings = {"rgbd": _people(args, folder), **{n: args.shared / "data" / n for n in ("kitti", "hand_gesture")}}
-    classes = {"rgbd": (LABEL,), "kitti": KITTI, "hand_gesture": ("hand",)}
-    available = {name: path for name, path in recordings.items() if path.is_dir()}
-    for name, path in available.items():
-        make_project(projects, name, classes[name], [path])
-    with serving(projects) as server, workbench_browser.chromium() as browser:
-        return {
-            name: first_drags(browser, server, name, _true_boxes(projects, name, path)[: args.boxes])
-            for name, path in available.items()
-        }
+    with serving(projects) as server, chromium() as browser:
+        return views(browser, server, "views", boxes[: args.boxes])
 
 
 def _true_boxes(projects: Path, name: str, path: Path) -> list[tuple[int, tuple[float, float, float, float]]]:
@@ -143,7 +116,7 @@ def _true_boxes(projects: Path, name: str, path: Path) -> list[tuple[int, tuple[
 
     recording = open_recording(path)
     boxes = []
-    for index, frame_id in enumerate(workbench_browser.frames_of(projects, name)):
+    for index, frame_id in enumerate(frames_of(projects, name)):
         frame = recording.frame(index)
         for truth in load_truth(recording, index, frame):
             box = box_on_image(frame.camera, truth.box, truth.label, 20)
@@ -152,44 +125,60 @@ def _true_boxes(projects: Path, name: str, path: Path) -> list[tuple[int, tuple[
     return boxes
 
 
-def measure_sheet(args: Arguments, folder: Path) -> dict[str, Any]:
-    """Opens the contact sheet of a long track: at once, and after the operator has looked at the selected box."""
-    recording = make_people(folder / "long", args.sheet_boxes, 640, 480)
-    result = {}
-    for name, pause_s in (("at_once", 0.0), ("after_a_look", M)):
-        projects = folder / f"sheet-{name}"
-        frame = workbench_sheet.make_track(projects, "sheet", LABEL, recording)
-        with serving(projects) as server, workbench_browser.chromium() as browser:
-            result[name] = workbench_sheet.opened(browser, server, "sheet", frame, args.sheet_boxes, pause_s)
-    return result
-
-
-def measure_million(args: Arguments, folder: Path) -> dict[str, Any]:
-    """Opens a frame of a million points after a small one."""
-    projects = folder / "million"
-    small, large = make_people(folder / "small", 1, 320, 240), make_people(folder / "large", 1, *MILLION_PX)
-    make_project(projects, "million", (LABEL,), [small, large])
-    first, second = workbench_browser.frames_of(projects, "million")
-    with serving(projects) as server, workbench_browser.chromium() as browser:
-        return workbench_browser.million(browser, server, "million", first, second)
-
-
-def measure_kill(args: Arguments, folder: Path) -> dict[str, Any]:
-    """Kills the server with `kill -9` during a scripted series of edits."""
-    projects = folder / "kill"
-    make_project(projects, "kill", (LABEL,), [_people(args, folder)])
-    return workbench_edits.kill(projects, "kill", workbench_browser.frames_of(projects, "kill")[0], args.kills)
-
-
 def measure_clients(args: Arguments, folder: Path) -> dict[str, Any]:
     """Lets many operators edit one frame."""
     projects = folder / "clients"
     make_project(projects, "clients", (LABEL,), [_people(args, folder)])
-    frame = workbench_browser.frames_of(projects, "clients")[0]
+    frame = frames_of(projects, "clients")[0]
     with ExitStack() as stack:
         server = stack.enter_context(serving(projects))
-        browser = stack.enter_context(workbench_browser.chromium())
-        return workbench_edits.clients(browser, server, "clients", frame, args.clients, args.edits)
+        browser = stack.enter_context(chromium())
+        return clients(browser, server, "clients", frame, args.clients, args.edits)
+
+
+def switch(browser: Browser, server: Server, project: str, frames: Sequence[int], rounds: int) -> dict[str, Any]:
+    """Time from the key N or P until the new frame's image and cloud are on screen, in Review."""
+    page = signed_in(browser, server)
+    open_mode(page, project, "review", frames[0])
+    page.evaluate(CLOUD_PROBE, CLOUD_BYTES)
+    times: list[dict[str, float]] = []
+    keys = ["n"] * (len(frames) - 1) + ["p"] * (len(frames) - 1)
+    for number in range(rounds):
+        watch(page, "keydown", "[data-testid=image-editor] img.picture, img.picture[src*='image.jpg']", True)
+        page.keyboard.press(keys[number % len(keys)])
+        times.append(measured(page))
+    page.context.close()
+    both = [max(t.values()) for t in times if "view" in t]
+    images, clouds = [t["picture"] for t in times], [t["view"] for t in times if "view" in t]
+    return {
+        "switches": len(both),
+        "p50_ms": percentile(both, 50),
+        "p95_ms": percentile(both, 95),
+        "image_p95_ms": percentile(images, 95),
+        "cloud_p95_ms": percentile(clouds, 95),
+    }
+
+
+def views(
+    browser: Browser, server: Server, project: str, boxes: Sequence[tuple[int, tuple[float, float, float, float]]]
+) -> dict[str, Any]:
+    """Time from the release of the mouse after drawing an image box until its two pseudo-views are on screen, in Label.
+
+    Args:
+        boxes: frame, and x_min, y_min, x_max, y_max on its image, pixels.
+    """
+    page = signed_in(browser, server)
+    open_mode(page, project, "label", boxes[0][0])
+    times = []
+    for frame, box in boxes:
+        page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/label/{frame}")
+        wait_for_frame(page, frame)
+        watch(page, "pointerup", ".views img.picture", False)
+        draw_box(page, box)
+        times.append(measured(page)["picture"])
+        page.wait_for_timeout(300)
+    page.context.close()
+    return {"boxes": len(times), "p50_ms": percentile(times, 50), "p95_ms": percentile(times, 95)}
 
 
 def _rows(result: Mapping[str, Any], prefix: str = "") -> list[tuple[str, object]]:

@@ -11,15 +11,14 @@ import ctypes
 import os
 import shutil
 import sys
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from annotator.types.errors import ConfigError
-from benchmarks.workbench_server import Server, answered, percentile
+from benchmarks.workbench_server import Server
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -100,18 +99,6 @@ BEGINNINGS = """() => {
   window.began = {};
   for (const name of ["keydown", "pointerup"])
     addEventListener(name, () => (window.began[name] ??= performance.now()), { capture: true });
-}"""
-
-# Records in `window.stall` the longest time for which the page's thread was blocked.
-HEARTBEAT = """() => {
-  window.stall = 0;
-  let last = performance.now();
-  clearInterval(window.heartbeat);
-  window.heartbeat = setInterval(() => {
-    const now = performance.now();
-    window.stall = Math.max(window.stall, now - last - 10);
-    last = now;
-  }, 10);
 }"""
 
 
@@ -195,51 +182,6 @@ def measured(page: Page) -> dict[str, float]:
     return times
 
 
-def switch(browser: Browser, server: Server, project: str, frames: Sequence[int], rounds: int) -> dict[str, Any]:
-    """Time from the key N or P until the new frame's image and cloud are on screen, in Review."""
-    page = signed_in(browser, server)
-    open_mode(page, project, "review", frames[0])
-    page.evaluate(CLOUD_PROBE, CLOUD_BYTES)
-    times: list[dict[str, float]] = []
-    keys = ["n"] * (len(frames) - 1) + ["p"] * (len(frames) - 1)
-    for number in range(rounds):
-        watch(page, "keydown", "[data-testid=image-editor] img.picture, img.picture[src*='image.jpg']", True)
-        page.keyboard.press(keys[number % len(keys)])
-        times.append(measured(page))
-    page.context.close()
-    both = [max(t.values()) for t in times if "view" in t]
-    images, clouds = [t["picture"] for t in times], [t["view"] for t in times if "view" in t]
-    return {
-        "switches": len(both),
-        "p50_ms": percentile(both, 50),
-        "p95_ms": percentile(both, 95),
-        "image_p95_ms": percentile(images, 95),
-        "cloud_p95_ms": percentile(clouds, 95),
-    }
-
-
-def views(
-    browser: Browser, server: Server, project: str, boxes: Sequence[tuple[int, tuple[float, float, float, float]]]
-) -> dict[str, Any]:
-    """Time from the release of the mouse after drawing an image box until its two pseudo-views are on screen, in Label.
-
-    Args:
-        boxes: frame, and x_min, y_min, x_max, y_max on its image, pixels.
-    """
-    page = signed_in(browser, server)
-    open_mode(page, project, "label", boxes[0][0])
-    times = []
-    for frame, box in boxes:
-        page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/label/{frame}")
-        wait_for_frame(page, frame)
-        watch(page, "pointerup", ".views img.picture", False)
-        draw_box(page, box)
-        times.append(measured(page)["picture"])
-        page.wait_for_timeout(300)
-    page.context.close()
-    return {"boxes": len(times), "p50_ms": percentile(times, 50), "p95_ms": percentile(times, 95)}
-
-
 def draw_box(page: Page, box: tuple[float, float, float, float]) -> None:
     """Draws a box on the camera image with the mouse: x_min, y_min, x_max, y_max, pixels of the image."""
     corners = _on_page(page, box)
@@ -263,65 +205,6 @@ def _on_page(page: Page, box: tuple[float, float, float, float]) -> tuple[tuple[
     x, y = rect["width"] / rect["w"], rect["height"] / rect["h"]
     low = (rect["left"] + (box[0] + 0.5) * x, rect["top"] + (box[1] + 0.5) * y)
     return low, (rect["left"] + (box[2] + 0.5) * x, rect["top"] + (box[3] + 0.5) * y)
-
-
-def million(browser: Browser, server: Server, project: str, small: int, large: int) -> dict[str, Any]:
-    """Opens a frame of a million points after a small one; measures the shown points and the longest stalls."""
-    page = signed_in(browser, server)
-    open_mode(page, project, "review", small)
-    with server.client() as client, _pinged(server) as pings:
-        page.evaluate(HEARTBEAT)
-        pings.clear()
-        began = time.perf_counter()
-        page.evaluate("(hash) => (location.hash = hash)", f"#/{project}/review/{large}")
-        until(page, f"document.querySelector(\"img.picture[src*='frames/{large}/image']\")?.complete", 60)
-        points_text = "document.querySelector('[data-testid=viewport-points]').textContent"
-        until(page, f"/ of /.test({points_text})", 60)
-        opened_s = time.perf_counter() - began
-        page.wait_for_timeout(1000)
-        # rotate the view
-        area = page.get_by_test_id("viewport").bounding_box()
-        assert area is not None
-        x, y = area["x"] + area["width"] / 2, area["y"] + area["height"] / 2
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x + 60, y + 20, steps=10)
-        page.mouse.up()
-        stall_ms, text = page.evaluate("window.stall"), page.evaluate(points_text)
-        slowest_ms = max(pings, default=float("nan"))
-        state = answered(client.get(f"/api/projects/{project}/frames/{large}"))
-    page.context.close()
-    shown = int(text.split(" of ")[0].replace(",", ""))
-    return {
-        "points": state["points"],
-        "shown_points": shown,
-        "opened_s": opened_s,
-        "page_stall_ms": stall_ms,
-        "server_stall_ms": slowest_ms,
-        "points_in_boxes": [label["points"] for label in state["labels"]],
-    }
-
-
-@contextmanager
-def _pinged(server: Server) -> Iterator[list[float]]:
-    """Response times of a minimal request that is sent repeatedly during the block, milliseconds."""
-    times: list[float] = []
-    stop = threading.Event()
-
-    def ping() -> None:
-        with server.client(None) as client:
-            while not stop.wait(0.02):
-                began = time.perf_counter()
-                client.get("/api/session")
-                times.append((time.perf_counter() - began) * 1000)
-
-    thread = threading.Thread(target=ping)
-    thread.start()
-    try:
-        yield times
-    finally:
-        stop.set()
-        thread.join()
 
 
 def frames_of(projects: Path, name: str) -> list[int]:

@@ -1,4 +1,4 @@
-"""Checks that no saved edit is lost: when the server is killed with `kill -9`, and with many operators on one frame."""
+"""Checks that no saved edit is lost with many operators on one frame."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import httpx
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from annotator.types.errors import ConfigError
 from benchmarks.workbench_browser import open_mode, signed_in
 from benchmarks.workbench_server import LABEL, Server, answered, percentile
 
@@ -24,92 +21,11 @@ if TYPE_CHECKING:
 
 SIZE_M = [0.5, 0.6, 1.7]
 IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-# Minimum and maximum time of editing before the server is killed, seconds.
-LIVES_S = (0.3, 2.5)
 # Time limit for all clients to connect, seconds.
 READY_WITHIN_S = 90.0
 
 Stored = dict[str, tuple[str, float]]
 """Labels by uid: state, and x of the centre, which is different for each edit."""
-
-
-def kill(projects: Path, name: str, frame: int, times: int, seed: int = 0) -> dict[str, Any]:
-    """Edits a frame, kills the server meanwhile, and checks the stored labels; repeated `times` times."""
-    chance = random.Random(seed)
-    acknowledged = lost = 0
-    for _ in range(times):
-        server = Server(projects)
-        timer = threading.Timer(chance.uniform(*LIVES_S), server.kill)
-        with server.client() as client:
-            script = _Script(client, name, frame, chance)
-            # started after the frame is loaded, so that the time is spent on edits
-            timer.start()
-            script.run()
-        timer.join()
-        acknowledged += script.acknowledged
-        lost += not script.accounts_for(_stored(projects, name, frame))
-    return {"kills": times, "edits_acknowledged": acknowledged, "kills_that_lost_an_edit": lost}
-
-
-class _Script:
-    """Creates, moves, accepts and deletes boxes until the server is killed.
-
-    Attributes:
-        known: labels after the last acknowledged edit.
-        expected: labels after the pending edit, which may be stored before it is acknowledged.
-        acknowledged: number of acknowledged edits.
-    """
-
-    def __init__(self, client: httpx.Client, name: str, frame: int, chance: random.Random) -> None:
-        self._client, self._chance = client, chance
-        self._path = f"/api/projects/{name}/frames/{frame}"
-        self.acknowledged = 0
-        state = answered(client.get(self._path))
-        self._revision: int = state["frame"]["revision"]
-        self.known = self.expected = _labels(state)
-
-    def run(self) -> None:
-        while True:
-            change, self.expected = self._next()
-            body = {"revision": self._revision, "changes": [change]}
-            try:
-                response = self._client.post(f"{self._path}/changes", json=body)
-            except httpx.TransportError:
-                return
-            state = answered(response)
-            if change["kind"] == "create":
-                # the server assigns the uid of a new box
-                (uid,) = _labels(state).keys() - self.known.keys()
-                self.expected = {**self.known, uid: self.expected["?"]}
-            if _labels(state) != self.expected:
-                raise ConfigError(f"the response to a change of kind {change['kind']} does not contain the change")
-            self.known, self._revision = self.expected, state["frame"]["revision"]
-            self.acknowledged += 1
-
-    def accounts_for(self, stored: Stored) -> bool:
-        """Whether all acknowledged edits are stored, and at most the pending edit in addition."""
-        new = stored.keys() - self.known.keys()
-        if "?" in self.expected and len(new) == 1:
-            return stored == {**self.known, new.pop(): self.expected["?"]}
-        return stored in (self.known, self.expected)
-
-    def _next(self) -> tuple[dict[str, Any], Stored]:
-        uid = self._chance.choice(sorted(self.known)) if self.known else None
-        kind = self._chance.choice(["create", "edit", "edit", "accept", "reject", "delete"])
-        if uid is None or (kind == "delete" and len(self.known) < 4) or (kind == "create" and len(self.known) > 12):
-            kind = "create" if uid is None else "edit"
-        x = round(self._chance.uniform(-2, 2), 6)
-        rest = {other: label for other, label in self.known.items() if other != uid}
-        if kind == "create":
-            return {"kind": "create", "label": LABEL, "box": box_at(x)}, {**self.known, "?": ("accepted", x)}
-        assert uid is not None
-        if kind == "edit":
-            change = {"kind": "edit", "uid": uid, "label": LABEL, "box": box_at(x), "track_id": None}
-            return change, {**rest, uid: ("edited", x)}
-        if kind == "delete":
-            return {"kind": "delete", "uid": uid}, rest
-        state = "accepted" if kind == "accept" else "rejected"
-        return {"kind": kind, "uid": uid}, {**rest, uid: (state, self.known[uid][1])}
 
 
 def box_at(x_m: float) -> dict[str, Any]:
@@ -119,16 +35,6 @@ def box_at(x_m: float) -> dict[str, Any]:
 
 def _labels(state: dict[str, Any]) -> Stored:
     return {label["uid"]: (label["state"], round(label["box"]["center"][0], 6)) for label in state["labels"]}
-
-
-def _stored(projects: Path, name: str, frame: int) -> Stored:
-    from annotator.project import open_project
-
-    with open_project(projects / name) as project:
-        if problems := project.problems():
-            raise ConfigError(f"the database is damaged: {problems[0]}")
-        labels = project.labels.of_frame(frame)
-    return {label.uid: (label.state.value, round(float(label.box.center_m[0]), 6)) for label in labels}
 
 
 @dataclass

@@ -9,6 +9,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from filled import fill
 from killer import Killer
 from old_versions import make_older
 from sound import labels_in, require_sound
@@ -16,7 +17,6 @@ from sound import labels_in, require_sound
 from annotator.cli.main import main
 from annotator.project import create_project, open_project
 from annotator.project.backup.archive import read_manifest
-from benchmarks.backup import fill
 
 # 20 kills of each command, on a busy machine
 pytestmark = pytest.mark.timeout(3600)

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.memory import growth
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
 from benchmarks import axes, batch, columns, forecast, listing, loop, memory, pseudo_view, slow_loris, up
-from benchmarks.memory import growth
 from benchmarks.repeating import FOLDERS, lengthen
 from benchmarks.report import guarded
 

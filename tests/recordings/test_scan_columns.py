@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cloud_samples import SCAN, put_image
+from column_scans import OTHERS, make_set
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kitti_samples import OBJECT_CALIB, TRACKING_CALIB
@@ -19,7 +20,6 @@ from annotator.recordings.scan_columns import weigh_columns
 from annotator.recordings.scan_file import Scans, said_columns
 from annotator.types.errors import ConfigError, FrameError, UnclearError
 from annotator.workflows.checking.check import check_datasets
-from benchmarks.column_scans import OTHERS, make_set
 
 RANDOM = np.random.default_rng(3)
 COUNT = len(SCAN)
