@@ -21,25 +21,33 @@ import hashlib
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 import numpy as np
 import tyro
+from jaxtyping import Float, Float64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from annotator.detection.base_detector import base_weights
 from annotator.detection.config import Backend
 from annotator.detection.trained import read_trained
+from annotator.geometry.frustum import in_frustum
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import contains
+from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import BoxRotation, NewLabel, Project, ProjectSettings, WriteContext, create_project
+from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
+from annotator.rcv.first_look import in_middle, width_at
+from annotator.rcv.rotation_search import spread_rotations
 from annotator.recordings import Recording, open_recording
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Truth
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, OrientedBox, PseudoView, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import load_detector, view_model
@@ -48,9 +56,107 @@ from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import JITTER_PX, inaccurate, lifted
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import GENERATED_SHARE, TrainPlan, train
-from benchmarks.clusters import cluster_box
-from benchmarks.mirrored import Mirrored
 from benchmarks.report import Table, finish, guarded
+
+# Points closer than this share of the object's width are connected.
+GAP = 0.08
+MIN_POINTS = 5
+YAWS, ROTATIONS = 45, 600
+
+
+def cluster_box(frame: Frame, image_box: Box2D, up: Float64[np.ndarray, "3"] | None) -> OrientedBox | None:
+    """The tightest box around the connected points with the largest part in the middle of an image box.
+
+    Args:
+        up: unit vector against gravity for an upright box, None for a free one.
+    """
+    camera = frame.camera
+    xyz = frame.cloud.xyz_m[in_frustum(camera, frame.cloud.xyz_m, image_box)].astype(np.float64)
+    if len(xyz) < MIN_POINTS:
+        return None
+    middle = in_middle(camera, xyz, image_box)
+    gap = GAP * width_at(camera, image_box, float(np.median(xyz[middle, 2])))
+    cells, of = np.unique(np.floor(xyz / gap).astype(np.int64), axis=0, return_inverse=True)
+    pairs = cKDTree(cells).query_pairs(2.0, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    _, group = connected_components(links, directed=False)
+    groups = group[of.reshape(-1)]
+    cluster = xyz[groups == np.bincount(groups[middle]).argmax()]
+    return None if len(cluster) < MIN_POINTS else _tightest(cluster, up)
+
+
+def _tightest(xyz: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None) -> OrientedBox:
+    """The box of least volume among evenly spread rotations."""
+    with suppress(QhullError):  # of flat clusters, all points are used
+        xyz = xyz[ConvexHull(xyz).vertices]
+    base = camera_axes(up)
+    if up is None:
+        rotations = spread_rotations(ROTATIONS) @ base.T
+    else:
+        from scipy.spatial.transform import Rotation
+
+        angles = np.arange(YAWS) * (np.pi / 2 / YAWS)
+        rotations = Rotation.from_rotvec(angles[:, None] * up).as_matrix() @ base.T
+    boxes = [aligned_box(xyz, rotation) for rotation in rotations]
+    return min(boxes, key=lambda box: box.volume_m3)
+
+
+# A box and the one of the mirror image are the same object from this IoU on.
+SAME_IOU = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Mirrored:
+    """Averages each box with that of the left-right mirror image; takes twice as long. Only for pseudo-views."""
+
+    detector: Detector
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return self.detector.labels
+
+    @property
+    def fingerprint(self) -> str:
+        return self.detector.fingerprint + " and mirrored"
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        """As `Detector.detect`."""
+        mirrored = [replace(cast(PseudoView, image), rgb=np.ascontiguousarray(image.rgb[:, ::-1])) for image in images]
+        plain, other = self.detector.detect(images), self.detector.detect(mirrored)
+        return [
+            _averaged(boxes, [_mirror_image(box, image.rgb.shape[1]) for box in twins])
+            for image, boxes, twins in zip(images, plain, other, strict=True)
+        ]
+
+
+def _mirror_image(box: Box2D, width_px: int) -> Box2D:
+    sigma = box.edge_sigma_px
+    swapped = None if sigma is None else (sigma[2], sigma[1], sigma[0], sigma[3])
+    x_min, x_max = width_px - 1 - box.x_max, width_px - 1 - box.x_min
+    return replace(box, x_min=x_min, x_max=x_max, edge_sigma_px=swapped)
+
+
+def _averaged(boxes: Sequence[Box2D], twins: Sequence[Box2D]) -> list[Box2D]:
+    """Each box, averaged with the twin that overlaps it most, if there is one; a lonely box keeps half of its score."""
+    found = []
+    for box in boxes:
+        same = max((twin for twin in twins if twin.label == box.label), key=lambda twin: _iou(box, twin), default=None)
+        if same is None or _iou(box, same) < SAME_IOU:
+            found.append(replace(box, score=box.score / 2))
+            continue
+        edges = (np.array(box.xyxy) + np.array(same.xyxy)) / 2
+        x_min, y_min, x_max, y_max = edges.tolist()
+        mean = replace(box, x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max, score=(box.score + same.score) / 2)
+        found.append(mean)
+    return sorted(found, key=lambda box: -box.score)
+
+
+def _iou(a: Box2D, b: Box2D) -> float:
+    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
+    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
+    shared = max(width, 0.0) * max(height, 0.0)
+    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
+
 
 LEVELS = {"recall_25": 0.25, "recall_50": 0.5, "recall_70": 0.7}
 

@@ -26,11 +26,20 @@ from annotator.rcv.config import Strategy
 from annotator.recordings import open_recording
 from annotator.types.errors import ConfigError
 from annotator.workflows.training.train import TrainPlan
-from benchmarks.paper_frames import split_of
-from benchmarks.paper_protocol import Place, ProjectStages, import_frames
-from benchmarks.paper_settings import Classes, Dataset, Preset, Trainings, classes_of, rcv_options
-from benchmarks.paper_stages import Stages
-from benchmarks.paper_tables import Ap, kitti_table, paper_of_kitti, paper_of_sunrgbd, sunrgbd_table
+from benchmarks.paper_protocol import Place, ProjectStages, Stages, import_frames, split_of
+from benchmarks.paper_tables import (
+    Ap,
+    Classes,
+    Dataset,
+    Preset,
+    Trainings,
+    classes_of,
+    kitti_table,
+    paper_of_kitti,
+    paper_of_sunrgbd,
+    rcv_options,
+    sunrgbd_table,
+)
 from benchmarks.report import Table, finish, guarded
 
 QUIET = Console(stderr=True, highlight=False, markup=False)

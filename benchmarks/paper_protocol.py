@@ -2,30 +2,297 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+
 from annotator.detection.progress import TrainingProgress
+from annotator.files import new_folder
+from annotator.formats.json_file import write_text
+from annotator.formats.kitti.label_files import read_tracking_labels
+from annotator.formats.kitti.label_folders import read_kitti_file
+from annotator.mat_file import MatFileError, read_mat
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording
+from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import DetectorKind
 from annotator.types.amounts import amount
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.evaluating.evaluate_files import Protocol
+from annotator.workflows.evaluating.evaluate_files import Protocol, read_frame_names
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
+from annotator.workflows.recorded.frame_subset import share_of
+from annotator.workflows.recorded.kitti_rows import TRACKING
 from annotator.workflows.recorded.labelled_frames import labels_beside
+from annotator.workflows.recorded.reading import frame_number, label_file
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import TrainPlan, train
-from benchmarks.paper_frames import FrameSplit, labelled_classes, link_frames
-from benchmarks.paper_settings import Dataset
-from benchmarks.paper_stages import Facts, Stages
-from benchmarks.paper_tables import kitti_ap, sunrgbd_ap
+from benchmarks.paper_tables import Dataset, kitti_ap, sunrgbd_ap
+
+# By format: the folders with one file per frame, and the files that all frames share.
+LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "kitti_object": (("image_2", "velodyne", "calib", "label_2"), ()),
+    "kitti_tracking": (("image_02", "velodyne"), ("calib.txt", "label_02.txt")),
+    "sunrgbd_extracted": (("image", "calib", "depth", "points", "label"), ()),
+    "sunrgbd_scenes": ((), ()),
+}
+TRAIN_SHARE = 0.5
+# VoteNet pads frame numbers to this width in file names, but not in its lists.
+VOTENET_DIGITS = 6
+# The toolbox's list of all scenes takes about a megabyte.
+MOST_LIST_BYTES = 2**26
+
+
+@dataclass(frozen=True)
+class FrameSplit:
+    """Frame keys for training and for testing.
+
+    Attributes:
+        train, val: sorted keys; they overlap only if the recording has a single frame.
+        source: where the split comes from, in words.
+        listed: number of frames in the lists; None without lists.
+        present: number of listed frames that the recording has; 0 without lists.
+    """
+
+    train: tuple[str, ...]
+    val: tuple[str, ...]
+    source: str
+    listed: int | None = None
+    present: int = 0
+
+    def coverage(self) -> str:
+        """How many of the listed frames the recording has, in words; "" without lists."""
+        return "" if self.listed is None else f"{self.present} of {self.listed} listed frames are present"
+
+    def limited(self, limit: int | None, seed: int) -> FrameSplit:
+        """The split with at most `limit` frames on each side, drawn at random."""
+        if limit is None:
+            return self
+        return replace(self, train=_drawn(self.train, limit, seed), val=_drawn(self.val, limit, seed))
+
+
+def split_of(recording: Recording, seed: int) -> FrameSplit:
+    """The split by the data set's own lists if they lie beside it, else a random one.
+
+    KITTI: `ImageSets/train.txt` and `val.txt`. SUN RGB-D: VoteNet's `train_data_idx.txt` and `val_data_idx.txt`, or the
+    toolbox's `allsplit.mat`.
+
+    Raises:
+        ConfigError: another data set's format; or lists that share a frame, or without any frame of the recording.
+        FormatError: lists that cannot be read.
+    """
+    if recording.format not in LAYOUTS:
+        raise ConfigError(
+            f"{recording.path}: has the format {recording.format}; give the root of KITTI's or SUN RGB-D's frames"
+        )
+    lists = _own_lists(recording)
+    if lists is not None:
+        source, train, val = lists
+        both = sorted(set(train).intersection(val))
+        if both:
+            raise ConfigError(
+                f"{source}: {amount(len(both), 'frame is', 'frames are')} in the training list and in the test list, "
+                f"such as {both[0]}; each frame must be in one list only"
+            )
+        present = set(recording.keys)
+        sides = tuple(sorted(present.intersection(train))), tuple(sorted(present.intersection(val)))
+        if not all(sides):
+            raise ConfigError(f"{source}: lists no {'test' if sides[0] else 'training'} frame of {recording.path}")
+        return FrameSplit(*sides, str(source), len({*train, *val}), sum(map(len, sides)))
+    if len(recording) == 1:
+        return FrameSplit(recording.keys, recording.keys, "a single frame, for training and testing")
+    drawn = _drawn(recording.keys, max(round(TRAIN_SHARE * len(recording)), 1), seed)
+    others = tuple(sorted(set(recording.keys).difference(drawn)))
+    return FrameSplit(drawn, others, f"random split (no lists found), seed {seed}")
+
+
+def labelled_classes(recording: Recording) -> frozenset[str]:
+    """The classes of a KITTI recording's labels, including small and occluded objects.
+
+    Raises:
+        FormatError: labels that cannot be read.
+    """
+    classes: set[str] = set()
+    for key in recording.keys:
+        file = label_file(recording, key)
+        if file is None or not file.is_file():
+            continue
+        if recording.format == TRACKING:
+            # one file contains all frames
+            tracks = read_tracking_labels(file, None)
+            return frozenset(truth.label for k in recording.keys for truth in tracks.get(frame_number(file, k), ()))
+        classes.update(row.label for row in read_kitti_file(file, scored=False))
+    return frozenset(classes)
+
+
+def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None:
+    """Creates a folder of links to the frames' files, in the recording's layout; on failure, the folder is removed.
+
+    Raises:
+        FormatError: the folder or a link cannot be created.
+    """
+    folders, files = LAYOUTS[recording.format]
+    with new_folder(folder, lambda _: True) as out:
+        if isinstance(recording, SunRgbdScenes):
+            scenes = dict(zip(recording.keys, recording.scenes, strict=True))
+            _link(folder, ((scenes[key], out / key) for key in keys))
+            return
+        stems = set(keys)
+        for name in folders:
+            source = recording.root / name
+            if source.is_dir():
+                (out / name).mkdir()
+                paths = (path for path in sorted(source.iterdir()) if path.stem in stems)
+                _link(folder, ((path, out / name / path.name) for path in paths))
+        _link(folder, ((recording.root / name, out / name) for name in files if (recording.root / name).is_file()))
+
+
+def _link(folder: Path, pairs: Iterable[tuple[Path, Path]]) -> None:
+    try:
+        for source, link in pairs:
+            link.symlink_to(source.resolve())
+    except OSError as error:
+        raise FormatError(folder, f"cannot create links to the frames ({error.strerror})") from error
+
+
+def _drawn(keys: Sequence[str], number: int, seed: int) -> tuple[str, ...]:
+    if number >= len(keys):
+        return tuple(keys)
+    return tuple(sorted(key for _, key in share_of([("", key) for key in keys], number / len(keys), seed)))
+
+
+def _own_lists(recording: Recording) -> tuple[Path, list[str], list[str]] | None:
+    """Path of the training list, the training keys and the test keys; None without lists."""
+    root = recording.root
+    for folder in (root, root.parent):
+        train, val = (folder / "ImageSets" / f"{side}.txt" for side in ("train", "val"))
+        if train.is_file() and val.is_file():
+            return train, read_frame_names(train), read_frame_names(val)
+        train, val = (folder / f"{side}_data_idx.txt" for side in ("train", "val"))
+        if train.is_file() and val.is_file():
+            return train, _votenet_keys(train), _votenet_keys(val)
+        for path in (folder / "allsplit.mat", folder / "SUNRGBDtoolbox" / "traintestSUNRGBD" / "allsplit.mat"):
+            if isinstance(recording, SunRgbdScenes) and path.is_file():
+                return (path, *_toolbox_lists(path))
+    return None
+
+
+def _votenet_keys(path: Path) -> list[str]:
+    return [number.zfill(VOTENET_DIGITS) for number in read_frame_names(path)]
+
+
+def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
+    """Training and test keys from the toolbox's cell arrays `alltrain` and `alltest`, which list paths of scenes.
+
+    Raises:
+        FormatError: the file cannot be read, or has other content.
+    """
+    try:
+        train, test = (read_mat(path, name, MOST_LIST_BYTES) for name in ("alltrain", "alltest"))
+    except (OSError, MatFileError) as error:
+        raise FormatError(path, f"the list of scenes cannot be read ({error})") from error
+    if not isinstance(train, list) or not isinstance(test, list):
+        raise FormatError(path, "alltrain and alltest are not lists of scenes")
+    return [_scene_key(str(scene)) for scene in train], [_scene_key(str(scene)) for scene in test]
+
+
+def _scene_key(path: str) -> str:
+    return path.replace("\\", "/").partition("SUNRGBD/")[2].strip("/").replace("/", "__")
+
+
+Facts = Mapping[str, JsonValue]
+
+
+class StageRecord(BaseModel):
+    """A completed stage.
+
+    Attributes:
+        stage: name of the stage.
+        settings: everything on which the result depends; `after` is the key of the previous stage.
+        seconds: duration.
+        result: the stage's result.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    stage: str
+    settings: dict[str, JsonValue]
+    seconds: float
+    result: dict[str, JsonValue]
+
+
+@dataclass
+class Stages:
+    """Runs stages one after the other; each depends on its settings and on all previous stages.
+
+    If a stage runs, all later stages run as well, even if they have a record.
+
+    Attributes:
+        folder: folder of the records, one JSON file per stage and settings.
+        log: called with a line of text when a stage starts, ends or is skipped.
+        done: the records so far, by stage.
+        skipped: stages that an earlier run completed.
+    """
+
+    folder: Path
+    log: Callable[[str], None]
+    done: dict[str, StageRecord] = field(default_factory=dict)
+    skipped: list[str] = field(default_factory=list)
+    _last: str = ""
+
+    def run(
+        self, stage: str, settings: Facts, work: Callable[[], Facts], is_kept: Callable[[Facts], bool] | None = None
+    ) -> Facts:
+        """Runs a stage, or returns its result from an earlier run.
+
+        Args:
+            stage: name of the stage.
+            settings: everything on which the result depends besides the previous stages.
+            work: does the work. It must resume or restart after an interrupted run.
+            is_kept: returns whether the files or rows that an earlier result refers to still exist.
+
+        Raises:
+            FormatError: a record cannot be read or written.
+            AnnotatorError: the work failed.
+        """
+        all_settings = {**settings, "after": self._last}
+        key = hashlib.sha256(json.dumps([stage, all_settings], sort_keys=True).encode()).hexdigest()[:12]
+        path = self.folder / f"{stage}-{key}.json"
+        record = _read(path)
+        all_before = len(self.skipped) == len(self.done)
+        if record is not None and all_before and (is_kept is None or is_kept(record.result)):
+            self.skipped.append(stage)
+            self.log(f"{stage}: already done (took {record.seconds:.1f} s)")
+        else:
+            self.log(f"{stage} ...")
+            begin = time.perf_counter()
+            result = dict(work())
+            seconds = time.perf_counter() - begin
+            record = StageRecord(stage=stage, settings=all_settings, seconds=seconds, result=result)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_text(path, record.model_dump_json(indent=1))
+            self.log(f"{stage}: {seconds:.1f} s")
+        self.done[stage], self._last = record, key
+        return record.result
+
+
+def _read(path: Path) -> StageRecord | None:
+    if not path.is_file():
+        return None
+    try:
+        return StageRecord.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise FormatError(path, f"not a record of a stage ({error}); delete it to run the stage again") from error
+
 
 # The names of the project's two recordings.
 TRAIN, VAL = "train", "val"

@@ -36,12 +36,10 @@ from annotator.project import REVIEWED, BoxRotation, Project, StoredFrame
 from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.detectors import view_model
-from benchmarks.keystrokes import Bill
 from benchmarks.report import Table, finish, guarded
-from benchmarks.review_moves import shaky
+from benchmarks.review_moves import Bill, shaky
 from benchmarks.review_operator import Operator
-from benchmarks.review_peers import peers
-from benchmarks.review_projects import copied, is_project, measured_by, propose, teach, without_labels
+from benchmarks.review_peers import copied, is_project, measured_by, peers, propose, teach, without_labels
 
 PARTS = ("proposals", "base_detector", "from_nothing", "peers")
 # Whether contact sheets are used, by name.

@@ -31,9 +31,21 @@ from annotator.cli.main import main as annotator
 from annotator.project import open_project
 from annotator.types.errors import ConfigError
 from benchmarks.report import Table, finish, guarded
-from benchmarks.workbench_browser import OPENS_WITHIN_S, chromium, frames_of, signed_in, until
-from benchmarks.workbench_edits import box_at
-from benchmarks.workbench_server import LABEL, PRESET, Server, answered, make_people, percentile, serving
+from benchmarks.served import (
+    LABEL,
+    OPENS_WITHIN_S,
+    PRESET,
+    Server,
+    answered,
+    chromium,
+    frames_of,
+    make_people,
+    percentile,
+    serving,
+    signed_in,
+    until,
+)
+from benchmarks.workbench import box_at
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -12,7 +12,7 @@ import pytest
 
 from annotator.cli.main import main
 from annotator.types.errors import MissingExtraError
-from benchmarks import axes, pseudo_view
+from benchmarks import axes
 from benchmarks.report import guarded
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -70,9 +70,6 @@ def test_a_path_is_not_a_project_name(project: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("benchmark", "words", "says"),
     [
-        (pseudo_view.main, "--points 0", "--points must be 1 to"),
-        (pseudo_view.main, "--size-px 16", "--size-px must be 32 to 2048, not 16"),
-        (pseudo_view.main, "--repeats 0", "--repeats must be 1 to"),
         (axes.main, "nowhere --jitter -1", "--jitter must be 0 or more, not -1"),
         (axes.main, "nowhere --jitter nan", "--jitter must be 0 or more, not nan"),
         (axes.main, "nowhere --upright --free", "contradict each other"),

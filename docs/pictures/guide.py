@@ -74,7 +74,7 @@ def calibration() -> None:
 def statistics() -> None:
     """The statistics of a project on which three people have worked for two weeks."""
     sys.path.insert(0, str(REPOSITORY))
-    from benchmarks.worked_project import Work, worked_project
+    from benchmarks.store import Work, worked_project
 
     with TemporaryDirectory() as folder:
         projects, recordings = Path(folder) / "projects", Path(folder) / "recordings"

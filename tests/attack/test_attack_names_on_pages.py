@@ -17,7 +17,7 @@ from annotator.project import create_project
 from annotator.recordings import open_recording
 from annotator.web.settings import ServerSettings
 from annotator.workflows.add_recordings import register_recording
-from benchmarks.workbench_browser import chromium
+from benchmarks.served import chromium
 
 if TYPE_CHECKING:
     from live_server import Live

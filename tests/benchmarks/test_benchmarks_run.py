@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 import subprocess
@@ -13,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.memory import growth
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, batch, columns, forecast, listing, loop, memory, pseudo_view, slow_loris, up
-from benchmarks.repeating import FOLDERS, lengthen
+from benchmarks import axes, batch, loop
+from benchmarks.batch import FOLDERS, lengthen
 from benchmarks.report import guarded
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -116,19 +114,6 @@ def test_axes_with_jitter_depends_on_the_seed(
 
 
 @pytest.mark.shared
-def test_boxes_drawn_around_a_turning_person_tell_which_way_is_up(
-    shared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = shared / "data" / "human_turn"
-    result = in_process(up, monkeypatch, capsys, path, "--rooms", "1", "--snapshots", "2", "--drawn", "0")
-    assert result["recordings"][0]["up"] is None
-    (drawn,) = result["drawn"]
-    assert drawn["boxes"] == 10 and drawn["proposed"]
-    assert drawn["error_deg"] < 8
-    assert 3 < drawn["spread_deg"] < 15
-
-
-@pytest.mark.shared
 def test_axes_on_a_kitti_drive(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -145,32 +130,6 @@ def test_axes_on_a_kitti_drive(
     assert {"Van", "Cyclist"} <= labels
     consensus = {row["label"]: row["mean_iou"] for row in result["results"] if row["axes"] == "consensus"}
     assert min(consensus.values()) > 0.95
-
-
-def test_pseudo_view_measures_each_combination(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--points", 500, 2000, "--size-px", 64, 96, "--repeats", 2]
-    result = in_process(pseudo_view, monkeypatch, capsys, *words)
-    assert list(result) == ["results"]
-    assert [(row["points"], row["size_px"]) for row in result["results"]] == [
-        (500, 64),
-        (500, 96),
-        (2000, 64),
-        (2000, 96),
-    ]
-    assert all(list(row) == ["points", "size_px", "ms"] and row["ms"] > 0 for row in result["results"])
-
-
-def test_memory_reports_peaks_and_growth() -> None:
-    words = ["--frames", "1", "3", "--different", "2", "--width", "160", "--engine", "local", "--workers", "1"]
-    result, lines = program("memory", *words)
-    assert list(result) == ["results", "growth_mb_per_1000_frames"]
-    assert [row["frames"] for row in result["results"]] == [1, 3]
-    peaks = [row["peak_mb"] for row in result["results"]]
-    assert all(50 < peak < 2000 for peak in [*peaks, *(row["worker_peak_mb"] for row in result["results"])])
-    assert result["growth_mb_per_1000_frames"] == pytest.approx((peaks[1] - peaks[0]) / 2 * 1000)
-    assert any("peak MB" in line for line in lines)
 
 
 def test_batch_compares_engines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -191,25 +150,6 @@ def test_store_reports_times() -> None:
     assert all(took_ms > 0 for name, took_ms in result.items() if name.endswith("_ms"))
     assert result["open_proposals"] == 30 * 3 + 4 * 2
     assert any("statistics" in line for line in lines)
-
-
-def test_forecast_compares_with_the_true_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forecast, "FRAMES", (100, 200))
-    result = forecast.run(forecast.Arguments(projects=6))
-    half = result["50% done"]
-    assert 0 < half["median_error"] < 1
-    assert half["covered"] > 0.3
-    assert half["median_high_to_low"] > 1.1
-
-
-@pytest.mark.parametrize(
-    ("frames", "peaks", "expected"),
-    [((20, 220), (300.0, 500.0), 1.0), ((10, 20, 30), (5.0, 5.0, 5.0), 0.0), ((7,), (300.0,), math.nan)],
-)
-def test_memory_growth_is_the_slope_of_the_peaks(
-    frames: tuple[int, ...], peaks: tuple[float, ...], expected: float
-) -> None:
-    assert growth(frames, peaks) == pytest.approx(expected, nan_ok=True)
 
 
 def test_a_lengthened_recording_repeats_its_frames(generated: Path, tmp_path: Path) -> None:
@@ -234,45 +174,11 @@ def test_loop_reports_scores_and_times(
     assert all(value is None or 0 <= value <= 1 for key, value in result.items() if key in LOOP_KEYS[1:7])
 
 
-def test_columns_counts_made_up_scans_and_files_that_are_none(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result = in_process(columns, monkeypatch, capsys, "--sets", "6")
-    assert result["made_up"]["wrong"] == 0
-    assert result["made_up"]["read"] >= 5
-    assert sum(sum(row.values()) for row in result["made_up"]["by_columns"].values()) == 6
-    assert set(result["others_read"].values()) == {0}
-
-
-def test_listing_recognises_the_data_sets_that_it_creates(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result = in_process(listing, monkeypatch, capsys, "--share", "0.002", "--repeats", "1")
-    assert {name: row["frames"] for name, row in result.items()} == {
-        "kitti_object": 15,
-        "sunrgbd_scenes": 21,
-        "sunrgbd_extracted": 21,
-    }
-    assert all(row["format"] == name and row["median_ms"] > 0 for name, row in result.items())
-
-
-@pytest.mark.slow
-def test_slow_loris_measures_clients_beside_half_sent_requests(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result = in_process(slow_loris, monkeypatch, capsys, "--connections", 20, "--seconds", 1.0)
-    assert result["opened"] >= 20
-    assert all(wait["requests"] > 0 for wait in result["waits"].values())
-    assert result["p95_s"] > 0 and result["log_bytes"] == 0
-
-
 @pytest.mark.parametrize(
     ("benchmark", "words"),
     [
         (axes, ["nowhere"]),
         (loop, ["nowhere"]),
-        (memory, ["--frames", "0"]),
-        (memory, ["--frames", "1", "--different", "0"]),
     ],
 )
 def test_unusable_input_is_an_error_without_a_traceback(

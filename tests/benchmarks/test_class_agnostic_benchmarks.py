@@ -1,4 +1,4 @@
-"""Boxes of unseen classes: `cold_start`, `follow` and `uncertainty`, with perfect boxes without classes."""
+"""Boxes of unseen classes: `cold_start` and `follow`, with perfect boxes without classes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.project import REVIEWED, Project
 from annotator.rcv.config import ViewConfig
 from annotator.rcv.follow_object import Followed, FollowStop
-from annotator.types import Box2D, BoxKind, DetectorKind, Image, OrientedBox, Proposal, Quality
+from annotator.types import Box2D, BoxKind, DetectorKind, Image
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.tracks.follow_frames import Follower
 from annotator.workflows.training.train import TrainPlan
-from benchmarks import cold_start, follow, uncertainty
+from benchmarks import cold_start, follow
 
 SIZE_PX = 96
 
@@ -148,39 +148,3 @@ def test_without_weights_there_is_no_cold_start(
     monkeypatch.setattr("annotator.detection.base_detector.FOLDER", tmp_path)
     with pytest.raises(DetectionError, match="the base detector is missing"):
         cold_start.run(cold_start.Arguments(generated / "people"))
-
-
-def test_uncertainty_compares_boxes_and_orders_without_and_with_edge_errors(
-    run: Callable[..., Any], generated: Path
-) -> None:
-    without, with_errors = run(uncertainty, generated / "people")["results"]
-    assert (without["edge_errors"], with_errors["edge_errors"]) == (False, True)
-    assert without["objects"] == with_errors["objects"] > 0
-    assert without["mean_iou"] == without["mean_iou_by_class"]["person"] > 0.8
-    assert 0.5 < without["expected_iou"] <= 1
-    # perfect boxes do not tell their edges' errors
-    assert without["mean_iou"] == with_errors["mean_iou"]
-    assert list(without["wrong_in_first_tenth"]) == ["before", "doubt", "expected_loss"]
-
-
-@pytest.mark.parametrize("words", [(), ("{people}", "--generated", "1"), ("{people}", "--upright", "--free")])
-def test_uncertainty_refuses_contradicting_arguments(
-    run: Callable[..., Any], generated: Path, words: tuple[str, ...]
-) -> None:
-    with pytest.raises(ConfigError):
-        run(uncertainty, *(str(generated / "people") if word == "{people}" else word for word in words))
-
-
-def scored(iou: float, loss: float | None, agreement: float) -> uncertainty.Scored:
-    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
-    quality = Quality(0.1, 1.0, 0.0, agreement, loss)
-    proposal = Proposal("a", 0.9, box, Box2D("a", 0.0, 0.0, 9.0, 9.0), (), quality)
-    return uncertainty.Scored(proposal, iou)
-
-
-def test_the_first_tenth_is_that_with_the_most_doubt() -> None:
-    found = [scored(0.9, 0.1, 0.9) for _ in range(18)]
-    found += [scored(0.2, 0.9, 0.9), scored(0.3, 0.8, 0.9)]  # only the fit knows
-    assert uncertainty.wrong_first(found) == {"before": 0.0, "doubt": 1.0, "expected_loss": 1.0}
-    found += [scored(0.2, None, 0.0), scored(0.4, 0.1, 0.0)]  # only the image knows
-    assert uncertainty.wrong_first(found)["before"] == 1.0

@@ -13,7 +13,7 @@ import pytest
 
 from annotator.types.errors import ConfigError, FormatError
 from benchmarks import golden
-from benchmarks.golden_conventions import convention_differences
+from benchmarks.golden import convention_differences
 
 ROOT = Path(__file__).resolve().parents[2]
 BOUNDS = {"kitti_max_ap": 1e-3, "sunrgbd_max_map": 1e-6, "iou_max_rel": 1e-6, "conventions_max_px": 1e-3}

@@ -23,8 +23,7 @@ from annotator.workflows.proposing.propose_frames import propose_frames
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.training.samples import gather
 from benchmarks import loop
-from benchmarks.loop import Arguments, run
-from benchmarks.loop_scores import Scores
+from benchmarks.loop import Arguments, Scores, run
 
 KEYS = {"frames", "share_with_proposal", "mask_recall", "mask_precision", "mean_iou", "ap25", "ap50", "boxes_2d"}
 

@@ -25,10 +25,17 @@ from annotator.workflows.evaluating.evaluate_files import Protocol, evaluate_fil
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.training.samples import gather
 from benchmarks import paper, paper_protocol
-from benchmarks.paper_frames import split_of
-from benchmarks.paper_settings import SUNRGBD_CLASSES, Preset, Trainings
-from benchmarks.paper_stages import Stages
-from benchmarks.paper_tables import KITTI_ROWS, SUNRGBD_MAP, SUNRGBD_ROW, kitti_ap, kitti_table
+from benchmarks.paper_protocol import Stages, split_of
+from benchmarks.paper_tables import (
+    KITTI_ROWS,
+    SUNRGBD_CLASSES,
+    SUNRGBD_MAP,
+    SUNRGBD_ROW,
+    Preset,
+    Trainings,
+    kitti_ap,
+    kitti_table,
+)
 
 WIDTH, HEIGHT, FOCAL = 620, 188, 360.0
 MIDDLE = np.array([WIDTH, HEIGHT]) / 2

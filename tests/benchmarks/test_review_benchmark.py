@@ -17,12 +17,23 @@ from annotator.types import Box2D, BoxKind, DetectorKind, OrientedBox, Proposal,
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth
-from benchmarks.keystrokes import CHORD_S, CLICK_S, DRAG_S, KEY_S, SHIFT_CLICK_S, Bill, M, number_s
 from benchmarks.review import Arguments, run
-from benchmarks.review_moves import moves, plan, shaky, steady
+from benchmarks.review_moves import (
+    CHORD_S,
+    CLICK_S,
+    DRAG_S,
+    KEY_S,
+    SHIFT_CLICK_S,
+    Bill,
+    M,
+    moves,
+    number_s,
+    plan,
+    shaky,
+    steady,
+)
 from benchmarks.review_operator import Operator
-from benchmarks.review_peers import peers
-from benchmarks.review_projects import without_labels
+from benchmarks.review_peers import peers, without_labels
 
 QUALITY = 0.7
 BOX = OrientedBox.from_parts(

@@ -9,7 +9,7 @@ import pytest
 
 from annotator.types.errors import ConfigError
 from benchmarks import step
-from benchmarks.stopwatch import Stopwatch
+from benchmarks.step import Stopwatch
 
 
 def test_all_stages_are_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,9 +9,8 @@ import pytest
 
 from annotator.types.errors import ConfigError
 from benchmarks import workbench
-from benchmarks.workbench_browser import frames_of
-from benchmarks.workbench_edits import clients
-from benchmarks.workbench_server import LABEL, make_project, percentile, serving
+from benchmarks.served import LABEL, frames_of, make_project, percentile, serving
+from benchmarks.workbench import clients
 
 
 @pytest.mark.parametrize(
@@ -28,7 +27,7 @@ def test_percentiles_by_the_nearest_rank_method(values: list[float], percent: fl
 
 
 def test_an_unknown_part_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["workbench", "--only", "kill,colour"])
+    monkeypatch.setattr(sys, "argv", ["workbench", "--only", "switch,colour"])
     with pytest.raises(ConfigError, match="colour"):
         workbench.main()
 
