@@ -50,7 +50,7 @@ def live_settings(config: RcvConfig) -> RcvConfig:
     """Returns the settings for live recursion: no refinement steps, unless the settings set their number.
 
     Refinement steps are a fifth of the views, more for objects cut off by the image border, and gain little
-    (docs/notebook/view_size.md).
+    (docs/notebook.md).
     """
     if "refine_steps" in config.consensus.model_fields_set:
         return config

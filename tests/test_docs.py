@@ -1,4 +1,4 @@
-"""The pictures of the documentation: all of them are shown, they are small, and tables of results follow from files."""
+"""The documentation: its pictures are shown and small, its links lead somewhere, its tables follow from files."""
 
 from __future__ import annotations
 
@@ -32,6 +32,32 @@ def test_every_picture_is_shown_and_exists_and_is_small() -> None:
     assert shown == stored
     large = [path.name for path in stored if path.stat().st_size > MOST_BYTES[path.suffix]]
     assert not large
+
+
+def headings(page: Path) -> set[str]:
+    """The anchors of a page: its headings in GitHub's form."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    found = [line.lstrip("#").strip() for line in text.splitlines() if line.startswith("#")]
+    return {re.sub(r"[^\w\- ]", "", name.lower()).replace(" ", "-") for name in found}
+
+
+def test_links_between_pages_lead_to_what_exists() -> None:
+    dead = []
+    for page in (*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "CHANGELOG.md"):
+        for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+            name, _, anchor = link.partition("#")
+            target = page.parent / name if name else page
+            if "://" in link or target.suffix in SUFFIXES:
+                continue
+            if not target.exists() or (anchor and anchor not in headings(target)):
+                dead.append(f"{page.name}: {link}")
+    assert dead == []
+
+
+def test_the_pages_stay_short() -> None:
+    assert sum(page.stat().st_size for page in DOCS.glob("**/*.md")) <= 160_000
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert len(changes.splitlines()) < 120 and len(changes.encode()) <= 10_000
 
 
 def row(label: str, taught: int, iou: float, objects: int = 9) -> dict[str, object]:
