@@ -35,10 +35,11 @@ def test_every_picture_is_shown_and_exists_and_is_small() -> None:
 
 
 def headings(page: Path) -> set[str]:
-    """The anchors of a page: its headings in GitHub's form."""
+    """The anchors of a page: its headings in GitHub's form, and those that it names."""
     text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     found = [line.lstrip("#").strip() for line in text.splitlines() if line.startswith("#")]
-    return {re.sub(r"[^\w\- ]", "", name.lower()).replace(" ", "-") for name in found}
+    named = re.findall(r'<a (?:id|name)="([^"]+)"', text)
+    return {re.sub(r"[^\w\- ]", "", name.lower()).replace(" ", "-") for name in found} | set(named)
 
 
 def test_links_between_pages_lead_to_what_exists() -> None:
