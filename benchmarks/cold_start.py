@@ -1,7 +1,7 @@
 """3D boxes of objects whose class was never seen, or of which a few were taught, from 2D boxes on the image.
 
     python -m benchmarks.cold_start DIR [--taught 0 1 5 20] [--upright | --free] [--image-box projected|label]
-        [--minutes 3 | --epochs N | --untrained] [--no-sizes] [--mirrored]
+        [--minutes 3 | --epochs N | --untrained] [--no-sizes]
         [--seed N] [--json]
 
 With `--taught 0` alone, the base detector is tried on all frames. Otherwise the first half of the recording teaches and
@@ -25,7 +25,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Literal, cast
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
@@ -47,7 +47,7 @@ from annotator.rcv.config import Orientation, RcvConfig, ViewConfig
 from annotator.rcv.first_look import in_middle, width_at
 from annotator.rcv.rotation_search import spread_rotations
 from annotator.recordings import Recording, open_recording
-from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, OrientedBox, PseudoView, Truth
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import load_detector, view_model
@@ -101,63 +101,6 @@ def _tightest(xyz: Float[np.ndarray, "n 3"], up: Float64[np.ndarray, "3"] | None
     return min(boxes, key=lambda box: box.volume_m3)
 
 
-# A box and the one of the mirror image are the same object from this IoU on.
-SAME_IOU = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Mirrored:
-    """Averages each box with that of the left-right mirror image; takes twice as long. Only for pseudo-views."""
-
-    detector: Detector
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return self.detector.labels
-
-    @property
-    def fingerprint(self) -> str:
-        return self.detector.fingerprint + " and mirrored"
-
-    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-        """As `Detector.detect`."""
-        mirrored = [replace(cast(PseudoView, image), rgb=np.ascontiguousarray(image.rgb[:, ::-1])) for image in images]
-        plain, other = self.detector.detect(images), self.detector.detect(mirrored)
-        return [
-            _averaged(boxes, [_mirror_image(box, image.rgb.shape[1]) for box in twins])
-            for image, boxes, twins in zip(images, plain, other, strict=True)
-        ]
-
-
-def _mirror_image(box: Box2D, width_px: int) -> Box2D:
-    sigma = box.edge_sigma_px
-    swapped = None if sigma is None else (sigma[2], sigma[1], sigma[0], sigma[3])
-    x_min, x_max = width_px - 1 - box.x_max, width_px - 1 - box.x_min
-    return replace(box, x_min=x_min, x_max=x_max, edge_sigma_px=swapped)
-
-
-def _averaged(boxes: Sequence[Box2D], twins: Sequence[Box2D]) -> list[Box2D]:
-    """Each box, averaged with the twin that overlaps it most, if there is one; a lonely box keeps half of its score."""
-    found = []
-    for box in boxes:
-        same = max((twin for twin in twins if twin.label == box.label), key=lambda twin: _iou(box, twin), default=None)
-        if same is None or _iou(box, same) < SAME_IOU:
-            found.append(replace(box, score=box.score / 2))
-            continue
-        edges = (np.array(box.xyxy) + np.array(same.xyxy)) / 2
-        x_min, y_min, x_max, y_max = edges.tolist()
-        mean = replace(box, x_min=x_min, y_min=y_min, x_max=x_max, y_max=y_max, score=(box.score + same.score) / 2)
-        found.append(mean)
-    return sorted(found, key=lambda box: -box.score)
-
-
-def _iou(a: Box2D, b: Box2D) -> float:
-    width = min(a.x_max, b.x_max) - max(a.x_min, b.x_min)
-    height = min(a.y_max, b.y_max) - max(a.y_min, b.y_min)
-    shared = max(width, 0.0) * max(height, 0.0)
-    return shared / (a.width_px * a.height_px + b.width_px * b.height_px - shared)
-
-
 LEVELS = {"recall_25": 0.25, "recall_50": 0.5, "recall_70": 0.7}
 
 
@@ -177,8 +120,6 @@ class Arguments:
     """Freely rotated boxes (default for other recordings)."""
     base: Path | None = None
     """Weights of a base detector for --taught 0; None = the one of the package."""
-    mirrored: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Average each view's boxes with those of its mirror image, with --taught 0."""
     no_sizes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Use no typical sizes, neither of well-known classes nor of taught objects."""
     minutes: float = 3.0
@@ -457,7 +398,7 @@ def run(args: Arguments) -> dict[str, object]:
     if 0 in args.taught:
         base = BaseDetector.load(args.base, args.backend, args.upright, args.free)
         config = RcvConfig(view=ViewConfig(size_px=base.size_px)).for_detector(BoxKind.BOX, True)
-        detector = Mirrored(base.detector) if args.mirrored else base.detector
+        detector = base.detector
         results += rows(tried(recording, indices[half:], detector, config, args), 0, 0.0)
         results += rows(guessed(recording, indices[half:], args), 0, 0.0)
     known = taught_objects(recording, indices[:half], args)

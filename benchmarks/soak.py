@@ -23,6 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import httpx
+import numpy as np
 import tyro
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -45,7 +46,6 @@ from benchmarks.served import (
     signed_in,
     until,
 )
-from benchmarks.workbench import box_at
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -271,11 +271,16 @@ def _change(state: dict[str, Any], chance: random.Random) -> dict[str, Any]:
     if len(labels) >= MOST_LABELS:
         kind = "delete"
     if not labels or kind == "create":
-        return {"kind": "create", "label": LABEL, "box": box_at(round(chance.uniform(-2, 2), 6))}
+        return {"kind": "create", "label": LABEL, "box": _box_at(round(chance.uniform(-2, 2), 6))}
     change = {"kind": kind, "uid": chance.choice(labels)}
     if kind == "edit":
-        change |= {"label": LABEL, "box": box_at(round(chance.uniform(-2, 2), 6)), "track_id": None}
+        change |= {"label": LABEL, "box": _box_at(round(chance.uniform(-2, 2), 6)), "track_id": None}
     return change
+
+
+def _box_at(x_m: float) -> dict[str, Any]:
+    """A box in front of the camera."""
+    return {"center": [x_m, 0.0, 3.0], "size": [0.5, 0.6, 1.7], "rotation": np.eye(3).tolist()}
 
 
 def _listen(server: Server, client: httpx.Client, seen: Seen, stop: threading.Event) -> None:
