@@ -104,10 +104,6 @@ def _result(proposals: Sequence[Proposal], truths: Sequence[Truth]) -> FrameResu
 
 
 def check(args: Arguments) -> None:
-    """
-    Raises:
-        ConfigError: a number out of its range, or two flags that contradict each other.
-    """
     if args.upright and args.free:
         raise ConfigError("--upright and --free contradict each other; give at most one")
     for flag, value in (("--jitter", args.jitter), ("--min-points", args.min_points), ("--seed", args.seed)):
@@ -118,12 +114,7 @@ def check(args: Arguments) -> None:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: as `check`.
-        RecordingError: the folder is not a recording.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     check(args)
     recording = open_recording(args.folder)
     tallies: dict[Strategy, dict[str, Tally]] = {s: defaultdict(Tally) for s in args.strategies}

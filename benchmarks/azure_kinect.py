@@ -43,11 +43,7 @@ class Arguments:
 
 
 def read_rows(path: Path) -> dict[str, np.ndarray]:
-    """The columns of the CSV file, by name.
-
-    Raises:
-        FormatError: the file cannot be read, a column is missing, or a value is not a number.
-    """
+    """The columns of the CSV file, by name."""
     names = (*PIXEL, *DEPTH, *IN_DEPTH, *IN_COLOR, *COLOR_PIXEL)
     values: list[list[float]] = []
     try:
@@ -98,12 +94,7 @@ def frame_ms(recording: AzureKinect, repeats: int) -> float:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: the recording is not from an Azure Kinect, or a number is out of range.
-        InputError: the recording or the rows cannot be read.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     if not 0 <= args.repeats <= 1_000_000:
         raise ConfigError(f"--repeats must be 0 to 1000000, not {args.repeats}")
     recording = open_recording(args.recording)

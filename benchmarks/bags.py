@@ -115,11 +115,7 @@ def forget(path: Path) -> None:
 
 
 def measure(path: Path, count: int) -> Measured:
-    """Opens the bag and reads `count` frames in random order; runs in a process of its own.
-
-    Raises:
-        RecordingError: the bag cannot be read.
-    """
+    """Opens the bag and reads `count` frames in random order; runs in a process of its own."""
     from annotator.recordings import open_recording
     from annotator.recordings.ros import decode, recording  # noqa: F401 - not part of the time
 

@@ -155,12 +155,7 @@ class Job:
 
 
 def prepare_job(args: Arguments, folder: Path) -> Job:
-    """Creates the job described by the arguments.
-
-    Raises:
-        ConfigError: a project without a recording, a recording without a project, or a number below 1.
-        AnnotatorError: the project or the recording cannot be opened.
-    """
+    """Creates the job described by the arguments."""
     if (args.project is None) != (args.recording is None):
         raise ConfigError("--project and --recording belong together; give both or neither")
     if min(args.frames, args.repeats, args.different, *args.workers) < 1:
@@ -184,11 +179,7 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
 
 
 def seconds(engine: Engine, job: Job) -> float:
-    """Seconds that a started engine needs for the job, from reading the first frame to storing the last one.
-
-    Raises:
-        ConfigError: frames failed, so the measurement is invalid.
-    """
+    """Seconds that a started engine needs for the job, from reading the first frame to storing the last one."""
     with TemporaryDirectory() as temporary:
         settings = ProjectSettings(rotation=job.rotation)
         with create_project(Path(temporary), "batch", job.classes, settings=settings) as project:
@@ -200,12 +191,7 @@ def seconds(engine: Engine, job: Job) -> float:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: unusable arguments, or frames failed.
-        AnnotatorError: an engine failed.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     start_s: dict[tuple[str, int], float] = {}
     with TemporaryDirectory() as temporary, ExitStack() as stack:
         job = prepare_job(args, Path(temporary))

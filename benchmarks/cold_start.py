@@ -170,11 +170,7 @@ class Shot:
 def given_boxes(
     recording: Recording, frame: Frame, truths: Sequence[Truth], args: Arguments, rng: np.random.Generator
 ) -> Iterator[Given]:
-    """Yields the objects with enough points, with their 2D boxes.
-
-    Raises:
-        ConfigError: a label has no 2D box.
-    """
+    """Yields the objects with enough points, with their 2D boxes."""
     mask = load_mask(recording, frame) if _takes_masks(recording, args) else None
     for number, truth in enumerate(truths):
         if args.image_box == "projected":
@@ -215,12 +211,7 @@ class BaseDetector:
 
     @classmethod
     def load(cls, weights: Path | None, backend: Backend, upright: bool, free: bool) -> BaseDetector:
-        """Loads weights; None = those of the package.
-
-        Raises:
-            ConfigError: both orientations.
-            DetectionError, FormatError: there are no weights, or they cannot be loaded.
-        """
+        """Loads weights; None = those of the package."""
         check_orientation(upright, free)
         path = weights or base_weights()
         return cls(load_detector(path, backend), read_trained(path.parent).image_size_px, upright, free)
@@ -239,10 +230,6 @@ def orientation_of(frame: Frame, upright: bool, free: bool) -> Orientation:
 
 
 def check_orientation(upright: bool, free: bool) -> None:
-    """
-    Raises:
-        ConfigError: both.
-    """
     if upright and free:
         raise ConfigError("--upright and --free contradict each other; give at most one")
 
@@ -381,13 +368,7 @@ def rows(ious: Mapping[str, Sequence[float]], taught: int, seconds: float) -> li
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: invalid arguments.
-        DetectionError: there is no base detector.
-        RecordingError: the folder is not a recording.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     check_orientation(args.upright, args.free)
     if not args.taught or min(args.taught) < 0:
         raise ConfigError(f"--taught takes numbers of objects from 0 on, not {args.taught}")

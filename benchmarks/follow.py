@@ -63,11 +63,7 @@ class TrackScore:
 
 
 def true_tracks(recording: Recording) -> dict[tuple[str, int], dict[int, Truth]]:
-    """The true boxes of each track by frame index; objects without ids form one track if no frame has two of a class.
-
-    Raises:
-        ConfigError: the labels have no track ids, and a frame has several objects of a class.
-    """
+    """The true boxes of each track by frame index; objects without ids are one track if no frame has two of a class."""
     tracks: dict[tuple[str, int], dict[int, Truth]] = defaultdict(dict)
     for index in range(len(recording)):
         for truth in load_truth(recording, index, recording.frame(index)):
@@ -121,12 +117,7 @@ def _points(frame: Frame, box: OrientedBox) -> int:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: invalid arguments, or the recording has no tracks.
-        RecordingError: the folder is not a recording.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     check_orientation(args.upright, args.free)
     recording = open_recording(args.folder)
     scores = []

@@ -89,11 +89,7 @@ class ConventionDifference:
 
 
 def convention_differences(path: Path) -> Iterator[ConventionDifference]:
-    """The differences of every label in the file.
-
-    Raises:
-        FormatError: the file does not have the expected content.
-    """
+    """The differences of every label in the file."""
     try:
         entries = TypeAdapter(list[Entry]).validate_python(json.loads(path.read_text(encoding="utf-8"))["labels"])
     except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
@@ -195,12 +191,7 @@ class Part:
 
 
 def measure(folder: Path) -> dict[str, object]:
-    """The largest difference of each part, where it occurs, and the number of compared values.
-
-    Raises:
-        ConfigError: the folder contains none of the parts.
-        FormatError: one of its files does not follow its format.
-    """
+    """The largest difference of each part, where it occurs, and the number of compared values."""
     result: dict[str, object] = {}
     worst: dict[str, str | None] = {}
     compared: dict[str, int] = {}

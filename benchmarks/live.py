@@ -81,12 +81,7 @@ class Arguments:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: a duration or a number of frames that is too small; or as `benchmarks.loop`.
-        AnnotatorError: a stage failed.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     if not args.seconds > 0:
         raise ConfigError(f"--seconds must be above 0, not {args.seconds:g}")
     recording = open_recording(args.directory)
@@ -143,11 +138,7 @@ class _Run:
         self.frames = self.objects = self.warm = 0
 
     def figures(self, seconds: float, frames: int | None) -> Figures:
-        """Runs for a number of seconds, or for a number of frames of the source.
-
-        Raises:
-            AnnotatorError: a stage failed.
-        """
+        """Runs for a number of seconds, or for a number of frames of the source."""
         pipeline = Pipeline(self._source, self._detection, self._show, max_frames=frames)
         pipeline.meter.window_s = math.inf
         self._page = LivePage(self._source.name, {})

@@ -79,12 +79,7 @@ class Scores:
         self.frames += 1
 
     def add(self, index: int, frame: Frame, proposed: FrameProposals) -> None:
-        """Counts the proposals of one test frame.
-
-        Raises:
-            RecordingError: the recording has neither boxes nor masks.
-            FormatError: the boxes or the mask cannot be read.
-        """
+        """Counts the proposals of one test frame."""
         mask = load_mask(self.recording, frame)
         boxed = mask is None or has_truth(self.recording)
         truths = [t for t in load_truth(self.recording, index, frame) if t.label in self.labels] if boxed else []
@@ -183,23 +178,14 @@ class Arguments:
 
     @property
     def rotation(self) -> BoxRotation | None:
-        """The rotation given by the arguments; None if the recording determines it.
-
-        Raises:
-            ConfigError: --upright and --free are both given.
-        """
+        """The rotation given by the arguments; None if the recording determines it."""
         if self.upright and self.free:
             raise ConfigError("--upright and --free exclude each other; give at most one")
         return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else None
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: arguments that contradict each other, the recordings or the kept project.
-        AnnotatorError: a stage failed.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     recording = open_recording(args.train_dir)
     test = recording if args.test_dir is None else open_recording(args.test_dir)
     if not (has_truth(test) or has_masks(test)):
@@ -237,9 +223,6 @@ def trained_project(
     Args:
         step: 2 = every second frame.
         seconds: receives the seconds of labelling and training, if this run does them.
-
-    Raises:
-        ConfigError, AnnotatorError: as `run`.
     """
     with TemporaryDirectory() as temporary, _project(args, recording, args.rotation, Path(temporary)) as project:
         yield project, _label_and_train(project, recording, step, args, seconds)
@@ -287,11 +270,7 @@ def _project(args: Arguments, recording: Recording, rotation: BoxRotation | None
 
 
 def _require_same(args: Arguments, rotation: BoxRotation | None, project: Project) -> None:
-    """Checks the arguments against a kept project, whose labels and detectors do not change.
-
-    Raises:
-        ConfigError: an argument contradicts the project.
-    """
+    """Checks the arguments against a kept project, whose labels and detectors do not change."""
     stored, kind = project.config.settings.rotation, _box_kind(project)
     where = f"the project {project.path}"
     if rotation not in (None, stored):

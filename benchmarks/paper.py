@@ -89,11 +89,7 @@ class Arguments:
         return Trainings(self.settings, self.model, self.epochs, self.image_epochs, self.size, self.image_size)
 
     def plan(self) -> TrainPlan:
-        """The settings of both training runs with seeds and initial weights, checked.
-
-        Raises:
-            ConfigError: a setting out of its range.
-        """
+        """The settings of both training runs with seeds and initial weights, checked."""
         changes = {
             "pretrained": self.weights if self.weights in ("auto", "never") else Path(self.weights),
             "seed": self.seed,
@@ -110,12 +106,7 @@ class Arguments:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the whole protocol; returns what `--json` prints.
-
-    Raises:
-        ConfigError: arguments that contradict each other or the data set; or failed test frames.
-        AnnotatorError: a stage failed.
-    """
+    """Runs the whole protocol; returns what `--json` prints."""
     if args.limit is not None and args.limit < 1:
         raise ConfigError(f"--limit must be 1 or more, not {args.limit}")
     plan, classes = args.plan(), classes_of(args.dataset, args.classes)

@@ -85,10 +85,6 @@ def split_of(recording: Recording, seed: int) -> FrameSplit:
 
     KITTI: `ImageSets/train.txt` and `val.txt`. SUN RGB-D: VoteNet's `train_data_idx.txt` and `val_data_idx.txt`, or the
     toolbox's `allsplit.mat`.
-
-    Raises:
-        ConfigError: another data set's format; or lists that share a frame, or without any frame of the recording.
-        FormatError: lists that cannot be read.
     """
     if recording.format not in LAYOUTS:
         raise ConfigError(
@@ -116,11 +112,7 @@ def split_of(recording: Recording, seed: int) -> FrameSplit:
 
 
 def labelled_classes(recording: Recording) -> frozenset[str]:
-    """The classes of a KITTI recording's labels, including small and occluded objects.
-
-    Raises:
-        FormatError: labels that cannot be read.
-    """
+    """The classes of a KITTI recording's labels, including small and occluded objects."""
     classes: set[str] = set()
     for key in recording.keys:
         file = label_file(recording, key)
@@ -135,11 +127,7 @@ def labelled_classes(recording: Recording) -> frozenset[str]:
 
 
 def link_frames(recording: Recording, keys: Sequence[str], folder: Path) -> None:
-    """Creates a folder of links to the frames' files, in the recording's layout; on failure, the folder is removed.
-
-    Raises:
-        FormatError: the folder or a link cannot be created.
-    """
+    """Creates a folder of links to the frames' files, in the recording's layout; on failure, the folder is removed."""
     folders, files = LAYOUTS[recording.format]
     with new_folder(folder, lambda _: True) as out:
         if isinstance(recording, SunRgbdScenes):
@@ -191,11 +179,7 @@ def _votenet_keys(path: Path) -> list[str]:
 
 
 def _toolbox_lists(path: Path) -> tuple[list[str], list[str]]:
-    """Training and test keys from the toolbox's cell arrays `alltrain` and `alltest`, which list paths of scenes.
-
-    Raises:
-        FormatError: the file cannot be read, or has other content.
-    """
+    """Training and test keys from the toolbox's cell arrays `alltrain` and `alltest`, which list paths of scenes."""
     try:
         train, test = (read_mat(path, name, MOST_LIST_BYTES) for name in ("alltrain", "alltest"))
     except (OSError, MatFileError) as error:
@@ -259,10 +243,6 @@ class Stages:
             settings: everything on which the result depends besides the previous stages.
             work: does the work. It must resume or restart after an interrupted run.
             is_kept: returns whether the files or rows that an earlier result refers to still exist.
-
-        Raises:
-            FormatError: a record cannot be read or written.
-            AnnotatorError: the work failed.
         """
         all_settings = {**settings, "after": self._last}
         key = hashlib.sha256(json.dumps([stage, all_settings], sort_keys=True).encode()).hexdigest()[:12]
@@ -418,11 +398,7 @@ class ProjectStages:
         return any(m.id == result["model"] and m.path.is_file() for m in self.project.models.all())
 
     def propose(self) -> Facts:
-        """Runs RCV on the test frames.
-
-        Raises:
-            ConfigError: a frame failed or was skipped.
-        """
+        """Runs RCV on the test frames."""
         config = rcv_config(self.project, options=self.options)
         done = annotate(self.project, active_detectors(self.project), config, recordings=[self._recording(VAL)])
         if done.failed:

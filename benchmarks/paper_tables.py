@@ -118,11 +118,7 @@ def classes_of(dataset: Dataset, classes: Classes) -> tuple[str, ...]:
 
 
 def _with(start: TrainingConfig, model: str | None, epochs: int | None, size: int | None) -> TrainingConfig:
-    """The settings, with each value that is not None replaced.
-
-    Raises:
-        ValidationError: a number out of its range.
-    """
+    """The settings, with each value that is not None replaced."""
     options = {"model": model, "epochs": epochs, "image_size_px": size}
     changes = {name: value for name, value in options.items() if value is not None}
     return TrainingConfig.model_validate({**start.model_dump(), **changes})

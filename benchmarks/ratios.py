@@ -219,11 +219,7 @@ def _views() -> list[PseudoView]:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        DetectionError: the detectors' packages are missing.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     cv2.setNumThreads(1)
     with TemporaryDirectory() as folder:
         ratios = [*cpu_ratios(), *detector_ratios(Path(folder))]

@@ -74,23 +74,14 @@ class Arguments:
 
     @property
     def rotation(self) -> BoxRotation:
-        """The rotation of the boxes.
-
-        Raises:
-            ConfigError: --upright and --free are both given.
-        """
+        """The rotation of the boxes."""
         if self.upright and self.free:
             raise ConfigError("--upright and --free exclude each other; give at most one")
         return BoxRotation.UPRIGHT if self.upright else BoxRotation.FREE if self.free else BoxRotation.AUTO
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: invalid arguments, or nothing to review.
-        AnnotatorError: the recording cannot be read, or a training failed.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     parts = [part.strip() for part in args.only.split(",") if part.strip()]
     if unknown := [part for part in parts if part not in PARTS]:
         raise ConfigError(f"--only: unknown row {unknown[0]!r}; the rows are {', '.join(PARTS)}")

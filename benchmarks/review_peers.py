@@ -172,12 +172,7 @@ def copied(project: Path, folder: Path, name: str) -> Iterator[Project]:
 
 @contextmanager
 def unlabelled(path: Path, folder: Path, rotation: BoxRotation) -> Iterator[Project]:
-    """A new project of a recording with true boxes, which are not in the project.
-
-    Raises:
-        ConfigError: the recording has no true boxes, or too few frames.
-        AnnotatorError: it cannot be read.
-    """
+    """A new project of a recording with true boxes, which are not in the project."""
     recording = open_recording(path)
     if len(recording) < 2 * TAUGHT_FRAMES:
         raise ConfigError(
@@ -204,10 +199,6 @@ def teach(
 
     Returns:
         The project's folder.
-
-    Raises:
-        ConfigError: the recording has no true boxes, or too few frames.
-        AnnotatorError: it cannot be read, or the training failed.
     """
     with unlabelled(path, folder, rotation) as project:
         recording = open_recording(path)
@@ -230,9 +221,6 @@ def propose(project: Project, *, with_base: bool) -> None:
 
     Args:
         with_base: let the base detector measure them, in place of the project's own view detector.
-
-    Raises:
-        DetectionError: a detector is missing, or cannot be loaded.
     """
     image = active_model(project, DetectorKind.IMAGE)
     view = base_model() if with_base else view_model(project)
@@ -254,9 +242,6 @@ def measured_by(project: Project) -> list[str]:
 def without_labels(project: Project) -> None:
     """Deletes what a project's frames hold, and takes its own detectors out of use, so that the base detector measures
     boxes: a project as it begins.
-
-    Raises:
-        ProjectError: the store refuses a change.
     """
     for frame in project.frames.of():
         revision = frame.revision

@@ -100,11 +100,7 @@ def serving(projects: Path, log: Path | None = None) -> Iterator[Server]:
 
 
 def answered(response: httpx.Response) -> Any:
-    """The JSON of a response; None if it is empty.
-
-    Raises:
-        ConfigError: the response is an error.
-    """
+    """The JSON of a response; None if it is empty."""
     if response.is_error:
         raise ConfigError(f"{response.request.method} {response.request.url.path}: {response.text[:300]}")
     return response.json() if response.content else None
@@ -225,11 +221,7 @@ BEGINNINGS = """() => {
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Headless Chromium that renders WebGL in software.
-
-    Raises:
-        ConfigError: playwright or Chromium is not installed.
-    """
+    """Headless Chromium that renders WebGL in software."""
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
@@ -272,11 +264,7 @@ def open_mode(page: Page, project: str, mode: str, frame: int) -> None:
 
 
 def until(page: Page, expression: str, seconds: float) -> None:
-    """Waits until a JavaScript expression is true.
-
-    Raises:
-        ConfigError: the time has expired.
-    """
+    """Waits until a JavaScript expression is true."""
     end = time.monotonic() + seconds
     while not page.evaluate(expression):
         if time.monotonic() > end:
@@ -290,11 +278,7 @@ def watch(page: Page, trigger: str, selector: str, with_view: bool) -> None:
 
 
 def measured(page: Page) -> dict[str, float]:
-    """When the image ("picture") and the 3D view ("view") were on screen, milliseconds after the event.
-
-    Raises:
-        ConfigError: the image was not shown in time.
-    """
+    """When the image ("picture") and the 3D view ("view") were on screen, milliseconds after the event."""
     until(page, "window.measured !== null", WATCH_S + OPENS_WITHIN_S)
     shown: dict[str, float | None] = page.evaluate("window.measured")
     times = {name: value for name, value in shown.items() if value is not None}

@@ -111,11 +111,7 @@ class Seen:
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: an unknown kind of job, no browser, or a server that does not start.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     kinds = [kind.strip() for kind in args.jobs.split(",") if kind.strip()]
     if unknown := [kind for kind in kinds if kind not in JOBS]:
         raise ConfigError(f"--jobs: unknown kind {unknown[0]!r}; the kinds are {', '.join(JOBS)}")

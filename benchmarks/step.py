@@ -194,10 +194,6 @@ def timed_frame(
 
 
 def check(args: Arguments) -> None:
-    """
-    Raises:
-        ConfigError: a number out of its range.
-    """
     for flag, value, low, high in (
         ("--points", args.points, 500, 120_000),
         ("--size-px", args.size_px, 32, 2048),
@@ -208,11 +204,7 @@ def check(args: Arguments) -> None:
 
 
 def run(args: Arguments) -> dict[str, object]:
-    """Runs the benchmark; returns what `--json` prints.
-
-    Raises:
-        ConfigError: as `check`.
-    """
+    """Runs the benchmark; returns what `--json` prints."""
     check(args)
     cv2.setNumThreads(1)
     plain_config = RcvConfig(orientation=Orientation.FREE)

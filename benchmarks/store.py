@@ -232,11 +232,7 @@ class Arguments:
 
 
 def run(args: Arguments, folder: Path) -> dict[str, float]:
-    """Milliseconds by operation.
-
-    Raises:
-        ConfigError: a number out of its range.
-    """
+    """Milliseconds by operation."""
     if not 1 <= args.proposed <= args.frames or min(args.objects, args.imported, args.reviewed) < 0:
         raise ConfigError(
             f"--proposed must be 1 to --frames ({args.frames}), --objects, --imported and --reviewed 0 or more"

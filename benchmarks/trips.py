@@ -122,11 +122,7 @@ def values_of_box(number: int) -> dict[str, Any]:
 
 
 def fill(project: Project, recording: Recording, frames: int) -> None:
-    """Gives the first labelled frames of a recording their labels, with values of all attributes.
-
-    Raises:
-        ConfigError: the recording has no labels.
-    """
+    """Gives the first labelled frames of a recording their labels, with values of all attributes."""
     stored = register_recording(project, recording)
     ids = {frame.key: frame.id for frame in project.frames.of([stored.id])}
     for fields in SCHEMA:
@@ -176,11 +172,7 @@ def trip(project: Project, out: Path, format: ExportFormat) -> ExportReport:
 
 
 def measure(recording: Recording, folder: Path, format: ExportFormat, *, frames: int = 1, trips: int = 10) -> Outcome:
-    """Makes trips with a new project in `folder`.
-
-    Raises:
-        ConfigError: the recording has no labels, or is no sequence, which the format needs.
-    """
+    """Makes trips with a new project in `folder`."""
     with create_project(folder, "project", ["object"]) as project:
         fill(project, recording, frames)
         before, of_frames = _labels(project), list(project.frames.attributes().values())

@@ -65,11 +65,7 @@ class Arguments:
 
 
 def run(args: Arguments) -> dict[str, Any]:
-    """Milliseconds by part and recording, as `--json` prints them.
-
-    Raises:
-        ConfigError: an unknown part, no browser, or a server that does not start.
-    """
+    """Milliseconds by part and recording, as `--json` prints them."""
     parts = [part.strip() for part in args.only.split(",") if part.strip()]
     if unknown := [part for part in parts if part not in PARTS]:
         raise ConfigError(f"--only: unknown part {unknown[0]!r}; the parts are {', '.join(PARTS)}")
