@@ -101,13 +101,6 @@ def export(project: Project, out: Path, format: ExportFormat, **options: Any) ->
     return out
 
 
-def test_the_formats_page_names_the_versions() -> None:
-    page = (HERE.parent.parent / "docs/formats.md").read_text(encoding="utf-8")
-    pins = dict(line.split("==") for line in (HERE / "requirements.txt").read_text().splitlines() if "==" in line)
-    for name in ("pycocotools", "nuscenes-devkit", "labelCloud", "vcd", "openlabel-checker"):
-        assert f"{name} {pins[name]}" in page
-
-
 def test_nuscenes_devkit_reads_boxes_clouds_and_tracks(
     read: Read, project: Project, frames: dict[str, Any], tmp_path: Path
 ) -> None:
