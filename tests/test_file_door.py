@@ -45,7 +45,7 @@ EXCEPT = {
     "project/backup/snapshot.py": "SQLite; the path is checked to be a regular file",
     "project/backup/take_in.py": "regular files only, and no links",
     "project/backup/unfinished.py": "folders of our own",
-    "project/database/expected.py": "SQLite, in memory",
+    "project/migrations.py": "SQLite, in memory",
     "project/database/replaced.py": "SQLite, on a copy of our own",
     "web/tokens.py": "the token may come from a pipe",
 }

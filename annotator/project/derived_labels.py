@@ -69,8 +69,7 @@ def put_imported(connection: Connection, event: Event, payload: ProposalsImporte
     """Applies what other software says: replaces the open imported proposals, beside ours."""
     columns: dict[str, OwnColumns] = {}
     if payload.hidden or payload.kept:
-        if payload.hidden and payload.keeps_ours:
-            columns = _own_columns(connection, event, payload.hidden)
+        columns = _own_columns(connection, event, payload.hidden)
         hidden = (labels.c.source == Source.IMPORTED.value) | labels.c.uid.in_(payload.hidden)
         connection.execute(delete(labels).where(_is_open(event), hidden, labels.c.uid.not_in(payload.kept)))
     else:

@@ -1,16 +1,15 @@
 """The payloads of events: one model per kind.
 
-Events are never rewritten, so these models must read every existing database: a new field needs a default, and a
-changed meaning needs a new kind.
+Events are never rewritten, so from the first release on, these models must read every database: a new field then needs
+a default, and a changed meaning a new kind.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field, TypeAdapter, model_serializer, model_validator
+from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
 from annotator.project.classes.attributes import Attribute, AttributeName, ClassStyle, Value
 from annotator.project.classes.relabelling import Relabelling
@@ -195,12 +194,6 @@ class OwnProposal(BaseModel):
     said: tuple[SaidRecord, ...]
     attributes: dict[str, bool | int | Finite | str] | None = None
 
-    @model_serializer(mode="wrap")
-    def _without_none(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # as in projects from before values were lent
-        content = handler(self)
-        return content if self.attributes is not None else {"uid": content["uid"], "said": content["said"]}
-
 
 class CoveredBox(BaseModel):
     """A box that is not proposed, because the reviewed label with the uid `by` covers it."""
@@ -222,8 +215,6 @@ class ProposalsImported(_Payload):
         hidden: uids of those that do not: a surer box of other software is shown.
         covered: boxes of `source` that are not proposed.
         kept: as in `ProposalsReplaced`; the other fields leave them out.
-        keeps_ours: whether the tables keep the further columns of hidden ones; not so in older logs, whose rebuilt
-            tables must stay as they are.
     """
 
     kind: Literal["proposals_imported"] = "proposals_imported"
@@ -233,7 +224,6 @@ class ProposalsImported(_Payload):
     hidden: tuple[Uid, ...] = ()
     covered: tuple[CoveredBox, ...] = ()
     kept: tuple[Uid, ...] = ()
-    keeps_ours: bool = False
 
     def classes(self) -> set[str]:
         return {group[0].label for group in self.objects}
@@ -285,7 +275,7 @@ class LabelProposed(_Payload):
         proposal: with its trace, if the recursion found the box.
         box_kind: what the box encloses.
         attributes: as in `LabelCreated`.
-        origin: of a copy, which an operator has made; older logs do not tell.
+        origin: of a copy, which an operator has made.
         said: what other software says of the object, if this takes the place of its proposal.
     """
 

@@ -281,8 +281,8 @@ def open_project(
         clock: returns the current time, UTC nanoseconds since the epoch.
 
     Raises:
-        ProjectError: no project, a damaged one, one of a newer version, one that stays locked, or one with a link or a
-            model that leads out of its folder.
+        ProjectError: no project, a damaged one, one of a newer version or from before the first release, one that stays
+            locked, or one with a link or a model that leads out of its folder.
     """
     read_config(path)
     require_own_files(path)

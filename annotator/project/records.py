@@ -10,11 +10,11 @@ import json
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_serializer
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import PydanticSerializationError
 
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
@@ -186,14 +186,6 @@ class SaidRecord(BaseModel):
             track_id=said.track_id,
             box_kind=said.box_kind,
         )
-
-    @model_serializer(mode="wrap")
-    def _without_empty(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # as in projects from before these had attributes, columns of ours, ids of files, or lent values
-        content = handler(self)
-        optional = ("attributes", "own", "file_track_id", "lent")
-        empty = {name for name in optional if getattr(self, name) in (None, {}, ())}
-        return {name: value for name, value in content.items() if name not in empty}
 
     def said(self) -> Said:
         """What the source said."""

@@ -1,4 +1,4 @@
-"""The tables of the newest database version in SQLAlchemy Core (a test compares them with the migrations)."""
+"""The tables of the newest database version in SQLAlchemy Core; a test compares them with `migrations.py`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AnyRow = Any
 
 
 class PackedText(TypeDecorator[str]):
-    """Text; since database version 4, long texts are stored as zlib-compressed blobs (older rows stay text)."""
+    """Text; long texts are stored as zlib-compressed blobs."""
 
     impl = Text
     cache_ok = True
@@ -126,8 +126,8 @@ labels = Table(
     Column("track_linked", Boolean, nullable=False),
     Column("expected_iou_loss", Float),
     Column("suggestion", Text),
-    Column("box_kind", Text, nullable=False, server_default="box"),
-    Column("attributes", Text, nullable=False, server_default="{}"),
+    Column("box_kind", Text, nullable=False),
+    Column("attributes", Text, nullable=False),
     Column("said", Text),
 )
 
@@ -237,7 +237,7 @@ models = Table(
     Column("manifest", Text),
     Column("fingerprint", Text, nullable=False),
     Column("active", Boolean, nullable=False),
-    Column("sha256", Text),
+    Column("sha256", Text, nullable=False),
 )
 
 # Queries of many modules, built once, since building a statement takes longer than running it.

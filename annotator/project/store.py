@@ -17,12 +17,17 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
 from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
-from annotator.project.database.expected import require_own_triggers
 from annotator.project.database.file import DatabaseFile, database_file
 from annotator.project.database.patience import patience_s
 from annotator.project.database.replaced import keep_replaced, kept_copies
-from annotator.project.database.shape import MISFITS, require_tables
-from annotator.project.migrations import APPLICATION_ID, MIGRATIONS, Migration, require_known, upgrade
+from annotator.project.migrations import (
+    APPLICATION_ID,
+    application_problem,
+    newest_version,
+    require_known,
+    schema_problems,
+    upgrade,
+)
 from annotator.types.errors import RESTORE, ProjectError, ReplacedError
 
 DATABASE_FILE = "project.db"
@@ -39,6 +44,9 @@ LOG = logging.getLogger("annotator.project")
 _READ_ONLY = "is on a read-only disk, or you have no right to write it"
 _COPY_IT = "copy its folder to a place where you may write"
 _BEGIN, _WAITS_MS = "annotator_begin", "annotator_waits_ms"
+
+# SQLite's messages about statements that do not fit the tables; all have the general code SQLITE_ERROR.
+_MISFITS = ("no such table", "no such column", "has no column", "already exists", "duplicate column")
 
 LOCKED = "is locked by another process; close programs that use this project, or wait, and try again"
 _PROBLEMS: dict[int | None, str] = {
@@ -150,12 +158,8 @@ class Store:
         if not self.file.is_writable:
             raise ProjectError(f"{self.path}: {_READ_ONLY}, so nothing was saved; to change this project, {_COPY_IT}")
 
-    def upgrade(self, migrations: tuple[Migration, ...], *, is_new: bool = False) -> None:
-        """Runs the missing migrations.
-
-        Raises:
-            ProjectError: as `write`; or the database is newer.
-        """
+    def upgrade(self, *, is_new: bool = False) -> None:
+        """Runs the missing migrations; errors as in `write`."""
         if not self.file.is_writable:
             raise ProjectError(
                 f"{self.path}: was written by an older annotator and must be upgraded before it is used, but it "
@@ -164,9 +168,8 @@ class Store:
         with self._transaction("BEGIN IMMEDIATE", self.busy_timeout_s) as connection:
             if is_new:
                 connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
-            has_tokens = connection.exec_driver_sql("SELECT 1 FROM sqlite_master WHERE name = 'generation'").first()
-            upgrade(connection, self.path, migrations)
-            if has_tokens:  # else a migration has stored the first one
+            upgrade(connection)
+            if not is_new:  # version 1 has stored the first token
                 advance(connection)
 
     def _begin_writing(self, ends_s: float) -> None:
@@ -243,7 +246,7 @@ def create_store(path: Path, *, clock: Clock = time.time_ns) -> Store:
         with closing(store.engine.raw_connection()) as outside_transactions:
             # stored in the file, so it applies to every later connection
             outside_transactions.cursor().execute("PRAGMA journal_mode = WAL")
-        store.upgrade(MIGRATIONS, is_new=True)
+        store.upgrade(is_new=True)
     return store
 
 
@@ -252,7 +255,6 @@ def open_store(
     *,
     busy_timeout_s: float = BUSY_TIMEOUT_S,
     clock: Clock = time.time_ns,
-    migrations: tuple[Migration, ...] = MIGRATIONS,
     before_upgrade: Callable[[], None] | None = None,
 ) -> Store:
     """Opens the database at `path` and upgrades an older one to the newest version.
@@ -262,8 +264,8 @@ def open_store(
 
     Raises:
         ReplacedError: it is missing.
-        ProjectError: it is not a project database, damaged, locked, of a newer version, or has triggers or views of its
-            own; or the file `-wal` beside it belongs to another database.
+        ProjectError: it is not a project database, damaged, locked, of a newer version, or has other tables, triggers
+            or views than its version; or the file `-wal` beside it belongs to another database.
     """
     _require_file(path)
     if has_foreign_wal(path):
@@ -275,22 +277,20 @@ def open_store(
             version = connection.exec_driver_sql("PRAGMA user_version").scalar_one()
             # reading the schema detects a truncated or overwritten file at once
             connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
-        if application_id != APPLICATION_ID:
-            raise ProjectError(f"{path}: is an SQLite database, but not a project database; {RESTORE}")
-        if version < 1:
-            raise ProjectError(f"{path}: is damaged: its version is {version}; {RESTORE}")
-        require_known(version, path, migrations)
-        if migrations is MIGRATIONS:
-            with explained(path), closing(store.engine.raw_connection()) as raw:
-                assert isinstance(raw.driver_connection, sqlite3.Connection)
-                require_own_triggers(raw.driver_connection, path)
-        if version < migrations[-1].version:
+        if problem := application_problem(application_id):
+            raise ProjectError(f"{path}: {problem}")
+        require_known(version, path)
+        with explained(path), closing(store.engine.raw_connection()) as raw:
+            assert isinstance(raw.driver_connection, sqlite3.Connection)
+            if found := next(schema_problems(raw.driver_connection, version, serious=True), None):
+                raise ProjectError(
+                    f"{path}: {found}, so it was not opened. `annotator project repair` makes a new project of what "
+                    f"can be read of it; or {RESTORE}"
+                )
+        if version < newest_version():
             if before_upgrade is not None and store.file.is_writable:
                 before_upgrade()
-            store.upgrade(migrations)
-        if migrations is MIGRATIONS:
-            with store.read() as connection:
-                require_tables(connection, path)
+            store.upgrade()
         store.file.remember()
     return store
 
@@ -348,7 +348,7 @@ def is_lock(error: sqlite3.Error) -> bool:
 def _problem(cause: BaseException | None) -> str | None:
     """What is wrong, and what to do; None for an error that a database cannot cause."""
     if getattr(cause, "sqlite_errorcode", None) == sqlite3.SQLITE_ERROR:
-        if any(text in str(cause) for text in MISFITS):
+        if any(text in str(cause) for text in _MISFITS):
             return f"is damaged: its tables are not those of its version; {RESTORE}"
         if "malformed JSON" in str(cause):
             return f"is damaged: one of its rows cannot be read; {RESTORE}"

@@ -30,7 +30,7 @@ from annotator.project.event_types import (
 )
 from annotator.project.events import CLASSES, Effort, Event, insert_event
 from annotator.project.records import BoxRecord, parsed, storable
-from annotator.project.schema import events, frames, labels, recordings, revertible
+from annotator.project.schema import events, frames, labels, recordings
 from annotator.project.store import Store
 from annotator.types import ReviewState, Source
 from annotator.types.errors import (
@@ -59,18 +59,6 @@ _SEVERAL_BOXES = (
     .where(labels.c.track_id.is_not(None))
     .group_by(labels.c.track_id)
     .having(func.count() > 1)
-)
-_OF_TRACK = (
-    select(labels.c.uid, labels.c.event_id)
-    .where(labels.c.frame_id == bindparam("frame"), labels.c.track_id == bindparam("track"))
-    .where(labels.c.state != ReviewState.REJECTED.value)
-)
-# The state of a target before its first change since an event.
-_BEFORE = (
-    select(*(func.json_extract(revertible.c.before, f"$.{name}").label(name) for name in ("track_id", "state")))
-    .where(revertible.c.subject == bindparam("target"), revertible.c.event_id >= bindparam("event"))
-    .order_by(revertible.c.event_id)
-    .limit(1)
 )
 
 
@@ -274,10 +262,8 @@ class Writer:
             _apply(connection, event, where)
             appended.append(event)
         for track_id, boxes in _tracks_with_several_boxes(connection, frame_id).items():
-            # those of older projects stay until somebody mends them; `annotator check` finds them
-            if boxes <= before.get(track_id, 1):
-                continue
-            if context.undoes is None or not _were_of_track(connection, frame_id, track_id, context.undoes):
+            # a repair that lacks events can leave some until somebody mends them; `annotator check` finds them
+            if boxes > before.get(track_id, 1):
                 raise TrackTakenError(
                     f"{where}: track {track_id} has a box in this frame already, and an object has one box in a frame; "
                     "give one of them another track, or delete the other box",
@@ -344,20 +330,6 @@ def require_writable(connection: Connection, frame_id: int, context: WriteContex
 def _tracks_with_several_boxes(connection: Connection, frame_id: int | None) -> dict[int, int]:
     """The number of boxes of each track that has more than one in a frame; rejected ones do not count."""
     return {row.track_id: row.boxes for row in connection.execute(_SEVERAL_BOXES, {"frame": frame_id})}
-
-
-def _were_of_track(connection: Connection, frame_id: int | None, track_id: int, action: str) -> bool:
-    """Whether all boxes that a track has in a frame were its boxes before an action, too."""
-    first = select(func.min(events.c.id)).where(events.c.action == action, events.c.frame_id == frame_id)
-    since = connection.execute(first).scalar_one()
-
-    def was(uid: str, last_event: int) -> bool:
-        before = connection.execute(_BEFORE, {"target": f"label:{uid}", "event": since}).first()
-        if before is None:  # unchanged, or changed by a pass or an import
-            return last_event < since
-        return before.track_id == track_id and before.state != ReviewState.REJECTED.value
-
-    return all(was(*row) for row in connection.execute(_OF_TRACK, {"frame": frame_id, "track": track_id}).all())
 
 
 def _is_action(frame_id: int | None, payloads: Sequence[Payload], context: WriteContext, action: str | None) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from killer import Killer
-from old_versions import make_older
+from next_version import NEXT, NOW, use_next, version_of
 from sound import labels_in, require_sound
 
 from annotator.cli.main import main
@@ -88,7 +88,6 @@ COMMANDS: dict[str, tuple[list[str], Callable[[Path], None] | None]] = {
     "copy by name": (["project", "copy", "long", "new"], None),
     "repair": (["project", "repair", "long"], None),
     "salvage": (["project", "repair", "long", "new"], damage),
-    "upgrade": (["stats", "long"], make_older),
 }
 
 
@@ -110,3 +109,23 @@ def test_a_kill_leaves_nothing_half(killer: Callable[[Path], Killer], long: Path
             require_sound(kills.folder / each)
         for backup in (kills.folder / ".backups" / "long").glob("*.zip"):
             assert read_manifest(backup).labels == LABELS
+
+
+def test_a_killed_upgrade_changes_all_or_nothing(
+    killer: Callable[[Path], Killer], long: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_next(monkeypatch)
+    kills = killer(long)
+    kills.migration = NEXT.statements
+    versions = set()
+    for end in kills.kills("stats", "long", "--projects", kills.folder):
+        version = version_of(kills.folder / "long" / "project.db")
+        versions.add(version)
+        assert version in (NOW, NEXT.version)
+        assert end.was_killed or version == NEXT.version
+        with open_project(kills.folder / "long") as project:
+            assert project.statistics().labels.total == LABELS
+        require_sound(kills.folder / "long")
+        for backup in (kills.folder / ".backups" / "long").glob("*.zip"):
+            assert read_manifest(backup).labels == LABELS
+    assert len(versions) == 2, "no kill came before the end of the migration, or none after it"

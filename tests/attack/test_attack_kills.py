@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 from killer import Killer
-from old_versions import replaced_by, version_one
 from sound import Labels, content_of, labels_in, require_sound
-from store_samples import proposal_at
 
 from annotator.project import open_project
-from annotator.project.migrations import MIGRATIONS
 
 # 20 kills of a training, on a busy machine
 pytestmark = pytest.mark.timeout(3600)
@@ -95,37 +91,3 @@ def test_a_killed_import_stores_whole_frames_and_goes_on(
     kills.whole("export", "room", tmp_path / "labels", "--projects", labelled, "--format", "openlabel")
     words = ["import", "room", tmp_path / "labels", "--format", "openlabel", "--projects", kills.folder]
     require_whole_frames(kills, words, wanted)
-
-
-@pytest.fixture(scope="module")
-def old_version(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A projects folder with `old`, a project of database version 1 with many events; do not change it."""
-    root, proposal = tmp_path_factory.mktemp("old"), proposal_at(steps=3, views=4)
-    version_one(root, {f"f{number}": [replaced_by(f"u{number}", proposal)] for number in range(OLD_FRAMES)})
-    return root
-
-
-def test_a_killed_migration_changes_all_or_nothing(killer: Callable[[Path], Killer], old_version: Path) -> None:
-    kills = killer(old_version)
-    words = ["stats", "old", "--projects", kills.folder]
-    path = kills.folder / "old/project.db"
-    versions = set()
-    for end in kills.kills(*words):
-        with sqlite3.connect(path) as connection:
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            count = connection.execute("SELECT count(*) FROM events").fetchone()[0]
-        connection.close()
-        versions.add(version)
-        assert version in (1, MIGRATIONS[-1].version)
-        assert end.was_killed or version == MIGRATIONS[-1].version
-        assert count == OLD_FRAMES
-        require_rebuilt(kills.folder / "old")
-    assert len(versions) == 2, "no kill came before the end of the migration, or none after it"
-
-
-def require_rebuilt(path: Path) -> None:
-    """The project opens with all its events (version 1 had no table of labels, which a rebuild fills)."""
-    with open_project(path) as project:
-        assert project.log.rebuild() == OLD_FRAMES
-    require_sound(path)
-    assert sum(map(len, labels_in(path).values())) == OLD_FRAMES

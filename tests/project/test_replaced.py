@@ -11,11 +11,11 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from next_version import use_next
 from replacing import replace_database, replace_folder
 from store_samples import box_at, by_hand
 
 from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
-from annotator.project import store as store_module
 from annotator.types.errors import ProjectError, ReplacedError
 
 
@@ -217,13 +217,9 @@ def test_an_older_project_that_cannot_be_written_is_not_upgraded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create_project(tmp_path, "old", ["hand"]).close()
-    with closing(sqlite3.connect(tmp_path / "old" / "project.db")) as database:
-        database.execute(f"PRAGMA user_version = {store_module.MIGRATIONS[-1].version - 1}")
+    use_next(monkeypatch)
     monkeypatch.setattr("annotator.project.database.file.os.access", lambda *_: False)
     with pytest.raises(
         ProjectError, match=r"older annotator and must be upgraded .* read-only disk, .* copy its folder"
     ):
         open_project(tmp_path / "old")
-    monkeypatch.setattr(store_module, "MIGRATIONS", store_module.MIGRATIONS[:-2])
-    with pytest.raises(ProjectError, match="newer annotator"):
-        store_module.open_store(tmp_path / "old" / "project.db", migrations=store_module.MIGRATIONS)

@@ -52,7 +52,7 @@ class StoredFiles:
         views: images of pseudo-views.
         models: by id, the weights, and the manifest where it has one.
         outside: paths of model files that are not in the project's folder.
-        hashes: SHA-256 of weights, by their path; none of models from before they were stored.
+        hashes: SHA-256 of weights, by their path.
     """
 
     views: tuple[str, ...]
@@ -67,7 +67,7 @@ class StoredFiles:
 
 
 def stored_files(connection: sqlite3.Connection) -> StoredFiles:
-    """The files that a database of any version refers to.
+    """The files that a database refers to.
 
     Raises:
         sqlite3.Error: it cannot be read.
@@ -79,16 +79,14 @@ def stored_files(connection: sqlite3.Connection) -> StoredFiles:
     models: dict[int, tuple[str, ...]] = {}
     outside = []
     hashes: dict[str, str] = {}
-    columns = {row[1] for row in connection.execute("PRAGMA table_info(models)")}
-    if columns:
-        for model_id, *paths in connection.execute("SELECT id, path, manifest FROM models ORDER BY id"):
-            names = [str(path) for path in paths if path is not None]
-            models[model_id] = tuple(filter(is_content, names))
-            outside += [name for name in names if not is_content(name)]
-    if "sha256" in columns:
+    for model_id, sha256, path, manifest in connection.execute(
+        "SELECT id, sha256, path, manifest FROM models ORDER BY id"
+    ):
+        names = [str(name) for name in (path, manifest) if name is not None]
+        models[model_id] = tuple(filter(is_content, names))
+        outside += [name for name in names if not is_content(name)]
         # a training may have replaced the weights of an earlier one: the newest row counts
-        found = connection.execute("SELECT path, sha256 FROM models ORDER BY id")
-        hashes = {str(path): str(sha256) for path, sha256 in found if sha256 is not None}
+        hashes[str(path)] = str(sha256)
     return StoredFiles(views, models, tuple(outside), hashes)
 
 
@@ -101,8 +99,7 @@ def keep_models(database: Path, choice: ModelChoice) -> None:
     if choice is ModelChoice.ALL:
         return
     with closing(sqlite3.connect(database, isolation_level=None)) as connection:
-        if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'models'").fetchone():
-            connection.execute("DELETE FROM models" + (" WHERE active = 0" if choice is ModelChoice.ACTIVE else ""))
+        connection.execute("DELETE FROM models" + (" WHERE active = 0" if choice is ModelChoice.ACTIVE else ""))
 
 
 def folder_files(folder: Path, stored: StoredFiles) -> Iterator[str]:

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from annotator.project.backup.snapshot import reading
-from annotator.project.database.expected import expected_schema, read_schema, schema_problems
-from annotator.project.migrations import APPLICATION_ID, MIGRATIONS
+from annotator.project.migrations import application_problem, newest_version, schema_problems
 from annotator.project.store import LOCKED, is_lock
 from annotator.types.errors import ProjectError
 
@@ -52,14 +51,14 @@ def given_id(connection: sqlite3.Connection, table: str) -> int:
 
 
 def _problems(connection: sqlite3.Connection) -> Iterator[str]:
-    if (found := connection.execute("PRAGMA application_id").fetchone()[0]) != APPLICATION_ID:
-        yield f"is not a project database (application id {found})"
+    if problem := application_problem(connection.execute("PRAGMA application_id").fetchone()[0]):
+        yield problem
         return
-    version, newest = connection.execute("PRAGMA user_version").fetchone()[0], MIGRATIONS[-1].version
-    if not 1 <= version <= newest:
-        yield f"has database version {version}; this annotator knows versions 1 to {newest}"
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if not 1 <= version <= newest_version():
+        yield f"has database version {version}; this annotator knows versions 1 to {newest_version()}"
         return
-    differences = list(schema_problems(read_schema(connection), expected_schema(version)))
+    differences = list(schema_problems(connection, version))
     yield from differences
     lines = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({_MOST_PROBLEMS})")]
     yield from (line for line in lines if line != "ok")

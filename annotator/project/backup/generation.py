@@ -39,7 +39,7 @@ _ADVANCE = (
     "UPDATE generation SET chain = 'annotator-generation ' || substr(chain, -32) || ' ' "
     "|| printf('%016d', CAST(substr(chain, -32, 16) AS INTEGER) + 1) || lower(hex(randomblob(8)))"
 )
-# of a token; the first tokens were random throughout, and count from the digits that they happen to begin with
+# of a token, as far as it is not damaged
 _NUMBER = re.compile(r"[0-9]{0,16}")
 _CHAIN = re.compile(rb"annotator-generation ([0-9a-f]{32}) ([0-9a-f]{32})")
 # SQLite's file format, sections 4.1 and 4.2: sizes of the headers of a WAL and of its frames, the two magic numbers.
@@ -59,8 +59,7 @@ def advance(connection: Connection) -> str:
 def has_foreign_wal(path: Path) -> bool:
     """True if the `-wal` file beside the database `path` belongs to another database, or to another state of it.
 
-    Databases before version 15 have no tokens; for them the answer is False. It is False, too, for a database that
-    cannot be read: SQLite reports what is wrong with it.
+    False for a database that cannot be read: SQLite reports what is wrong with it.
     """
     for look in range(_LOOKS):
         if not _looks_foreign(path):

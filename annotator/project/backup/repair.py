@@ -28,7 +28,7 @@ from annotator.project.config import ProjectConfig, ProjectSettings, new_config,
 from annotator.project.derived import apply_event, rebuild
 from annotator.project.event_types import LabelRestored
 from annotator.project.events import Event, event_of, insert_event
-from annotator.project.migrations import MIGRATIONS
+from annotator.project.migrations import UNRELEASED, application_problem
 from annotator.project.schema import PackedText, events, frame_attributes, frames, image_labels, labels, view_labels
 from annotator.project.store import DATABASE_FILE, Store, create_store, explained, open_store
 from annotator.project.tidying.removed import hide_removed
@@ -129,6 +129,8 @@ def _salvage(project: Path, name: str) -> Repaired:
         try:
             with reading(copy) as source:
                 source.execute("SELECT count(*) FROM sqlite_master").fetchone()
+                if application_problem(source.execute("PRAGMA application_id").fetchone()[0]) == UNRELEASED:
+                    raise ProjectError(f"{project / DATABASE_FILE}: {UNRELEASED}")
                 _copy_plain(source, store, repaired)
                 _replay(source, store, repaired)
                 config = _config(project, name, source)
@@ -228,9 +230,6 @@ def _revision(connection: Connection, values: Row) -> int:
 def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
     """Where events are lost, brings labels and 2D boxes to the state that the damaged database shows, if it does."""
     try:
-        if database_version(copy) != MIGRATIONS[-1].version:
-            _count_lost(repaired, "states")
-            return
         damaged = open_store(copy)
     except (ProjectError, sqlite3.Error):
         _count_lost(repaired, "states")
@@ -245,16 +244,6 @@ def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
                     repaired.restored += 1
             except (AnnotatorError, DBAPIError, ValueError):
                 _count_lost(repaired, "states")
-
-
-def database_version(path: Path) -> int:
-    """The version of a database.
-
-    Raises:
-        sqlite3.Error: it cannot be read.
-    """
-    with reading(path) as connection:
-        return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
 def _targets(source: sqlite3.Connection) -> Iterator[tuple[int | None, str]]:

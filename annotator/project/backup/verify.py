@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, Table, select
@@ -141,7 +139,7 @@ def _state_problems(copy: Path) -> Iterator[str]:
             ("has rows that the events do not give", [key for key in stored if key not in rows]),
             (
                 "has other values than the events give",
-                [key for key in rows if key in stored and not _same(stored[key], rows[key])],
+                [key for key in rows if key in stored and stored[key] != rows[key]],
             ),
         ):
             if keys:
@@ -167,26 +165,6 @@ def _values(table: Table, row: AnyRow) -> tuple[object, ...]:
     return tuple(
         value for column, value in zip(table.c, row, strict=True) if table not in _NUMBERED or column.name != "id"
     )
-
-
-def _same(stored: Sequence[object], rebuilt: Sequence[object]) -> bool:
-    """Equal values; JSON is compared by content, and an older annotator may have written fewer fields."""
-    return all(old == new or _same_json(_json(old), _json(new)) for old, new in zip(stored, rebuilt, strict=True))
-
-
-def _same_json(old: Any, new: Any) -> bool:
-    if isinstance(old, dict) and isinstance(new, dict):
-        return all(key in new and _same_json(value, new[key]) for key, value in old.items())
-    if isinstance(old, list) and isinstance(new, list):
-        return len(old) == len(new) and all(map(_same_json, old, new))
-    return bool(old == new) and type(old) is type(new)
-
-
-def _json(value: object) -> object:
-    try:
-        return json.loads(value) if isinstance(value, str) else value
-    except ValueError:
-        return value
 
 
 def _file_problems(project: Path, copy: Path) -> Iterator[str]:

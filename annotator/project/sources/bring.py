@@ -327,7 +327,6 @@ class _Open:
             hidden=tuple(each.uid for group in groups for each in group[1:] if each.uid in uids),
             covered=tuple(covered),
             kept=tuple(sorted(self.kept)),
-            keeps_ours=True,
         )
 
     def _own(self, shown: SaidRecord, *others: SaidRecord) -> OwnProposal:

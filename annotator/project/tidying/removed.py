@@ -98,9 +98,5 @@ def _hidden(recording_id: int, table: Table, row: dict[str, object]) -> dict[str
 
 
 def _shown(table: Table, content: str) -> dict[str, object]:
-    # an older version may have had other columns; the ids of views have no meaning, and may be taken
-    return {
-        name: value
-        for name, value in json.loads(content).items()
-        if name in table.c and (name != "id" or table is labels)
-    }
+    # the ids of views have no meaning, and may be taken
+    return {name: value for name, value in json.loads(content).items() if name != "id" or table is labels}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from backup_samples import content
-from old_versions import make_older
+from next_version import use_next
 from store_samples import box_at, by_hand
 from time_limit import time_limit
 
@@ -109,9 +109,9 @@ def test_several_looks_must_find_another_database(
     assert lineage.is_broken() == is_broken
 
 
-def test_an_upgrade_stores_a_new_token(full: Path) -> None:
+def test_an_upgrade_stores_a_new_token(full: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a copy from before the upgrade would pass for the upgraded database."""
-    make_older(full / "project.db")
+    use_next(monkeypatch)
 
     def token() -> str:
         with closing(sqlite3.connect(full / "project.db")) as connection:

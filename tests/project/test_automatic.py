@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
 import time
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from backup_samples import content
-from old_versions import OLDER, make_older
+from next_version import NOW, use_next, version_of
 from store_samples import by_hand
 
 from annotator.project import create_project, open_project
@@ -23,25 +21,24 @@ from annotator.types import BoxKind
 from annotator.types.errors import ProjectError
 
 
-def test_a_database_is_backed_up_before_it_is_upgraded(full: Path) -> None:
+def test_a_database_is_backed_up_before_it_is_upgraded(full: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = content(full)
-    make_older(full / "project.db")
+    use_next(monkeypatch)
     with open_project(full) as project:
         assert project.problems() == []
     (backup,) = automatic_backups(full)
-    assert read_manifest(backup).database_version == OLDER
+    assert read_manifest(backup).database_version == NOW
     path, _ = restore(backup, full.parent, "older")
     assert content(path) == before
     assert verify(path, deep=True).problems == ()
 
 
-def test_a_database_that_cannot_be_backed_up_is_not_upgraded(full: Path) -> None:
-    make_older(full / "project.db")
+def test_a_database_that_cannot_be_backed_up_is_not_upgraded(full: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_next(monkeypatch)
     (full.parent / automatic.FOLDER).write_text("in the way")
     with pytest.raises(ProjectError, match="is not upgraded, because it cannot be backed up first"):
         open_project(full)
-    with closing(sqlite3.connect(full / "project.db")) as connection:
-        assert connection.execute("PRAGMA user_version").fetchone() == (OLDER,)
+    assert version_of(full / "project.db") == NOW
 
 
 def test_only_the_last_automatic_backups_of_a_reason_are_kept(full: Path) -> None:

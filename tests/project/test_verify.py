@@ -54,8 +54,8 @@ DEEP: list[tuple[str, Callable[[Path], None], str]] = [
     (
         "an added label",
         damage(
-            "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, event_id, track_linked) "
-            "VALUES ('x', 1, 'hand', '{}', 'manual', 'accepted', 'a', 1, 1, 0)"
+            "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, event_id, track_linked, "
+            "box_kind, attributes) VALUES ('x', 1, 'hand', '{}', 'manual', 'accepted', 'a', 1, 1, 0, 'box', '{}')"
         ),
         "labels has rows that the events do not give: x",
     ),
