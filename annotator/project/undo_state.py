@@ -14,8 +14,15 @@ import numpy as np
 from sqlalchemy import Connection, select
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project.adjusting.adjustment import adjustment_json, adjustment_of, read_adjustment
-from annotator.project.adjusting.moving import Moves, moved_label, moved_said, moved_view
+from annotator.project.adjusting.adjusting import (
+    Moves,
+    adjustment_json,
+    adjustment_of,
+    moved_label,
+    moved_said,
+    moved_view,
+    read_adjustment,
+)
 from annotator.project.classes.applying import ClassChanges, frame_values, values_of
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting, values_json
 from annotator.project.event_types import (
