@@ -1,6 +1,6 @@
 """Projects: the folder, its SQLite database, migrations and label events."""
 
-from annotator.project.adjusting.adjustments import Basis
+from annotator.project.adjustments import Basis
 from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.event_types import Origin

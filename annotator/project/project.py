@@ -13,7 +13,7 @@ from types import TracebackType
 from sqlalchemy import Connection
 
 from annotator.files import sync_folder
-from annotator.project.adjusting.adjustments import Adjustments
+from annotator.project.adjustments import Adjustments
 from annotator.project.backup.automatic import back_up_before_upgrade
 from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.unfinished import unfinished_folder

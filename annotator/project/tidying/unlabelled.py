@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sqlalchemy import insert, select, true
 
-from annotator.project.adjusting.adjustments import Adjustments
+from annotator.project.adjustments import Adjustments
 from annotator.project.classes.applying import CHANGED
 from annotator.project.recordings import Recordings
 from annotator.project.schema import events, frames, models, recordings
