@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from sqlalchemy import Connection, bindparam, select
 
-from annotator.project.adjusting.adjusting import Adjustment, Moves, Up, between, read_adjustment
+from annotator.project.adjusting import Adjustment, Moves, Up, between, read_adjustment
 from annotator.project.event_types import RecordingAdjusted
 from annotator.project.events import Effort
 from annotator.project.schema import adjustments, events, frames

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import Connection, bindparam, delete, insert, update
 
-from annotator.project.adjusting.adjusting import adjust
+from annotator.project.adjusting import adjust
 from annotator.project.classes.applying import relabel, set_frame_values
 from annotator.project.derived_labels import (
     change_label,

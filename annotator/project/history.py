@@ -19,7 +19,7 @@ from datetime import UTC, datetime
 
 from sqlalchemy import Connection, bindparam, func, select, true
 
-from annotator.project.adjusting.adjusting import adjustment_of
+from annotator.project.adjusting import adjustment_of
 from annotator.project.classes.applying import made_changes
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import LabelState, Payload

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
-from annotator.project.adjusting.adjusting import Moves
+from annotator.project.adjusting import Moves
 from annotator.project.classes.kept import kept_proposals
 from annotator.project.config import read_config
 from annotator.project.event_types import ProposalsReplaced, ProposedObject

@@ -13,7 +13,7 @@ import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from annotator.file_names import is_within
-from annotator.project.adjusting.adjusting import adjustment_in
+from annotator.project.adjusting import adjustment_in
 from annotator.project.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
 from annotator.project.store import Store
 from annotator.project.tidying.removed import hide_removed, show_again

@@ -14,7 +14,7 @@ import numpy as np
 from sqlalchemy import Connection, select
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project.adjusting.adjusting import (
+from annotator.project.adjusting import (
     Moves,
     adjustment_json,
     adjustment_of,

@@ -1,4 +1,4 @@
-"""The adjustment of a recording: its up direction and the correction of its calibration."""
+"""Adjustments of a recording (its up direction, its calibration), and how they move what is stored."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from annotator.project.event_types import PAYLOAD, LabelState, RecordingAdjusted
 from annotator.project.records import BoxRecord, SaidRecord, ViewGeometry, parsed, said_json, said_of
 from annotator.project.schema import AnyRow, adjustments, events, frames, labels, recordings, view_labels
 from annotator.types import NO_CORRECTION, Correction
+
+# TODO-MERGED docstring of adjusting.py:
+# The adjustment of a recording: its up direction and the correction of its calibration.
+
 
 Up = tuple[float, float, float]
 
