@@ -46,8 +46,8 @@ from annotator.project.event_types import (
 )
 from annotator.project.events import Event, read_events
 from annotator.project.records import BOXES_2D
+from annotator.project.removed import hide_removed
 from annotator.project.schema import DERIVED, frames, image_labels, revertible, view_labels
-from annotator.project.tidying.removed import hide_removed
 from annotator.project.undo_state import read_state, target_of
 from annotator.types.errors import ProjectError
 

@@ -34,8 +34,8 @@ from annotator.project.records import (
     suggestion_json,
     track_of,
 )
+from annotator.project.removed import is_hidden, next_label_id
 from annotator.project.schema import labels
-from annotator.project.tidying.removed import is_hidden, next_label_id
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue

@@ -25,9 +25,9 @@ from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import LabelState, Payload
 from annotator.project.events import Effort
 from annotator.project.records import parsed, said_of
+from annotator.project.removed import removed_recordings
 from annotator.project.schema import AnyRow, events, frames, recordings, revertible
 from annotator.project.sources.bring import said_again
-from annotator.project.tidying.removed import removed_recordings
 from annotator.project.undo_state import (
     FRAME,
     IMAGE,

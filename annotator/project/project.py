@@ -41,11 +41,11 @@ from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
+from annotator.project.removed import with_removed
 from annotator.project.sources.bring import without_classes
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.project.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.tidying.in_use import mark_in_use
-from annotator.project.tidying.removed import with_removed
 from annotator.project.views import Views
 from annotator.project.writing import Writer
 from annotator.types.errors import ProjectError

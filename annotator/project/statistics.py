@@ -14,6 +14,7 @@ from annotator.project.efforts import EffortStatistics
 from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
 from annotator.project.progress.report import Progress, ReviewReader
+from annotator.project.removed import KEPT
 from annotator.project.schema import (
     events,
     frame_results,
@@ -26,7 +27,6 @@ from annotator.project.schema import (
     view_labels,
 )
 from annotator.project.store import Store
-from annotator.project.tidying.removed import KEPT
 from annotator.types import BoxKind, ReviewState, Source
 
 

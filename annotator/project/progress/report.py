@@ -17,8 +17,8 @@ from annotator.project.progress.frames_left import read_frames
 from annotator.project.progress.pace import Pace, pace_of
 from annotator.project.progress.quality import ProposalQuality, quality_of
 from annotator.project.progress.reviewed import read_reviewed
+from annotator.project.removed import removed_recordings
 from annotator.project.schema import events, frame_results, frames
-from annotator.project.tidying.removed import removed_recordings
 
 
 class Progress(BaseModel):
