@@ -26,8 +26,15 @@ from annotator.project.event_types import (
     Origin,
 )
 from annotator.project.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
-from annotator.project.review.value_filter import ValueFilter
-from annotator.project.review.waiting import By, Formula, WaitingProposal, waiting, waiting_sources, worst_of_frames
+from annotator.project.review import (
+    By,
+    Formula,
+    ValueFilter,
+    WaitingProposal,
+    waiting,
+    waiting_sources,
+    worst_of_frames,
+)
 from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.undo_state import label_state
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer

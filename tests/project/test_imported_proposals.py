@@ -19,7 +19,7 @@ from annotator.project.classes.edit import ClassEdit
 from annotator.project.event_types import LabelProposed
 from annotator.project.labels import StoredLabel
 from annotator.project.records import BoxRecord
-from annotator.project.review.waiting import By
+from annotator.project.review import By
 from annotator.project.schema import labels
 from annotator.project.sources.bring import Brought
 from annotator.types import Correction, ReviewState, Source

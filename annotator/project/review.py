@@ -1,4 +1,4 @@
-"""Open proposals in order of their doubt. The database sorts them, since a project may have 100,000 and more."""
+"""What waits for a review, in the order in which it is to be shown."""
 
 from __future__ import annotations
 
@@ -8,14 +8,75 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import ColumnElement, Float, Integer, Select, and_, case, cast, func, literal, null, select, true
+from sqlalchemy import ColumnElement, Float, Integer, Select, Text, and_, case, cast, func, literal, null, select, true
 
+from annotator.project.classes.attributes import Value, value_text
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.records import OWN, sources_of
-from annotator.project.review.value_filter import ValueFilter
-from annotator.project.schema import AnyRow, frames, labels
+from annotator.project.schema import AnyRow, frame_attributes, frames, labels
 from annotator.project.store import Store
 from annotator.types import ReviewState, Source
+
+# TODO-MERGED docstring of value_filter.py:
+# Chooses proposals by the values of an attribute: of the box itself, its track, or its frame.
+
+
+@dataclass(frozen=True)
+class ValueFilter:
+    """What the value of an attribute must be. Without any condition: there is no value.
+
+    Attributes:
+        name: the attribute.
+        of_frame: it is one of frames, not of boxes and tracks.
+        usual: of frames that have no value of their own.
+        known: any value will do.
+        text: the value as text.
+        contains: part of the value as text; small and capital letters (a to z) count as equal.
+        low, high: least and greatest value of a number.
+    """
+
+    name: str
+    of_frame: bool = False
+    usual: Value | None = None
+    known: bool = False
+    text: str | None = None
+    contains: str | None = None
+    low: float | None = None
+    high: float | None = None
+
+    def clause(self) -> ColumnElement[bool]:
+        """The condition of a query of labels joined with their frames."""
+        found = self._value()
+        conditions: list[ColumnElement[bool]] = []
+        if self.text is not None:
+            conditions.append(found == self.text)
+        if self.contains is not None:
+            conditions.append(func.instr(func.lower(found), func.lower(self.contains)) > 0)
+        if self.low is not None:
+            conditions.append(cast(found, Float) >= self.low)
+        if self.high is not None:
+            conditions.append(cast(found, Float) <= self.high)
+        if not conditions:
+            return found.is_not(None) if self.known else found.is_(None)
+        clause = conditions[0]
+        for condition in conditions[1:]:
+            clause &= condition
+        return clause
+
+    def _value(self) -> ColumnElement[str]:
+        """The value as text; NULL without one."""
+        column = frame_attributes.c.attributes if self.of_frame else labels.c.attributes
+        values = func.json_each(column).table_valued("key", "value", "type")
+        known = case((values.c.type.in_(("true", "false")), values.c.type), else_=cast(values.c.value, Text))
+        if not self.of_frame:
+            return select(known).select_from(values).where(values.c.key == self.name).scalar_subquery()
+        own = select(known).select_from(frame_attributes).join(values, true())
+        found = own.where(frame_attributes.c.frame_id == frames.c.id, values.c.key == self.name).scalar_subquery()
+        return found if self.usual is None else func.coalesce(found, literal(value_text(self.usual)))
+
+
+# TODO-MERGED docstring of waiting.py:
+# Open proposals in order of their doubt. The database sorts them, since a project may have 100,000 and more.
 
 
 @dataclass(frozen=True)
