@@ -47,6 +47,7 @@ from annotator.project.event_types import (
     ViewBoxesSet,
     ViewBoxesState,
 )
+from annotator.project.merging import given_back
 from annotator.project.records import (
     BOXES_2D,
     BoxRecord,
@@ -59,7 +60,6 @@ from annotator.project.records import (
     suggestion_of,
 )
 from annotator.project.schema import LABEL_OF_UID, AnyRow, frames, image_labels, labels, view_labels
-from annotator.project.sources.lending import given_back
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue

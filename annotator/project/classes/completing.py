@@ -22,9 +22,9 @@ from annotator.project.event_types import (
     ProposalsImported,
     ProposalsReplaced,
 )
+from annotator.project.merging import borrowed, lend
 from annotator.project.records import SaidRecord, said_of, track_of
 from annotator.project.schema import LABEL_OF_UID, AnyRow, frames, labels
-from annotator.project.sources.lending import borrowed, lend
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue

@@ -14,11 +14,9 @@ from annotator.project.classes.kept import kept_proposals
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.labels import NewLabel, stored_label
+from annotator.project.merging import Group, borrowed, conflicts, covered_by, given_back, lent_names, merged, without
 from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable, track_of
 from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
-from annotator.project.sources.covering import covered_by
-from annotator.project.sources.lending import borrowed, conflicts, given_back, lent_names, without
-from annotator.project.sources.merge import Group, merged
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import BoxKind, ReviewState, Source
 
