@@ -17,7 +17,7 @@ from annotator.project.adjustments import Adjustments
 from annotator.project.backup.automatic import back_up_before_upgrade
 from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
 from annotator.project.backup.unfinished import unfinished_folder
-from annotator.project.boxes import Boxes
+from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.applying import ClassChanges, made_changes
 from annotator.project.classes.config_change import prepare_config, take_config
 from annotator.project.classes.counting import ClassCounts, class_counts, require_fitting, value_counts
@@ -46,7 +46,6 @@ from annotator.project.sources.bring import without_classes
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.project.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.tidying.in_use import mark_in_use
-from annotator.project.views import Views
 from annotator.project.writing import Writer
 from annotator.types.errors import ProjectError
 
