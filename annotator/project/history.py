@@ -27,7 +27,7 @@ from annotator.project.events import Effort
 from annotator.project.records import parsed, said_of
 from annotator.project.removed import removed_recordings
 from annotator.project.schema import AnyRow, events, frames, recordings, revertible
-from annotator.project.sources.bring import said_again
+from annotator.project.sources import said_again
 from annotator.project.undo_state import (
     FRAME,
     IMAGE,

@@ -42,7 +42,7 @@ from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
 from annotator.project.recordings import Recordings
 from annotator.project.removed import with_removed
-from annotator.project.sources.bring import without_classes
+from annotator.project.sources import without_classes
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.project.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.tidying.in_use import mark_in_use

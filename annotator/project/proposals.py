@@ -20,7 +20,7 @@ from annotator.project.labels import NewLabel, read_labels
 from annotator.project.merging import covered_by
 from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
 from annotator.project.schema import events, frames, labels
-from annotator.project.sources.bring import Brought, SourceTracks, beside_new_pass, bring, source_tracks
+from annotator.project.sources import Brought, SourceTracks, beside_new_pass, bring, source_tracks
 from annotator.project.writing import Receipt, WriteContext, Writer, require_writable
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import RESTORE, ProjectError

@@ -21,7 +21,7 @@ from annotator.project.labels import StoredLabel
 from annotator.project.records import BoxRecord
 from annotator.project.review import By
 from annotator.project.schema import labels
-from annotator.project.sources.bring import Brought
+from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
 from annotator.workflows.workbench.review_priority import FORMULA

@@ -1,4 +1,4 @@
-"""Stores boxes of other software as proposals, and keeps them beside those of automatic passes."""
+"""Proposals from other software, beside our own: one proposal for each object, which holds what every source says."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ from annotator.project.records import OWN, BoxRecord, SaidRecord, parsed, said_o
 from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import BoxKind, ReviewState, Source
+
+# TODO-MERGED docstring of bring.py:
+# Stores boxes of other software as proposals, and keeps them beside those of automatic passes.
+
 
 # Built once, since building a statement takes longer than running it.
 _OF_FRAMES = select(labels).where(labels.c.frame_id.in_(bindparam("frames", expanding=True))).order_by(labels.c.id)
