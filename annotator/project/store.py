@@ -17,9 +17,8 @@ from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
 from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
-from annotator.project.database.file import DatabaseFile, database_file
+from annotator.project.database.file import DatabaseFile, database_file, keep_replaced, kept_copies
 from annotator.project.database.patience import patience_s
-from annotator.project.database.replaced import keep_replaced, kept_copies
 from annotator.project.migrations import (
     APPLICATION_ID,
     application_problem,

@@ -160,7 +160,7 @@ def test_a_disk_that_is_full_leaves_no_mixture(
         raise OSError("No space left on device")
 
     replace_database(project.path, backup)
-    monkeypatch.setattr("annotator.project.database.replaced._copied", full)
+    monkeypatch.setattr("annotator.project.database.file._copied", full)
     project.close()
     assert "could not be kept" in caplog.text
     with open_project(project.path) as anew:
