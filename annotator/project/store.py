@@ -16,8 +16,8 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
 
-from annotator.project.backup.generation import advance, has_foreign_wal, wal_of
 from annotator.project.database.file import DatabaseFile, database_file, keep_replaced, kept_copies
+from annotator.project.database.generation import advance, has_foreign_wal, wal_of
 from annotator.project.database.patience import patience_s
 from annotator.project.migrations import (
     APPLICATION_ID,

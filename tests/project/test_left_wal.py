@@ -16,10 +16,10 @@ from store_samples import box_at, by_hand
 from time_limit import time_limit
 
 from annotator.project import NewLabel, open_project
-from annotator.project.backup import generation
-from annotator.project.backup.generation import Lineage, has_foreign_wal
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
+from annotator.project.database import generation
+from annotator.project.database.generation import Lineage, has_foreign_wal
 from annotator.project.store import open_store
 from annotator.types.errors import ProjectError
 

@@ -21,11 +21,11 @@ from annotator.project.backup.content import (
     stored_files,
 )
 from annotator.project.backup.database_check import database_problems
-from annotator.project.backup.generation import wal_of
 from annotator.project.backup.snapshot import reading, write_snapshot
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
+from annotator.project.database.generation import wal_of
 from annotator.project.store import DATABASE_FILE, explained
 from annotator.project.tidying.unlabelled import remove_labels
 from annotator.types.amounts import amount

@@ -18,7 +18,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from annotator.files import sync_folder
-from annotator.project.backup.generation import Lineage
+from annotator.project.database.generation import Lineage
 from annotator.types.errors import ProjectError, ReplacedError
 
 WAL, SHARED_MEMORY, JOURNAL = "-wal", "-shm", "-journal"
