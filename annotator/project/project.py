@@ -31,6 +31,7 @@ from annotator.project.config import (
     read_config,
     write_config,
 )
+from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.event_types import ClassesChanged
 from annotator.project.frames import Frames
 from annotator.project.history import History
@@ -44,7 +45,6 @@ from annotator.project.recordings import Recordings
 from annotator.project.removed import with_removed
 from annotator.project.sources import without_classes
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.project.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.tidying.in_use import mark_in_use
 from annotator.project.writing import Writer
 from annotator.types.errors import ProjectError

@@ -10,6 +10,7 @@ from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.counting import counts_with_defaults
+from annotator.project.database.store import Store
 from annotator.project.efforts import EffortStatistics
 from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
@@ -26,7 +27,6 @@ from annotator.project.schema import (
     runs,
     view_labels,
 )
-from annotator.project.store import Store
 from annotator.types import BoxKind, ReviewState, Source
 
 

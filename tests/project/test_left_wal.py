@@ -20,7 +20,7 @@ from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.project.database import generation
 from annotator.project.database.generation import Lineage, has_foreign_wal
-from annotator.project.store import open_store
+from annotator.project.database.store import open_store
 from annotator.types.errors import ProjectError
 
 

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from annotator.files import ARCHIVE_ERRORS, CHUNK_BYTES, open_file
 from annotator.project.backup.content import ModelChoice, is_content
 from annotator.project.config import CONFIG_FILE
-from annotator.project.store import DATABASE_FILE
+from annotator.project.database.store import DATABASE_FILE
 from annotator.types.errors import FormatError
 
 MANIFEST = "manifest.json"

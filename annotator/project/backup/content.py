@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from annotator.files import link_out
 from annotator.project.config import CONFIG_FILE
-from annotator.project.store import DATABASE_FILE
+from annotator.project.database.store import DATABASE_FILE
 from annotator.types.errors import ProjectError
 
 MODELS_FOLDER, VIEWS_FOLDER = "models", "views"

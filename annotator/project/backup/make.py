@@ -19,7 +19,7 @@ from annotator.project.backup.database_check import database_problems
 from annotator.project.backup.snapshot import reading, write_snapshot
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import CONFIG_FILE, read_config
-from annotator.project.store import DATABASE_FILE, Clock, explained
+from annotator.project.database.store import DATABASE_FILE, Clock, explained
 from annotator.types.errors import RESTORE, ProjectError
 
 # What a backup leaves free on the disk, bytes.

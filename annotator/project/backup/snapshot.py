@@ -10,7 +10,7 @@ from pathlib import Path
 
 from annotator.project.database.file import database_file
 from annotator.project.database.generation import has_foreign_wal
-from annotator.project.store import BUSY_TIMEOUT_S, explained, foreign_wal
+from annotator.project.database.store import BUSY_TIMEOUT_S, explained, foreign_wal
 from annotator.types.errors import RESTORE, ProjectError
 
 

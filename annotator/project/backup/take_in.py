@@ -26,7 +26,7 @@ from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
 from annotator.project.database.generation import wal_of
-from annotator.project.store import DATABASE_FILE, explained
+from annotator.project.database.store import DATABASE_FILE, explained
 from annotator.project.tidying.unlabelled import remove_labels
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, ProjectError

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from sqlalchemy.pool import QueuePool
 
 from annotator.project.database.file import DatabaseFile, database_file, keep_replaced, kept_copies
 from annotator.project.database.generation import advance, has_foreign_wal, wal_of
-from annotator.project.database.patience import patience_s
 from annotator.project.migrations import (
     APPLICATION_ID,
     application_problem,
@@ -28,6 +28,31 @@ from annotator.project.migrations import (
     upgrade,
 )
 from annotator.types.errors import RESTORE, ProjectError, ReplacedError
+
+# TODO-MERGED docstring of patience.py:
+# How long a thread waits for a database that another process has locked.
+
+
+_AT_MOST_S: ContextVar[float] = ContextVar("annotator_waits_at_most_s", default=float("inf"))
+
+
+@contextmanager
+def waiting_at_most(seconds: float) -> Iterator[None]:
+    """Within the block, this thread waits no longer than this for any locked database.
+
+    For code that serves several projects in turn, so that a locked one does not hold up the others.
+    """
+    token = _AT_MOST_S.set(seconds)
+    try:
+        yield
+    finally:
+        _AT_MOST_S.reset(token)
+
+
+def patience_s(usual_s: float) -> float:
+    """How long this thread waits, seconds; `usual_s` outside `waiting_at_most`."""
+    return min(usual_s, _AT_MOST_S.get())
+
 
 DATABASE_FILE = "project.db"
 BUSY_TIMEOUT_S = 10.0
