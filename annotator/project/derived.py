@@ -6,6 +6,7 @@ from sqlalchemy import Connection, bindparam, delete, insert, update
 
 from annotator.project.adjusting import adjust
 from annotator.project.classes.applying import relabel, set_frame_values
+from annotator.project.database.schema import DERIVED, frames, image_labels, revertible, view_labels
 from annotator.project.derived_labels import (
     change_label,
     change_values,
@@ -47,7 +48,6 @@ from annotator.project.event_types import (
 from annotator.project.events import Event, read_events
 from annotator.project.records import BOXES_2D
 from annotator.project.removed import hide_removed
-from annotator.project.schema import DERIVED, frames, image_labels, revertible, view_labels
 from annotator.project.undo_state import read_state, target_of
 from annotator.types.errors import ProjectError
 

@@ -9,6 +9,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, case, delete, func,
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import values_json
+from annotator.project.database.schema import labels
 from annotator.project.event_types import (
     LabelAccepted,
     LabelChange,
@@ -35,7 +36,6 @@ from annotator.project.records import (
     track_of,
 )
 from annotator.project.removed import is_hidden, next_label_id
-from annotator.project.schema import labels
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue

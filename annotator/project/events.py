@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select
 
+from annotator.project.database.schema import AnyRow, events
 from annotator.project.event_types import (
     PAYLOAD,
     ClassesChanged,
@@ -17,7 +18,6 @@ from annotator.project.event_types import (
     ViewBoxesSet,
 )
 from annotator.project.records import parsed
-from annotator.project.schema import AnyRow, events
 from annotator.types import Source
 
 _BATCH = 50

@@ -22,11 +22,11 @@ from sqlalchemy import Connection, bindparam, func, select, true
 from annotator.project.adjusting import adjustment_of
 from annotator.project.classes.applying import made_changes
 from annotator.project.config import ProjectConfig, read_config
+from annotator.project.database.schema import AnyRow, events, frames, recordings, revertible
 from annotator.project.event_types import LabelState, Payload
 from annotator.project.events import Effort
 from annotator.project.records import parsed, said_of
 from annotator.project.removed import removed_recordings
-from annotator.project.schema import AnyRow, events, frames, recordings, revertible
 from annotator.project.sources import said_again
 from annotator.project.undo_state import (
     FRAME,

@@ -11,9 +11,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, delete, func, insert, literal, select, tuple_, update
 
+from annotator.project.database.schema import AnyRow, adjustments, events, frame_results, frames, runs
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.schema import AnyRow, adjustments, events, frame_results, frames, runs
 from annotator.types.errors import ConfigError, NotFoundError
 
 

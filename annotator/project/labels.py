@@ -15,6 +15,7 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.project.classes.completing import labels_of_tracks
 from annotator.project.classes.kept import kept_proposals
 from annotator.project.config import read_config
+from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.event_types import (
     LabelAccepted,
     LabelAttributesSet,
@@ -35,7 +36,6 @@ from annotator.project.review import (
     waiting_sources,
     worst_of_frames,
 )
-from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.undo_state import label_state
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion

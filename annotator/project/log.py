@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from sqlalchemy import func, select
 
+from annotator.project.database.schema import events
 from annotator.project.derived import rebuild
 from annotator.project.event_types import Payload
 from annotator.project.events import Event, read_events
-from annotator.project.schema import events
 from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
 
 

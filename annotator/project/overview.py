@@ -11,10 +11,10 @@ from sqlalchemy import ScalarSelect, bindparam, func, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
 from annotator.project.classes.applying import frame_values
+from annotator.project.database.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, stored_label
 from annotator.project.project import Project
-from annotator.project.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue

@@ -14,9 +14,9 @@ from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from annotator.file_names import is_within
 from annotator.project.adjusting import adjustment_in
+from annotator.project.database.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
 from annotator.project.database.store import Store
 from annotator.project.removed import hide_removed, show_again
-from annotator.project.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError

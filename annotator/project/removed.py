@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from sqlalchemy import ColumnElement, Connection, Table, delete, func, insert, select, update
 
-from annotator.project.schema import DERIVED, events, frames, labels, recordings, removed_rows
+from annotator.project.database.schema import DERIVED, events, frames, labels, recordings, removed_rows
 
 REMOVED = select(recordings.c.id).where(recordings.c.removed_ns.is_not(None))
 """Ids of the removed recordings."""

@@ -10,13 +10,7 @@ from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.counting import counts_with_defaults
-from annotator.project.database.store import Store
-from annotator.project.efforts import EffortStatistics
-from annotator.project.jobs import Status, latest_results
-from annotator.project.labels import REVIEWED
-from annotator.project.progress.report import Progress, ReviewReader
-from annotator.project.removed import KEPT
-from annotator.project.schema import (
+from annotator.project.database.schema import (
     events,
     frame_results,
     frames,
@@ -27,6 +21,12 @@ from annotator.project.schema import (
     runs,
     view_labels,
 )
+from annotator.project.database.store import Store
+from annotator.project.efforts import EffortStatistics
+from annotator.project.jobs import Status, latest_results
+from annotator.project.labels import REVIEWED
+from annotator.project.progress.report import Progress, ReviewReader
+from annotator.project.removed import KEPT
 from annotator.types import BoxKind, ReviewState, Source
 
 

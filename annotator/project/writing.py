@@ -13,6 +13,7 @@ from annotator.geometry.oriented_box import same_box
 from annotator.project.classes.attributes import Attribute
 from annotator.project.classes.completing import completed, restored
 from annotator.project.config import ProjectConfig, read_config
+from annotator.project.database.schema import events, frames, labels, recordings
 from annotator.project.database.store import Store
 from annotator.project.derived import apply_event
 from annotator.project.event_types import (
@@ -31,7 +32,6 @@ from annotator.project.event_types import (
 )
 from annotator.project.events import CLASSES, Effort, Event, insert_event
 from annotator.project.records import BoxRecord, parsed, storable
-from annotator.project.schema import events, frames, labels, recordings
 from annotator.types import ReviewState, Source
 from annotator.types.errors import (
     FinalisedFrameError,

@@ -16,11 +16,11 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
+from annotator.project.database.schema import labels
 from annotator.project.event_types import LabelProposed
 from annotator.project.labels import StoredLabel
 from annotator.project.records import BoxRecord
 from annotator.project.review import By
-from annotator.project.schema import labels
 from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError

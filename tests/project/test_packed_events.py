@@ -9,7 +9,7 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 
 from annotator.project import NewLabel, Project
-from annotator.project.schema import PACKED_FROM
+from annotator.project.database.schema import PACKED_FROM
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ProjectError
 
@@ -47,7 +47,7 @@ def test_uncompressed_long_events_of_older_versions_are_read(
     project: Project, frame: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as old:
-        old.setattr("annotator.project.schema.PACKED_FROM", 10**9)
+        old.setattr("annotator.project.database.schema.PACKED_FROM", 10**9)
         fill(project, frame)
     assert [type(row) for row in stored(project)] == [str, str]
     before = state_of(project)

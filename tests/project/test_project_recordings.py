@@ -14,7 +14,7 @@ from sqlalchemy import select
 from store_samples import box_at, by_hand
 
 from annotator.project import NewLabel, Project, StoredRecording
-from annotator.project.schema import moves
+from annotator.project.database.schema import moves
 from annotator.types.errors import ProjectError
 
 

@@ -19,8 +19,8 @@ from annotator.project.backup.archive import read_manifest
 from annotator.project.backup.content import ModelChoice
 from annotator.project.backup.make import Backup, back_up
 from annotator.project.config import ProjectSettings, read_config
+from annotator.project.database.schema import events
 from annotator.project.database.store import Store
-from annotator.project.schema import events
 from annotator.types.errors import AnnotatorError, ProjectError
 from annotator.types.names import first_few
 

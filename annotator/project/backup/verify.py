@@ -19,9 +19,7 @@ from annotator.project.backup.snapshot import reading, write_snapshot
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.database.generation import has_foreign_wal
-from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
-from annotator.project.derived import rebuild
-from annotator.project.schema import (
+from annotator.project.database.schema import (
     AnyRow,
     adjustments,
     frame_attributes,
@@ -31,6 +29,8 @@ from annotator.project.schema import (
     revertible,
     view_labels,
 )
+from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
+from annotator.project.derived import rebuild
 from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
 from annotator.types.names import first_few

@@ -11,6 +11,15 @@ from sqlalchemy import Connection, bindparam, delete, insert, select, update
 
 from annotator.project.classes.attributes import values_json
 from annotator.project.classes.relabelling import Relabelling
+from annotator.project.database.schema import (
+    AnyRow,
+    events,
+    frame_attributes,
+    frames,
+    image_labels,
+    labels,
+    view_labels,
+)
 from annotator.project.event_types import (
     PAYLOAD,
     ClassesChanged,
@@ -28,7 +37,6 @@ from annotator.project.records import (
     said_json,
     said_of,
 )
-from annotator.project.schema import AnyRow, events, frame_attributes, frames, image_labels, labels, view_labels
 from annotator.types.label import AttributeValue
 
 CHANGED = "classes_changed"

@@ -10,6 +10,7 @@ from sqlalchemy import Connection, Select, select
 
 from annotator.project.classes.applying import frame_values, values_of
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
+from annotator.project.database.schema import LABEL_OF_UID, AnyRow, frames, labels
 from annotator.project.event_types import (
     FrameAttributesSet,
     LabelAttributesSet,
@@ -24,7 +25,6 @@ from annotator.project.event_types import (
 )
 from annotator.project.merging import borrowed, lend
 from annotator.project.records import SaidRecord, said_of, track_of
-from annotator.project.schema import LABEL_OF_UID, AnyRow, frames, labels
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue

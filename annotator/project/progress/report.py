@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, func, select
 
+from annotator.project.database.schema import events, frame_results, frames
 from annotator.project.efforts import UNTOUCHED, EffortStatistics, effort_of
 from annotator.project.progress.action_log import read_log
 from annotator.project.progress.days import WorkOfDay, seconds_at_work, work_by_day
@@ -18,7 +19,6 @@ from annotator.project.progress.pace import Pace, pace_of
 from annotator.project.progress.quality import ProposalQuality, quality_of
 from annotator.project.progress.reviewed import read_reviewed
 from annotator.project.removed import removed_recordings
-from annotator.project.schema import events, frame_results, frames
 
 
 class Progress(BaseModel):

@@ -9,10 +9,10 @@ from sqlalchemy import insert, select, true
 
 from annotator.project.adjustments import Adjustments
 from annotator.project.classes.applying import CHANGED
+from annotator.project.database.schema import events, frames, models, recordings
 from annotator.project.database.store import Store, create_store, open_store
 from annotator.project.recordings import Recordings
 from annotator.project.removed import KEPT
-from annotator.project.schema import events, frames, models, recordings
 from annotator.project.writing import Writer
 
 AUTHOR = "annotator project copy"
