@@ -130,7 +130,7 @@ def _load(recording: Path) -> None:
 
 def _be_command(order: dict[str, Any]) -> None:
     from annotator.cli.main import main as annotator
-    from annotator.project import migrations
+    from annotator.project.database import migrations
 
     code = 1
     try:

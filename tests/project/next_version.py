@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from annotator.project import migrations
-from annotator.project.migrations import MIGRATIONS, Migration, newest_version
+from annotator.project.database import migrations
+from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
 
 NOW = newest_version()
 NEXT = Migration(

@@ -14,9 +14,9 @@ from store_samples import by_hand, state_of
 from annotator.project import create_project, open_project
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
+from annotator.project.database.migrations import MIGRATIONS, Migration
 from annotator.project.database.schema import METADATA
 from annotator.project.database.store import open_store
-from annotator.project.migrations import MIGRATIONS, Migration
 from annotator.types.errors import ProjectError
 
 

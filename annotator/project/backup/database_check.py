@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from annotator.project.backup.snapshot import reading
+from annotator.project.database.migrations import application_problem, newest_version, schema_problems
 from annotator.project.database.store import LOCKED, is_lock
-from annotator.project.migrations import application_problem, newest_version, schema_problems
 from annotator.types.errors import ProjectError
 
 _MOST_PROBLEMS = 20

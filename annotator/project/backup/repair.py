@@ -25,6 +25,7 @@ from annotator.project.backup.take_in import copy_regular, new_project
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
 from annotator.project.database.generation import has_foreign_wal, wal_of
+from annotator.project.database.migrations import UNRELEASED, application_problem
 from annotator.project.database.schema import (
     PackedText,
     events,
@@ -38,7 +39,6 @@ from annotator.project.database.store import DATABASE_FILE, Store, create_store,
 from annotator.project.derived import apply_event, rebuild
 from annotator.project.event_types import LabelRestored
 from annotator.project.events import Event, event_of, insert_event
-from annotator.project.migrations import UNRELEASED, application_problem
 from annotator.project.removed import hide_removed
 from annotator.project.undo_state import FRAME, IMAGE, LABEL, VALUES, VIEW, read_state, restoring
 from annotator.types import Source

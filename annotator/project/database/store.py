@@ -19,7 +19,7 @@ from sqlalchemy.pool import QueuePool
 
 from annotator.project.database.file import DatabaseFile, database_file, keep_replaced, kept_copies
 from annotator.project.database.generation import advance, has_foreign_wal, wal_of
-from annotator.project.migrations import (
+from annotator.project.database.migrations import (
     APPLICATION_ID,
     application_problem,
     newest_version,
