@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from annotator.project.classes.completing import completed, restored
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import events, frames, labels, recordings
 from annotator.project.database.store import Store
-from annotator.project.derived import apply_event
+from annotator.project.derived import apply_event, rebuild
 from annotator.project.event_types import (
     PAYLOAD,
     ClassesChanged,
@@ -30,16 +30,10 @@ from annotator.project.event_types import (
     TracksLinked,
     ViewBoxesSet,
 )
-from annotator.project.events import CLASSES, Effort, Event, insert_event
+from annotator.project.events import CLASSES, Effort, Event, insert_event, read_events
 from annotator.project.records import BoxRecord, parsed, storable
 from annotator.types import ReviewState, Source
-from annotator.types.errors import (
-    FinalisedFrameError,
-    NotFoundError,
-    ProjectError,
-    StaleRevisionError,
-    TrackTakenError,
-)
+from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectError, StaleRevisionError, TrackTakenError
 from annotator.types.names import alternatives
 
 # Events without class names that concern attributes.
@@ -372,3 +366,84 @@ def _apply(connection: Connection, event: Event, where: str) -> None:
         apply_event(connection, event)
     except ProjectError as error:
         raise ProjectError(f"{where}: {error}") from error
+
+
+# TODO-MERGED docstring of log.py:
+# The event log of a project: appending, reading, and rebuilding the derived tables from it.
+
+
+@dataclass(frozen=True)
+class ChangedFrame:
+    """A changed frame: its latest revision, and the author of its latest event."""
+
+    frame_id: int
+    revision: int
+    author: str
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """The events of a project."""
+
+    writer: Writer
+
+    def append(self, frame_id: int, payloads: Sequence[Payload], context: WriteContext) -> Receipt:
+        """Appends several events to a frame as one action, all or none.
+
+        Raises:
+            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
+        """
+        return self.writer.to_frame(frame_id, payloads, context)
+
+    def append_to_frames(
+        self, parts: Sequence[FramePart], action: str | None = None, new_tracks: Collection[int] = ()
+    ) -> tuple[Receipt, ...]:
+        """Appends events to several frames, all or none, as one action that a single undo reverts.
+
+        Args:
+            action: id of an action that is written in several calls (`new_action`); None = a new one.
+            new_tracks: track ids that must still be free in the recording of the first part's frame.
+
+        Raises:
+            TrackTakenError, StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frames`.
+        """
+        return self.writer.to_frames(parts, action, new_tracks)
+
+    def of_frame(self, frame_id: int) -> tuple[Event, ...]:
+        """All events of a frame, in order."""
+        with self.writer.store.read() as connection:
+            return tuple(read_events(connection, select(events).where(events.c.frame_id == frame_id)))
+
+    def since(self, event_id: int = 0) -> Iterator[Event]:
+        """Yields all events after `event_id`, in order, as of the start of the iteration."""
+        with self.writer.store.read() as connection:
+            yield from read_events(connection, after=event_id)
+
+    def last(self) -> int:
+        """The id of the newest event; 0 if there is none."""
+        with self.writer.store.read() as connection:
+            return int(connection.execute(select(func.coalesce(func.max(events.c.id), 0))).scalar_one())
+
+    def changed_frames(self, event_id: int) -> tuple[int, tuple[ChangedFrame, ...]]:
+        """The id of the newest event, and the frames changed after the event `event_id`."""
+        last = func.max(events.c.id)
+        changed = (
+            select(events.c.frame_id, events.c.revision, events.c.author, last)
+            .where(events.c.id > event_id, events.c.frame_id.is_not(None))
+            .group_by(events.c.frame_id)  # SQLite takes the other columns from the row with the maximum
+            .order_by(last)
+        )
+        with self.writer.store.read() as connection:
+            newest = int(connection.execute(select(func.coalesce(last, 0))).scalar_one())
+            if newest <= event_id:
+                return newest, ()
+            return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
+
+    def rebuild(self) -> int:
+        """Rebuilds the derived tables from all events; returns the number of events. An intact state does not change.
+
+        Raises:
+            ProjectError: an event contradicts the ones before it; the tables stay as they were.
+        """
+        with self.writer.store.write() as connection:
+            return rebuild(connection)
