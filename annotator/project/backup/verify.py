@@ -30,7 +30,7 @@ from annotator.project.database.schema import (
     view_labels,
 )
 from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
-from annotator.project.derived import rebuild
+from annotator.project.log.derived import rebuild
 from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
 from annotator.types.names import first_few
