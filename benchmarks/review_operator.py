@@ -29,7 +29,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
 from annotator.project.boxes import png
 from annotator.project.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
-from annotator.project.records import BoxRecord
+from annotator.project.log.records import BoxRecord
 from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.carry_correction import carry_correction

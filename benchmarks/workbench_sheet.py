@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from annotator.project import create_project
 from annotator.project.event_types import LabelProposed
-from annotator.project.records import BoxRecord
+from annotator.project.log.records import BoxRecord
 from annotator.recordings import open_recording
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.reading import load_truth

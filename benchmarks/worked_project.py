@@ -25,7 +25,7 @@ from annotator.project.event_types import (
     ProposedObject,
 )
 from annotator.project.jobs import record_result
-from annotator.project.records import BoxRecord, ProposalRecord
+from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.writing import Writer
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 

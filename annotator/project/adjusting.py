@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Select, bindparam, delete, insert, select, up
 
 from annotator.project.database.schema import AnyRow, adjustments, events, frames, labels, recordings, view_labels
 from annotator.project.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
-from annotator.project.records import BoxRecord, SaidRecord, ViewGeometry, parsed, said_json, said_of
+from annotator.project.log.records import BoxRecord, SaidRecord, ViewGeometry, parsed, said_json, said_of
 from annotator.types import NO_CORRECTION, Correction
 
 # TODO-MERGED docstring of adjusting.py:

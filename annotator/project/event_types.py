@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
 from annotator.project.classes.attributes import Attribute, AttributeName, ClassStyle, Value
 from annotator.project.classes.relabelling import Relabelling
-from annotator.project.records import EXACT, BoxRecord, Finite, ProposalRecord, SaidRecord, ViewGeometry
+from annotator.project.log.records import EXACT, BoxRecord, Finite, ProposalRecord, SaidRecord, ViewGeometry
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, LostObject, ReviewState, Source, Suggestion
 from annotator.types.label import MOST_TRACK
 

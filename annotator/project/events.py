@@ -17,7 +17,7 @@ from annotator.project.event_types import (
     ViewBoxesRestored,
     ViewBoxesSet,
 )
-from annotator.project.records import parsed
+from annotator.project.log.records import parsed
 from annotator.types import Source
 
 _BATCH = 50

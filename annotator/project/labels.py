@@ -26,7 +26,7 @@ from annotator.project.event_types import (
     LabelRestored,
     Origin,
 )
-from annotator.project.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
+from annotator.project.log.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
 from annotator.project.review import (
     By,
     Formula,

@@ -10,7 +10,7 @@ import numpy as np
 
 from annotator.geometry.iou import intersection_volume_pairs, iou_3d_matrix
 from annotator.project.classes.attributes import Attribute, fitting
-from annotator.project.records import OWN, SaidRecord
+from annotator.project.log.records import OWN, SaidRecord
 from annotator.types import Label, OrientedBox
 from annotator.types.label import AttributeValue
 

@@ -14,7 +14,7 @@ from annotator.project.classes.attributes import Value, value_text
 from annotator.project.database.schema import AnyRow, frame_attributes, frames, labels
 from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.records import OWN, sources_of
+from annotator.project.log.records import OWN, sources_of
 from annotator.types import ReviewState, Source
 
 # TODO-MERGED docstring of value_filter.py:

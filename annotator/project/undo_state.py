@@ -48,8 +48,7 @@ from annotator.project.event_types import (
     ViewBoxesSet,
     ViewBoxesState,
 )
-from annotator.project.merging import given_back
-from annotator.project.records import (
+from annotator.project.log.records import (
     BOXES_2D,
     BoxRecord,
     SaidRecord,
@@ -60,6 +59,7 @@ from annotator.project.records import (
     said_of,
     suggestion_of,
 )
+from annotator.project.merging import given_back
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue

@@ -31,7 +31,7 @@ from annotator.project.event_types import (
 )
 from annotator.project.events import CLASSES, Effort, Event, insert_event, read_events
 from annotator.project.log.derived import apply_event, rebuild
-from annotator.project.records import BoxRecord, parsed, storable
+from annotator.project.log.records import BoxRecord, parsed, storable
 from annotator.types import ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectError, StaleRevisionError, TrackTakenError
 from annotator.types.names import alternatives

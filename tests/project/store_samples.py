@@ -15,8 +15,8 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.overview import read_page
-from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
     BoxKind,

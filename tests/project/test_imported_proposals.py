@@ -19,7 +19,7 @@ from annotator.project.classes.edit import ClassEdit
 from annotator.project.database.schema import labels
 from annotator.project.event_types import LabelProposed
 from annotator.project.labels import StoredLabel
-from annotator.project.records import BoxRecord
+from annotator.project.log.records import BoxRecord
 from annotator.project.review import By
 from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source

@@ -11,7 +11,7 @@ from store_samples import box_at, by_hand, by_machine, lost_object, proposal_at,
 
 from annotator.project import NewLabel, Project, RunShare
 from annotator.project.event_types import LabelProposed
-from annotator.project.records import BoxRecord
+from annotator.project.log.records import BoxRecord
 from annotator.types import BoxKind, Proposal, ReviewState
 from annotator.types.errors import ProjectError
 

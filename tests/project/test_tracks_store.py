@@ -20,7 +20,7 @@ from annotator.project.event_types import (
     ProposedObject,
     TracksLinked,
 )
-from annotator.project.records import BoxRecord, ProposalRecord
+from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.types import ReviewState, Source
 from annotator.types.errors import (
     FinalisedFrameError,

@@ -27,7 +27,7 @@ from annotator.project.event_types import (
     LabelState,
     ViewBoxesState,
 )
-from annotator.project.records import (
+from annotator.project.log.records import (
     BOXES_2D,
     SaidRecord,
     ViewGeometry,

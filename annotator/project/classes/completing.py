@@ -23,8 +23,8 @@ from annotator.project.event_types import (
     ProposalsImported,
     ProposalsReplaced,
 )
+from annotator.project.log.records import SaidRecord, said_of, track_of
 from annotator.project.merging import borrowed, lend
-from annotator.project.records import SaidRecord, said_of, track_of
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue

@@ -16,7 +16,7 @@ from annotator.project.config import CONFIG_FILE, ProjectConfig, config_bytes, r
 from annotator.project.database.schema import events
 from annotator.project.event_types import ClassesChanged
 from annotator.project.events import event_of
-from annotator.project.records import parsed
+from annotator.project.log.records import parsed
 from annotator.types.errors import ProjectError
 
 _PREPARED = f"{CONFIG_FILE}.event-"

@@ -10,7 +10,7 @@ from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import Attribute
 from annotator.project.database.schema import events, labels
 from annotator.project.event_types import PAYLOAD, LabelAttributesSet
-from annotator.project.records import parsed, said_of
+from annotator.project.log.records import parsed, said_of
 from annotator.types import ReviewState, Source
 
 # Built once, since building a statement takes longer than running it.

@@ -42,7 +42,7 @@ from annotator.project.event_types import (
     ViewBoxesState,
 )
 from annotator.project.events import Event, read_events
-from annotator.project.records import (
+from annotator.project.log.records import (
     BOXES_2D,
     OWN,
     OwnColumns,

@@ -20,8 +20,8 @@ from annotator.geometry.oriented_box import SAME_BOX
 from annotator.project.database.schema import AnyRow, labels
 from annotator.project.efforts import COPIED, CORRECTED, FROM_NOTHING, IMPORT_EDITED, PLACED, UNTOUCHED
 from annotator.project.event_types import Origin
+from annotator.project.log.records import parsed
 from annotator.project.progress.action_log import KEPT, REJECTED, ActionLog
-from annotator.project.records import parsed
 from annotator.types import ReviewState, Source
 
 _MANUAL = {Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED, None: FROM_NOTHING}

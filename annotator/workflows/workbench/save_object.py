@@ -16,8 +16,8 @@ from annotator.project.event_types import (
     Payload,
     ViewBoxesSet,
 )
+from annotator.project.log.records import BoxRecord
 from annotator.project.overview import FramePage
-from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, Suggestion
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.views.follow_image_boxes import changes_kind, view_followers
