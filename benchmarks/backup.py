@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from annotator.project import FramePart, Project, WriteContext, create_project, open_project
-from annotator.project.event_types import LabelCreated
+from annotator.project.log.event_types import LabelCreated
 from annotator.project.log.records import BoxRecord
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, Source

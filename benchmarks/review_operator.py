@@ -28,7 +28,7 @@ from annotator.geometry.iou import iou_3d, iou_3d_matrix
 from annotator.geometry.oriented_box import contains
 from annotator.project import REVIEWED, Effort, Origin, Project, StoredFrame
 from annotator.project.boxes import png
-from annotator.project.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
+from annotator.project.log.event_types import LabelAccepted, LabelCreated, LabelEdited, LabelRejected
 from annotator.project.log.records import BoxRecord
 from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from annotator.project import create_project
-from annotator.project.event_types import LabelProposed
+from annotator.project.log.event_types import LabelProposed
 from annotator.project.log.records import BoxRecord
 from annotator.recordings import open_recording
 from annotator.workflows.add_recordings import register_recording

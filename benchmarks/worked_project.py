@@ -15,7 +15,8 @@ import numpy as np
 from sqlalchemy import Connection
 
 from annotator.project import Effort, Origin, Project, WriteContext, create_project
-from annotator.project.event_types import (
+from annotator.project.jobs import record_result
+from annotator.project.log.event_types import (
     LabelAccepted,
     LabelCreated,
     LabelEdited,
@@ -24,7 +25,6 @@ from annotator.project.event_types import (
     ProposalsReplaced,
     ProposedObject,
 )
-from annotator.project.jobs import record_result
 from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.writing import Writer
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source

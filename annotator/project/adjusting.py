@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from sqlalchemy import Connection, Select, bindparam, delete, insert, select, update
 
 from annotator.project.database.schema import AnyRow, adjustments, events, frames, labels, recordings, view_labels
-from annotator.project.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
+from annotator.project.log.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
 from annotator.project.log.records import BoxRecord, SaidRecord, ViewGeometry, parsed, said_json, said_of
 from annotator.types import NO_CORRECTION, Correction
 

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, insert, select
 
 from annotator.project.database.schema import AnyRow, events
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     PAYLOAD,
     ClassesChanged,
     Payload,

@@ -16,7 +16,7 @@ from annotator.project.classes.completing import labels_of_tracks
 from annotator.project.classes.kept import kept_proposals
 from annotator.project.config import read_config
 from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     LabelAccepted,
     LabelAttributesSet,
     LabelCreated,

@@ -32,11 +32,11 @@ from annotator.project.config import (
     write_config,
 )
 from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
-from annotator.project.event_types import ClassesChanged
 from annotator.project.frames import Frames
 from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
+from annotator.project.log.event_types import ClassesChanged
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals

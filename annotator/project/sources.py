@@ -13,8 +13,8 @@ from annotator.project.classes.applying import values_of
 from annotator.project.classes.kept import kept_proposals
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
-from annotator.project.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.labels import NewLabel, stored_label
+from annotator.project.log.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.log.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable, track_of
 from annotator.project.merging import Group, borrowed, conflicts, covered_by, given_back, lent_names, merged, without
 from annotator.project.writing import Receipt, WriteContext, Writer

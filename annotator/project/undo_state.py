@@ -26,7 +26,7 @@ from annotator.project.adjusting import (
 from annotator.project.classes.applying import ClassChanges, frame_values, values_of
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting, values_json
 from annotator.project.database.schema import LABEL_OF_UID, AnyRow, frames, image_labels, labels, view_labels
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     ClassesChanged,
     FrameAttributesSet,
     FrameFinalised,

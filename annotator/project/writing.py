@@ -15,7 +15,9 @@ from annotator.project.classes.completing import completed, restored
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import events, frames, labels, recordings
 from annotator.project.database.store import Store
-from annotator.project.event_types import (
+from annotator.project.events import CLASSES, Effort, Event, insert_event, read_events
+from annotator.project.log.derived import apply_event, rebuild
+from annotator.project.log.event_types import (
     PAYLOAD,
     ClassesChanged,
     FrameAttributesSet,
@@ -29,8 +31,6 @@ from annotator.project.event_types import (
     TracksLinked,
     ViewBoxesSet,
 )
-from annotator.project.events import CLASSES, Effort, Event, insert_event, read_events
-from annotator.project.log.derived import apply_event, rebuild
 from annotator.project.log.records import BoxRecord, parsed, storable
 from annotator.types import ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectError, StaleRevisionError, TrackTakenError

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from annotator.project import Origin, WriteContext
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     FrameFinalised,
     FrameReopened,
     ImageBoxesSet,

@@ -14,7 +14,7 @@ from annotator.project import FramePart, NewLabel, Project, ProjectConfig, Store
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.edit import ClassEdit
-from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project.log.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
 from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.overview import read_page
 from annotator.types import (

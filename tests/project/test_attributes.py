@@ -13,7 +13,7 @@ from annotator.project import NewLabel, Project, StoredRecording, open_project
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle
-from annotator.project.event_types import LabelEdited, LabelProposed, LabelTracked
+from annotator.project.log.event_types import LabelEdited, LabelProposed, LabelTracked
 from annotator.project.log.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, NotFoundError, ProjectError, StaleRevisionError

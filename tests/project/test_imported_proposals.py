@@ -17,8 +17,8 @@ from annotator.project.classes.attributes import Attribute, AttributeKind, Attri
 from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.database.schema import labels
-from annotator.project.event_types import LabelProposed
 from annotator.project.labels import StoredLabel
+from annotator.project.log.event_types import LabelProposed
 from annotator.project.log.records import BoxRecord
 from annotator.project.review import By
 from annotator.project.sources import Brought

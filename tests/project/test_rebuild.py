@@ -24,7 +24,7 @@ from store_samples import (
 )
 
 from annotator.project import Project, create_project
-from annotator.project.event_types import LinkedLabel, TracksLinked
+from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.project.log.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError

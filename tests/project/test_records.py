@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from scipy.spatial.transform import RigidTransform
 from store_samples import boxes_2d, lost_object, oriented_boxes, proposal_at, proposals, same_box
 
-from annotator.project.event_types import PAYLOAD, ImageBoxesSet, LabelCreated, ProposalsReplaced
+from annotator.project.log.event_types import PAYLOAD, ImageBoxesSet, LabelCreated, ProposalsReplaced
 from annotator.project.log.records import BoxRecord, ProposalRecord, ViewGeometry, storable
 from annotator.types import Box2D, BoxKind, LostObject, OrientedBox, PseudoView, ReviewState
 from annotator.types.errors import ProjectError

@@ -8,7 +8,7 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
 from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording, writing
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     LabelAccepted,
     LabelCreated,
     LabelDeleted,

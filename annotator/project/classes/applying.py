@@ -20,13 +20,7 @@ from annotator.project.database.schema import (
     labels,
     view_labels,
 )
-from annotator.project.event_types import (
-    PAYLOAD,
-    ClassesChanged,
-    ImageBoxesState,
-    LabelState,
-    ViewBoxesState,
-)
+from annotator.project.log.event_types import PAYLOAD, ClassesChanged, ImageBoxesState, LabelState, ViewBoxesState
 from annotator.project.log.records import (
     BOXES_2D,
     SaidRecord,

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Select, select
 from annotator.project.classes.applying import frame_values, values_of
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
 from annotator.project.database.schema import LABEL_OF_UID, AnyRow, frames, labels
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     FrameAttributesSet,
     LabelAttributesSet,
     LabelCreated,

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, bindparam, select
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import Attribute
 from annotator.project.database.schema import events, labels
-from annotator.project.event_types import PAYLOAD, LabelAttributesSet
+from annotator.project.log.event_types import PAYLOAD, LabelAttributesSet
 from annotator.project.log.records import parsed, said_of
 from annotator.types import ReviewState, Source
 

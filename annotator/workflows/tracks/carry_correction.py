@@ -8,7 +8,7 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel
-from annotator.project.event_types import Payload
+from annotator.project.log.event_types import Payload
 from annotator.project.merging import covered_by
 from annotator.project.overview import read_page
 from annotator.rcv.axes import with_axes_like

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, StoredFrame, StoredLabel, WriteContext
-from annotator.project.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
+from annotator.project.log.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
 from annotator.project.log.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.merging import covered_by
 from annotator.project.overview import read_page

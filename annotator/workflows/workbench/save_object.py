@@ -9,13 +9,7 @@ from dataclasses import dataclass, replace
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, Receipt, StoredLabel, ViewBoxes, WriteContext
 from annotator.project.efforts import draft_id
-from annotator.project.event_types import (
-    ImageBoxesSet,
-    LabelCreated,
-    LabelEdited,
-    Payload,
-    ViewBoxesSet,
-)
+from annotator.project.log.event_types import ImageBoxesSet, LabelCreated, LabelEdited, Payload, ViewBoxesSet
 from annotator.project.log.records import BoxRecord
 from annotator.project.overview import FramePage
 from annotator.types import Box2D, BoxKind, Suggestion
