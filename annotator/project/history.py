@@ -23,8 +23,8 @@ from annotator.project.adjusting import adjustment_of
 from annotator.project.classes.applying import made_changes
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import AnyRow, events, frames, recordings, revertible
-from annotator.project.events import Effort
 from annotator.project.log.event_types import LabelState, Payload
+from annotator.project.log.events import Effort
 from annotator.project.log.records import parsed, said_of
 from annotator.project.removed import removed_recordings
 from annotator.project.sources import said_again

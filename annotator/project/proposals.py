@@ -14,10 +14,10 @@ from annotator.project.adjusting import Moves
 from annotator.project.classes.kept import kept_proposals
 from annotator.project.config import read_config
 from annotator.project.database.schema import events, frames, labels
-from annotator.project.events import Event, event_of
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import NewLabel, read_labels
 from annotator.project.log.event_types import ProposalsReplaced, ProposedObject
+from annotator.project.log.events import Event, event_of
 from annotator.project.log.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
 from annotator.project.merging import covered_by
 from annotator.project.sources import Brought, SourceTracks, beside_new_pass, bring, source_tracks

@@ -15,7 +15,6 @@ from annotator.project.classes.completing import completed, restored
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import events, frames, labels, recordings
 from annotator.project.database.store import Store
-from annotator.project.events import CLASSES, Effort, Event, insert_event, read_events
 from annotator.project.log.derived import apply_event, rebuild
 from annotator.project.log.event_types import (
     PAYLOAD,
@@ -31,6 +30,7 @@ from annotator.project.log.event_types import (
     TracksLinked,
     ViewBoxesSet,
 )
+from annotator.project.log.events import CLASSES, Effort, Event, insert_event, read_events
 from annotator.project.log.records import BoxRecord, parsed, storable
 from annotator.types import ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, NotFoundError, ProjectError, StaleRevisionError, TrackTakenError

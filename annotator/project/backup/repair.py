@@ -36,9 +36,9 @@ from annotator.project.database.schema import (
     view_labels,
 )
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
-from annotator.project.events import Event, event_of, insert_event
 from annotator.project.log.derived import apply_event, rebuild
 from annotator.project.log.event_types import LabelRestored
+from annotator.project.log.events import Event, event_of, insert_event
 from annotator.project.removed import hide_removed
 from annotator.project.undo_state import FRAME, IMAGE, LABEL, VALUES, VIEW, read_state, restoring
 from annotator.types import Source

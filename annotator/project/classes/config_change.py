@@ -14,8 +14,8 @@ from sqlalchemy import Connection, func, select
 from annotator.files import read_file, sync_folder, write_atomic
 from annotator.project.config import CONFIG_FILE, ProjectConfig, config_bytes, read_config
 from annotator.project.database.schema import events
-from annotator.project.events import event_of
 from annotator.project.log.event_types import ClassesChanged
+from annotator.project.log.events import event_of
 from annotator.project.log.records import parsed
 from annotator.types.errors import ProjectError
 

@@ -11,7 +11,6 @@ from annotator.project.adjusting import adjust
 from annotator.project.classes.applying import relabel, set_frame_values, values_of
 from annotator.project.classes.attributes import values_json
 from annotator.project.database.schema import DERIVED, frames, image_labels, labels, revertible, view_labels
-from annotator.project.events import Event, read_events
 from annotator.project.log.event_types import (
     ClassesChanged,
     FrameAttributesSet,
@@ -42,6 +41,7 @@ from annotator.project.log.event_types import (
     ViewBoxesSet,
     ViewBoxesState,
 )
+from annotator.project.log.events import Event, read_events
 from annotator.project.log.records import (
     BOXES_2D,
     OWN,

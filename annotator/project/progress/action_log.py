@@ -11,8 +11,8 @@ from sqlalchemy import Connection, select
 
 from annotator.project.database.schema import events, revertible
 from annotator.project.efforts import DRAFT, draft_id
-from annotator.project.events import Effort
 from annotator.project.log.event_types import ImageBoxesState
+from annotator.project.log.events import Effort
 from annotator.project.log.records import parsed
 from annotator.project.undo_state import IMAGE, LABEL, Since, present_state
 from annotator.types import ReviewState
