@@ -26,7 +26,7 @@ from annotator.project.log.event_types import (
     ProposedObject,
 )
 from annotator.project.log.records import BoxRecord, ProposalRecord
-from annotator.project.writing import Writer
+from annotator.project.log.writing import Writer
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Source
 
 # class -> its share, and the size of its boxes in metres

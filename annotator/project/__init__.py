@@ -10,6 +10,7 @@ from annotator.project.labels import REVIEWED, LabelSignals, NewLabel, StoredLab
 from annotator.project.log.event_types import Origin
 from annotator.project.log.events import Effort, Event
 from annotator.project.log.records import ViewGeometry
+from annotator.project.log.writing import FramePart, Receipt, WriteContext, new_action
 from annotator.project.models import StoredModel
 from annotator.project.project import (
     ListedProject,
@@ -21,7 +22,6 @@ from annotator.project.project import (
 from annotator.project.proposals import Pass, PassObject, Replaced, RunShare
 from annotator.project.recordings import Rescan, StoredRecording
 from annotator.project.statistics import Statistics
-from annotator.project.writing import FramePart, Receipt, WriteContext, new_action
 
 __all__ = [
     "REVIEWED",

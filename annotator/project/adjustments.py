@@ -12,7 +12,7 @@ from annotator.project.adjusting import Adjustment, Moves, Up, between, read_adj
 from annotator.project.database.schema import adjustments, events, frames
 from annotator.project.log.event_types import RecordingAdjusted
 from annotator.project.log.events import Effort
-from annotator.project.writing import Receipt, WriteContext, Writer
+from annotator.project.log.writing import Receipt, WriteContext, Writer
 from annotator.types import Correction
 from annotator.types.errors import ProjectError, StaleRevisionError
 

@@ -18,7 +18,7 @@ from annotator.files import open_file, read_file, write_atomic
 from annotator.project.database.schema import AnyRow, frames, image_labels, labels, view_labels
 from annotator.project.log.event_types import ImageBoxesSet, ViewBoxesSet
 from annotator.project.log.records import BOXES_2D, ViewGeometry, parsed, storable
-from annotator.project.writing import Receipt, WriteContext, Writer
+from annotator.project.log.writing import Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 

@@ -10,8 +10,8 @@ from sqlalchemy import Connection, bindparam, func, select
 from annotator.project.classes.applying import frame_values, values_of
 from annotator.project.database.schema import AnyRow, frame_attributes, frames
 from annotator.project.log.event_types import FrameAttributesSet, FrameFinalised, FrameReopened
+from annotator.project.log.writing import Receipt, WriteContext, Writer
 from annotator.project.removed import KEPT
-from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 

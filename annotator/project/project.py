@@ -37,6 +37,7 @@ from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
 from annotator.project.log.event_types import ClassesChanged
+from annotator.project.log.writing import Log, Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
@@ -45,7 +46,6 @@ from annotator.project.removed import with_removed
 from annotator.project.sources import without_classes
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.project.tidying.in_use import mark_in_use
-from annotator.project.writing import Log, Writer
 from annotator.types.errors import ProjectError
 
 AUTHOR = "annotator"

@@ -16,8 +16,8 @@ from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, l
 from annotator.project.labels import NewLabel, stored_label
 from annotator.project.log.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.log.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable, track_of
+from annotator.project.log.writing import Receipt, WriteContext, Writer
 from annotator.project.merging import Group, borrowed, conflicts, covered_by, given_back, lent_names, merged, without
-from annotator.project.writing import Receipt, WriteContext, Writer
 from annotator.types import BoxKind, ReviewState, Source
 
 # TODO-MERGED docstring of bring.py:

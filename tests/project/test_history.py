@@ -31,7 +31,7 @@ from store_samples import (
 from annotator.project import FramePart, NewLabel, Project, StoredRecording, create_project, open_project
 from annotator.project.log.event_types import FrameFinalised, LabelCreated, LabelDeleted, LabelTracked, Payload
 from annotator.project.log.records import BoxRecord
-from annotator.project.writing import new_action
+from annotator.project.log.writing import new_action
 from annotator.types import BoxKind, ReviewState
 from annotator.types.errors import ConfigError, HistoryError, ProjectError
 

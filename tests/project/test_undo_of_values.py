@@ -12,7 +12,7 @@ from annotator.project import NewLabel, Project
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeOf
-from annotator.project.writing import new_action
+from annotator.project.log.writing import new_action
 from annotator.types.errors import ProjectError
 
 # The attribute as it was, a value, and the attribute as it is now.

@@ -11,7 +11,7 @@ from annotator.project import FramePart, NewLabel, Project, StoredRecording, ope
 from annotator.project.backup.verify import verify
 from annotator.project.log.event_types import LabelCreated
 from annotator.project.log.records import BoxRecord
-from annotator.project.writing import new_action
+from annotator.project.log.writing import new_action
 from annotator.types.errors import HistoryError
 
 KEYS = ["0", "1"]

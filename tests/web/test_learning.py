@@ -16,8 +16,8 @@ from test_web_jobs import JOBS, begin, fake, until  # noqa: F401  (`fake` is a f
 
 from annotator.project import Project, create_project
 from annotator.project.labels import Labels
+from annotator.project.log.writing import ChangedFrame, Log
 from annotator.project.models import Models
-from annotator.project.writing import ChangedFrame, Log
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.web.background import learning

@@ -11,9 +11,9 @@ from annotator.project.adjustments import Adjustments
 from annotator.project.classes.applying import CHANGED
 from annotator.project.database.schema import events, frames, models, recordings
 from annotator.project.database.store import Store, create_store, open_store
+from annotator.project.log.writing import Writer
 from annotator.project.recordings import Recordings
 from annotator.project.removed import KEPT
-from annotator.project.writing import Writer
 
 AUTHOR = "annotator project copy"
 
