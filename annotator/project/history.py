@@ -26,10 +26,7 @@ from annotator.project.database.schema import AnyRow, events, frames, recordings
 from annotator.project.log.event_types import LabelState, Payload
 from annotator.project.log.events import Effort
 from annotator.project.log.records import parsed, said_of
-from annotator.project.log.writing import FramePart, Receipt, WriteContext, Writer
-from annotator.project.removed import removed_recordings
-from annotator.project.sources import said_again
-from annotator.project.undo_state import (
+from annotator.project.log.undo_state import (
     FRAME,
     IMAGE,
     LABEL,
@@ -44,6 +41,9 @@ from annotator.project.undo_state import (
     restoring,
     same_state,
 )
+from annotator.project.log.writing import FramePart, Receipt, WriteContext, Writer
+from annotator.project.removed import removed_recordings
+from annotator.project.sources import said_again
 from annotator.types import Source
 from annotator.types.errors import HistoryError, TrackTakenError
 

@@ -27,6 +27,7 @@ from annotator.project.log.event_types import (
     Origin,
 )
 from annotator.project.log.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
+from annotator.project.log.undo_state import label_state
 from annotator.project.log.writing import FramePart, Receipt, WriteContext, Writer
 from annotator.project.review import (
     By,
@@ -37,7 +38,6 @@ from annotator.project.review import (
     waiting_sources,
     worst_of_frames,
 )
-from annotator.project.undo_state import label_state
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said

@@ -53,8 +53,8 @@ from annotator.project.log.records import (
     suggestion_json,
     track_of,
 )
+from annotator.project.log.undo_state import read_state, target_of
 from annotator.project.removed import hide_removed, is_hidden, next_label_id
-from annotator.project.undo_state import read_state, target_of
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue

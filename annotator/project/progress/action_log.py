@@ -14,7 +14,7 @@ from annotator.project.efforts import DRAFT, draft_id
 from annotator.project.log.event_types import ImageBoxesState
 from annotator.project.log.events import Effort
 from annotator.project.log.records import parsed
-from annotator.project.undo_state import IMAGE, LABEL, Since, present_state
+from annotator.project.log.undo_state import IMAGE, LABEL, Since, present_state
 from annotator.types import ReviewState
 
 # A state is the JSON of a model with one key "state"; quotes in names are escaped, so these texts occur nowhere else.
