@@ -4,11 +4,11 @@ from annotator.project.adjustments import Basis
 from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.frames import StoredFrame
-from annotator.project.history import History, Reverted
 from annotator.project.jobs import FrameResult, Run, Status, run_key
 from annotator.project.labels import REVIEWED, LabelSignals, NewLabel, StoredLabel
 from annotator.project.log.event_types import Origin
 from annotator.project.log.events import Effort, Event
+from annotator.project.log.history import History, Reverted
 from annotator.project.log.records import ViewGeometry
 from annotator.project.log.writing import FramePart, Receipt, WriteContext, new_action
 from annotator.project.models import StoredModel

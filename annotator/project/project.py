@@ -33,10 +33,10 @@ from annotator.project.config import (
 )
 from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.frames import Frames
-from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
 from annotator.project.log.event_types import ClassesChanged
+from annotator.project.log.history import History
 from annotator.project.log.writing import Log, Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
