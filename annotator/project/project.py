@@ -19,7 +19,6 @@ from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER, requir
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.applying import ClassChanges, made_changes
-from annotator.project.classes.config_change import prepare_config, take_config
 from annotator.project.classes.counting import ClassCounts, class_counts, require_fitting, value_counts
 from annotator.project.classes.edit import ClassEdit, with_classes
 from annotator.project.classes.relabelling import Relabelling
@@ -28,7 +27,9 @@ from annotator.project.config import (
     ProjectConfig,
     ProjectSettings,
     new_config,
+    prepare_config,
     read_config,
+    take_config,
     write_config,
 )
 from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store

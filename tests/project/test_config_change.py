@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from annotator.files import lock_folder
-from annotator.project import Project, create_project, open_project
-from annotator.project.classes import config_change, edit
+from annotator.project import Project, config, create_project, open_project
+from annotator.project.classes import edit
 from annotator.project.config import read_config
 from annotator.project.tidying.folders import rename_project
 from annotator.project.tidying.in_use import not_in_use
@@ -27,7 +27,7 @@ def to_lorry(project: Project) -> None:
 
 
 def test_a_kill_after_the_transaction_has_ended_leaves_the_new_classes(cars: Path, monkeypatch) -> None:
-    taken = config_change.take_config
+    taken = config.take_config
 
     def killed(folder: Path, connection: object) -> object:
         if any(folder.glob("project.json.event-*")):
@@ -49,7 +49,7 @@ def test_a_kill_before_the_transaction_has_ended_leaves_the_old_classes(cars: Pa
         kept.append((path, path.read_bytes()))
         raise KeyboardInterrupt
 
-    prepare, kept = config_change.prepare_config, list[tuple[Path, bytes]]()
+    prepare, kept = config.prepare_config, list[tuple[Path, bytes]]()
     with monkeypatch.context() as patched, open_project(cars) as project, pytest.raises(KeyboardInterrupt):
         patched.setattr("annotator.project.project.prepare_config", killed)
         to_lorry(project)
