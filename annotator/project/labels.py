@@ -12,8 +12,7 @@ from sqlalchemy import Connection, Select, func, select
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import AttributeOf
-from annotator.project.classes.completing import labels_of_tracks
-from annotator.project.classes.kept import kept_proposals
+from annotator.project.classes.completing import kept_proposals, labels_of_tracks
 from annotator.project.config import read_config
 from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.log.event_types import (

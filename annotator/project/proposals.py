@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
 from annotator.project.adjusting import Moves
-from annotator.project.classes.kept import kept_proposals
+from annotator.project.classes.completing import kept_proposals
 from annotator.project.config import read_config
 from annotator.project.database.schema import events, frames, labels
 from annotator.project.jobs import read_run, record_result

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.classes.applying import values_of
-from annotator.project.classes.kept import kept_proposals
+from annotator.project.classes.completing import kept_proposals
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.labels import NewLabel, stored_label
