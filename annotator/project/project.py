@@ -19,9 +19,9 @@ from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER, requir
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.applying import ClassChanges, made_changes
+from annotator.project.classes.attributes import Relabelling
 from annotator.project.classes.counting import ClassCounts, class_counts, require_fitting, value_counts
 from annotator.project.classes.edit import ClassEdit, with_classes
-from annotator.project.classes.relabelling import Relabelling
 from annotator.project.config import (
     CONFIG_FILE,
     ProjectConfig,

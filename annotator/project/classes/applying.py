@@ -9,8 +9,7 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, delete, insert, select, update
 
-from annotator.project.classes.attributes import values_json
-from annotator.project.classes.relabelling import Relabelling
+from annotator.project.classes.attributes import Relabelling, values_json
 from annotator.project.database.schema import (
     AnyRow,
     events,

@@ -7,8 +7,15 @@ from dataclasses import dataclass, field
 
 from pydantic import ValidationError
 
-from annotator.project.classes.attributes import MEASURED, Attribute, AttributeKind, AttributeOf, ClassStyle
-from annotator.project.classes.relabelling import Filled, Relabelling
+from annotator.project.classes.attributes import (
+    MEASURED,
+    Attribute,
+    AttributeKind,
+    AttributeOf,
+    ClassStyle,
+    Filled,
+    Relabelling,
+)
 from annotator.project.config import ProjectConfig
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.types.names import alternatives

@@ -11,8 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, TypeAdapter, model_validator
 
-from annotator.project.classes.attributes import Attribute, AttributeName, ClassStyle, Value
-from annotator.project.classes.relabelling import Relabelling
+from annotator.project.classes.attributes import Attribute, AttributeName, ClassStyle, Relabelling, Value
 from annotator.project.log.records import EXACT, BoxRecord, Finite, ProposalRecord, SaidRecord, ViewGeometry
 from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, LostObject, ReviewState, Source, Suggestion
 from annotator.types.label import MOST_TRACK
