@@ -11,7 +11,7 @@ from backup_samples import content, files
 from store_samples import box_at, by_hand
 
 from annotator.project import NewLabel, Project, open_project
-from annotator.project.backup.content import ModelChoice
+from annotator.project.backup.archive import ModelChoice
 from annotator.project.backup.make import back_up
 from annotator.project.backup.take_in import copy_project, restore
 from annotator.project.backup.verify import verify

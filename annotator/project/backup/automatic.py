@@ -15,8 +15,7 @@ from pathlib import Path
 
 from sqlalchemy import func, select
 
-from annotator.project.backup.archive import read_manifest
-from annotator.project.backup.content import ModelChoice
+from annotator.project.backup.archive import ModelChoice, read_manifest
 from annotator.project.backup.make import Backup, back_up
 from annotator.project.config import ProjectSettings, read_config
 from annotator.project.database.schema import events

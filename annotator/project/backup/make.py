@@ -13,8 +13,16 @@ from pathlib import Path
 
 from annotator import __version__
 from annotator.files import sync_folder
-from annotator.project.backup.archive import BackupManifest, Progress, add_file, add_manifest
-from annotator.project.backup.content import ModelChoice, folder_files, keep_models, stored_files
+from annotator.project.backup.archive import (
+    BackupManifest,
+    ModelChoice,
+    Progress,
+    add_file,
+    add_manifest,
+    folder_files,
+    keep_models,
+    stored_files,
+)
 from annotator.project.backup.database_check import database_problems
 from annotator.project.backup.snapshot import reading, write_snapshot
 from annotator.project.backup.unfinished import unfinished_folder

@@ -17,8 +17,8 @@ from sqlalchemy import Connection, func, insert, select
 from sqlalchemy.exc import DBAPIError
 
 from annotator.files import open_file
+from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
 from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.content import folder_files, is_content, is_regular, stored_files
 from annotator.project.backup.database_check import database_problems, given_id, missing_events
 from annotator.project.backup.snapshot import reading
 from annotator.project.backup.take_in import copy_regular, new_project

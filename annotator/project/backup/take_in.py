@@ -10,15 +10,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from annotator.files import CHUNK_BYTES, sync_folder
-from annotator.project.backup.archive import BackupManifest, Progress, open_backup, sync_files, unpack
-from annotator.project.backup.content import (
+from annotator.project.backup.archive import (
     MODELS_FOLDER,
     VIEWS_FOLDER,
+    BackupManifest,
     ModelChoice,
+    Progress,
     folder_files,
     is_regular,
     keep_models,
+    open_backup,
     stored_files,
+    sync_files,
+    unpack,
 )
 from annotator.project.backup.database_check import database_problems
 from annotator.project.backup.snapshot import reading, write_snapshot

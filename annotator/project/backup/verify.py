@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, Table, select
 
 from annotator.files import sha256_of
-from annotator.project.backup.content import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
+from annotator.project.backup.archive import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
 from annotator.project.backup.database_check import database_problems, given_id, missing_events
 from annotator.project.backup.snapshot import reading, write_snapshot
 from annotator.project.backup.unfinished import unfinished_folder
