@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from annotator.project.backup.automatic import FOLDER as BACKUPS
-from annotator.project.backup.unfinished import remove_abandoned
+from annotator.project.backup.snapshot import remove_abandoned
 
 LOG = logging.getLogger("annotator.web")
 

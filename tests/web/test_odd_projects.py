@@ -22,7 +22,7 @@ from replacing import replace_folder
 from room_api import BOX, ROOM
 
 from annotator.project import create_project
-from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.labels import Labels
 from annotator.types.errors import NotFoundError
 from annotator.web import fairness, projects

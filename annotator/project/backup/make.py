@@ -23,9 +23,7 @@ from annotator.project.backup.archive import (
     keep_models,
     stored_files,
 )
-from annotator.project.backup.database_check import database_problems
-from annotator.project.backup.snapshot import reading, write_snapshot
-from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.database.store import DATABASE_FILE, Clock, explained
 from annotator.types.errors import RESTORE, ProjectError

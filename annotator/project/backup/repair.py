@@ -19,10 +19,8 @@ from sqlalchemy.exc import DBAPIError
 from annotator.files import open_file
 from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
 from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.database_check import database_problems, given_id, missing_events
-from annotator.project.backup.snapshot import reading
+from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
 from annotator.project.backup.take_in import copy_regular, new_project
-from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
 from annotator.project.database.generation import has_foreign_wal, wal_of
 from annotator.project.database.migrations import UNRELEASED, application_problem

@@ -24,9 +24,7 @@ from annotator.project.backup.archive import (
     sync_files,
     unpack,
 )
-from annotator.project.backup.database_check import database_problems
-from annotator.project.backup.snapshot import reading, write_snapshot
-from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
 from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
 from annotator.project.database.generation import wal_of

@@ -14,9 +14,14 @@ from sqlalchemy import Connection, Table, select
 
 from annotator.files import sha256_of
 from annotator.project.backup.archive import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
-from annotator.project.backup.database_check import database_problems, given_id, missing_events
-from annotator.project.backup.snapshot import reading, write_snapshot
-from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.snapshot import (
+    database_problems,
+    given_id,
+    missing_events,
+    reading,
+    unfinished_folder,
+    write_snapshot,
+)
 from annotator.project.config import CONFIG_FILE, read_config
 from annotator.project.database.generation import has_foreign_wal
 from annotator.project.database.schema import (
