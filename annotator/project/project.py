@@ -15,7 +15,7 @@ from sqlalchemy import Connection
 from annotator.files import sync_folder
 from annotator.project.adjustments import Adjustments
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
-from annotator.project.backup.automatic import back_up_before_upgrade
+from annotator.project.backup.make import back_up_before_upgrade
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.applying import ClassChanges, made_changes

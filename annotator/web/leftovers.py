@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from annotator.project.backup.automatic import FOLDER as BACKUPS
+from annotator.project.backup.make import FOLDER as BACKUPS
 from annotator.project.backup.snapshot import remove_abandoned
 
 LOG = logging.getLogger("annotator.web")

@@ -11,8 +11,7 @@ import pytest
 
 from annotator.project import create_project
 from annotator.project.backup import make, snapshot
-from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.make import back_up
+from annotator.project.backup.make import Reason, automatic_backups, back_up, back_up_automatically
 from annotator.project.backup.repair import repair
 from annotator.types.errors import ProjectError
 

@@ -11,7 +11,7 @@ from backup_samples import content, damage
 from store_samples import box_at, by_hand
 
 from annotator.project import NewLabel, Project, StoredRecording
-from annotator.project.backup.automatic import Reason, automatic_backups
+from annotator.project.backup.make import Reason, automatic_backups
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.types.errors import ProjectError

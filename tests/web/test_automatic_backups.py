@@ -10,7 +10,7 @@ import pytest
 from replacing import replace_folder
 
 from annotator.project import WriteContext, create_project
-from annotator.project.backup.automatic import FOLDER, Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.make import FOLDER, Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.take_in import restore
 from annotator.types import BoxKind
 from annotator.web.background.automatic_backups import PAUSE_S, AutomaticBackups

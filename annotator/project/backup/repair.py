@@ -18,7 +18,7 @@ from sqlalchemy.exc import DBAPIError
 
 from annotator.files import open_file
 from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
-from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
 from annotator.project.backup.take_in import copy_regular, new_project
 from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.project.backup.automatic import Reason, back_up_automatically
+from annotator.project.backup.make import Reason, back_up_automatically
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.config import ProjectConfig
 from annotator.project.project import Project

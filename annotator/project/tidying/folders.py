@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from annotator.files import private_folder, sync_folder
-from annotator.project.backup.automatic import FOLDER as BACKUPS
+from annotator.project.backup.make import FOLDER as BACKUPS
 from annotator.project.config import free_path, read_config, write_config
 from annotator.project.tidying.in_use import not_in_use
 from annotator.types.errors import ProjectError
