@@ -33,6 +33,7 @@ from annotator.project.config import (
     write_config,
 )
 from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
+from annotator.project.folders import mark_in_use
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
@@ -46,7 +47,6 @@ from annotator.project.recordings import Recordings
 from annotator.project.removed import with_removed
 from annotator.project.sources import without_classes
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.project.tidying.in_use import mark_in_use
 from annotator.types.errors import ProjectError
 
 AUTHOR = "annotator"

@@ -11,8 +11,7 @@ from annotator.files import lock_folder
 from annotator.project import Project, config, create_project, open_project
 from annotator.project.classes import edit
 from annotator.project.config import read_config
-from annotator.project.tidying.folders import rename_project
-from annotator.project.tidying.in_use import not_in_use
+from annotator.project.folders import not_in_use, rename_project
 from annotator.types.errors import InUseError
 
 
@@ -74,7 +73,7 @@ def test_a_rename_keeps_what_was_changed_just_before(cars: Path, monkeypatch) ->
 
         def __exit__(self, *_: object) -> None: ...
 
-    monkeypatch.setattr("annotator.project.tidying.folders.not_in_use", Late)
+    monkeypatch.setattr("annotator.project.folders.not_in_use", Late)
     rename_project(cars, "lorries")
     config = read_config(cars.parent / "lorries")
     assert (config.name, config.classes) == ("lorries", ("lorry",))

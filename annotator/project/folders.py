@@ -1,19 +1,60 @@
-"""Renames a project's folder, or moves it aside.
-
-Both are one rename, which other processes notice: the store refuses to write to a database that is no longer at its
-place (`database.file`).
-"""
+"""Keeping projects tidy: recordings that are removed and come back, projects that are renamed or set aside."""
 
 from __future__ import annotations
 
+import os
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from annotator.files import private_folder, sync_folder
+from annotator.files import lock_folder, private_folder, sync_folder
 from annotator.project.backup.make import FOLDER as BACKUPS
 from annotator.project.config import free_path, read_config, write_config
-from annotator.project.tidying.in_use import not_in_use
-from annotator.types.errors import ProjectError
+from annotator.types.errors import InUseError, ProjectError
+
+# TODO-MERGED docstring of in_use.py:
+# Tells other processes that a project is open: its folder is locked, shared by all who have it open.
+
+
+def mark_in_use(opened: object, folder: Path) -> Callable[[], object]:
+    """Marks the project in `folder` as open until the returned function is called, or `opened` is gone.
+
+    Waits while another process renames or removes it. Without locks, as on Windows and some network disks, nothing is
+    marked.
+    """
+    lock = lock_folder(folder, is_shared=True, waits=True)
+    return (lambda: None) if lock is None else weakref.finalize(opened, os.close, lock)
+
+
+@contextmanager
+def not_in_use(folder: Path) -> Iterator[None]:
+    """In the block, nobody has the project in `folder` open.
+
+    Raises:
+        InUseError: another process has it open.
+    """
+    try:
+        lock = lock_folder(folder, is_told=True)
+    except BlockingIOError:
+        raise InUseError(
+            f"{folder}: another process has this project open; if it is a server, use its start page, or stop it; "
+            "if it is a command, wait until it is done"
+        ) from None
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+# TODO-MERGED docstring of folders.py:
+# Renames a project's folder, or moves it aside.
+#
+# Both are one rename, which other processes notice: the store refuses to write to a database that is no longer at its
+# place (`database.file`).
+
 
 FOLDER = ".removed"
 
