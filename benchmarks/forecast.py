@@ -16,8 +16,7 @@ import numpy as np
 import tyro
 
 from annotator.project import Effort
-from annotator.project.efforts import FROM_NOTHING
-from annotator.project.progress.action_log import Action
+from annotator.project.progress.action_log import FROM_NOTHING, Action
 from annotator.project.progress.forecast import COVERED, Forecast, forecast
 from annotator.project.progress.frames_left import Frames
 from annotator.project.progress.reviewed import ReviewedBox

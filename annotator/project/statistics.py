@@ -22,9 +22,9 @@ from annotator.project.database.schema import (
     view_labels,
 )
 from annotator.project.database.store import Store
-from annotator.project.efforts import EffortStatistics
 from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
+from annotator.project.progress.action_log import EffortStatistics
 from annotator.project.progress.report import Progress, ReviewReader
 from annotator.project.removed import KEPT
 from annotator.types import BoxKind, ReviewState, Source

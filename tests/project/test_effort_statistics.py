@@ -7,9 +7,9 @@ from store_samples import box_at, by_machine, proposal_at
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, Origin, Project, WriteContext
-from annotator.project.efforts import draft_id
 from annotator.project.log.event_types import LabelAccepted, LabelCreated
 from annotator.project.log.records import BoxRecord
+from annotator.project.progress.action_log import draft_id
 from annotator.types import Box2D, BoxKind, Source
 
 

@@ -10,7 +10,7 @@ from store_samples import box_at, by_hand, by_machine, proposal_at
 from annotator.project import NewLabel, Project, RunShare, StoredRecording, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.efforts import ORIGINS
+from annotator.project.progress.action_log import ORIGINS
 from annotator.types import Box2D, BoxKind, Source
 
 NO_EFFORT = {"boxes": 0, "seconds_a_box": None, "actions_a_box": None}

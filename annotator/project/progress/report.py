@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, func, select
 
 from annotator.project.database.schema import events, frame_results, frames
-from annotator.project.efforts import UNTOUCHED, EffortStatistics, effort_of
-from annotator.project.progress.action_log import read_log
+from annotator.project.progress.action_log import UNTOUCHED, EffortStatistics, effort_of, read_log
 from annotator.project.progress.days import WorkOfDay, seconds_at_work, work_by_day
 from annotator.project.progress.forecast import Forecast, forecast
 from annotator.project.progress.frames_left import read_frames

@@ -18,10 +18,19 @@ from sqlalchemy import Connection, func, select
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import SAME_BOX
 from annotator.project.database.schema import AnyRow, labels
-from annotator.project.efforts import COPIED, CORRECTED, FROM_NOTHING, IMPORT_EDITED, PLACED, UNTOUCHED
 from annotator.project.log.event_types import Origin
 from annotator.project.log.records import parsed
-from annotator.project.progress.action_log import KEPT, REJECTED, ActionLog
+from annotator.project.progress.action_log import (
+    COPIED,
+    CORRECTED,
+    FROM_NOTHING,
+    IMPORT_EDITED,
+    KEPT,
+    PLACED,
+    REJECTED,
+    UNTOUCHED,
+    ActionLog,
+)
 from annotator.types import ReviewState, Source
 
 _MANUAL = {Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED, None: FROM_NOTHING}
