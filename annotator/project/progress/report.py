@@ -13,8 +13,7 @@ from annotator.project.database.schema import events, frame_results, frames
 from annotator.project.progress.action_log import UNTOUCHED, EffortStatistics, effort_of, read_log
 from annotator.project.progress.days import WorkOfDay, seconds_at_work, work_by_day
 from annotator.project.progress.forecast import Forecast, forecast
-from annotator.project.progress.frames_left import read_frames
-from annotator.project.progress.pace import Pace, pace_of
+from annotator.project.progress.pace import Pace, pace_of, read_frames
 from annotator.project.progress.quality import ProposalQuality, quality_of
 from annotator.project.progress.reviewed import read_reviewed
 from annotator.project.removed import removed_recordings
