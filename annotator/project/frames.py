@@ -11,7 +11,7 @@ from annotator.project.classes.applying import frame_values, values_of
 from annotator.project.database.schema import AnyRow, frame_attributes, frames
 from annotator.project.log.event_types import FrameAttributesSet, FrameFinalised, FrameReopened
 from annotator.project.log.writing import Receipt, WriteContext, Writer
-from annotator.project.removed import KEPT
+from annotator.project.recordings import KEPT
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 

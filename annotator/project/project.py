@@ -43,8 +43,7 @@ from annotator.project.log.writing import Log, Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
-from annotator.project.recordings import Recordings
-from annotator.project.removed import with_removed
+from annotator.project.recordings import Recordings, with_removed
 from annotator.project.sources import without_classes
 from annotator.project.statistics import Statistics, read_statistics
 from annotator.types.errors import ProjectError

@@ -26,7 +26,7 @@ from annotator.project.jobs import Status, latest_results
 from annotator.project.labels import REVIEWED
 from annotator.project.progress.action_log import EffortStatistics
 from annotator.project.progress.report import Progress, ReviewReader
-from annotator.project.removed import KEPT
+from annotator.project.recordings import KEPT
 from annotator.types import BoxKind, ReviewState, Source
 
 

@@ -133,7 +133,7 @@ def test_a_change_of_looks_leaves_what_is_hidden_alone(
         lambda config: ClassEdit(edit.with_classes(config, ["person"])),
     )
     with monkeypatch.context() as patched:
-        patched.setattr("annotator.project.removed.show_again", lambda *_: pytest.fail("rows were moved"))
+        patched.setattr("annotator.project.recordings.show_again", lambda *_: pytest.fail("rows were moved"))
         for change in looks:
             project.change_classes(change, "ann")
         # no value comes back

@@ -38,7 +38,7 @@ from annotator.project.log.derived import apply_event, rebuild
 from annotator.project.log.event_types import LabelRestored
 from annotator.project.log.events import Event, event_of, insert_event
 from annotator.project.log.undo_state import FRAME, IMAGE, LABEL, VALUES, VIEW, read_state, restoring
-from annotator.project.removed import hide_removed
+from annotator.project.recordings import hide_removed
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 

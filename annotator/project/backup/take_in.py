@@ -35,8 +35,7 @@ from annotator.project.database.generation import wal_of
 from annotator.project.database.schema import events, frames, models, recordings
 from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
 from annotator.project.log.writing import Writer
-from annotator.project.recordings import Recordings
-from annotator.project.removed import KEPT
+from annotator.project.recordings import KEPT, Recordings
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, ProjectError
 

@@ -54,7 +54,7 @@ from annotator.project.log.records import (
     track_of,
 )
 from annotator.project.log.undo_state import read_state, target_of
-from annotator.project.removed import hide_removed, is_hidden, next_label_id
+from annotator.project.recordings import hide_removed, is_hidden, next_label_id
 from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue

@@ -42,7 +42,7 @@ from annotator.project.log.undo_state import (
     same_state,
 )
 from annotator.project.log.writing import FramePart, Receipt, WriteContext, Writer
-from annotator.project.removed import removed_recordings
+from annotator.project.recordings import removed_recordings
 from annotator.project.sources import said_again
 from annotator.types import Source
 from annotator.types.errors import HistoryError, TrackTakenError

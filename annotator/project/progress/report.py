@@ -18,7 +18,7 @@ from annotator.project.progress.days import WorkOfDay, seconds_at_work, work_by_
 from annotator.project.progress.forecast import Forecast, forecast
 from annotator.project.progress.pace import Pace, pace_of, read_frames
 from annotator.project.progress.reviewed import ReviewedBox, read_reviewed
-from annotator.project.removed import removed_recordings
+from annotator.project.recordings import removed_recordings
 
 # TODO-MERGED docstring of quality.py:
 # How good the proposals were: as they were, against what they became, by class and by distance.
