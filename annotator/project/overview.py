@@ -11,9 +11,8 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import ScalarSelect, bindparam, func, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
-from annotator.project.classes.applying import frame_values
+from annotator.project.classes.applying import ClassCounts, frame_values
 from annotator.project.classes.attributes import Attribute, ClassStyle
-from annotator.project.classes.counting import ClassCounts
 from annotator.project.database.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, stored_label

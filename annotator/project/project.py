@@ -18,9 +18,15 @@ from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, requir
 from annotator.project.backup.make import back_up_before_upgrade
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.boxes import Boxes, Views
-from annotator.project.classes.applying import ClassChanges, made_changes
+from annotator.project.classes.applying import (
+    ClassChanges,
+    ClassCounts,
+    class_counts,
+    made_changes,
+    require_fitting,
+    value_counts,
+)
 from annotator.project.classes.attributes import Relabelling
-from annotator.project.classes.counting import ClassCounts, class_counts, require_fitting, value_counts
 from annotator.project.classes.edit import ClassEdit, with_classes
 from annotator.project.config import (
     CONFIG_FILE,

@@ -13,8 +13,8 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 from annotator.project import NewLabel, Origin, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
+from annotator.project.classes.applying import ClassCounts
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.database.schema import labels
 from annotator.project.labels import StoredLabel
