@@ -33,6 +33,7 @@ from annotator.types.errors import RESTORE, ConfigError, ProjectError
 from annotator.types.validation import first_problem
 
 CONFIG_FILE = "project.json"
+BACKUPS = ".backups"  # folder of automatic backups, beside the projects
 FORMAT_VERSION = 1
 NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 

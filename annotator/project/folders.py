@@ -10,8 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from annotator.files import lock_folder, private_folder, sync_folder
-from annotator.project.backup.make import FOLDER as BACKUPS
-from annotator.project.config import free_path, read_config, write_config
+from annotator.project.config import BACKUPS, free_path, read_config, write_config
 from annotator.types.errors import InUseError, ProjectError
 
 # TODO-MERGED docstring of in_use.py:

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, bindparam, func, select, true
 
 from annotator.project.classes.applying import values_of
-from annotator.project.classes.completing import kept_proposals
+from annotator.project.classes.completing import borrowed, conflicts, given_back, kept_proposals, lent_names, without
 from annotator.project.config import ProjectConfig, read_config
 from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
 from annotator.project.labels import NewLabel, stored_label
 from annotator.project.log.event_types import CoveredBox, OwnProposal, ProposalsImported
 from annotator.project.log.records import OWN, BoxRecord, SaidRecord, parsed, said_of, storable, track_of
 from annotator.project.log.writing import Receipt, WriteContext, Writer
-from annotator.project.merging import Group, borrowed, conflicts, covered_by, given_back, lent_names, merged, without
+from annotator.project.merging import Group, covered_by, merged
 from annotator.types import BoxKind, ReviewState, Source
 
 # TODO-MERGED docstring of bring.py:

@@ -12,11 +12,11 @@ from next_version import NOW, use_next, version_of
 from store_samples import by_hand
 
 from annotator.project import create_project, open_project
-from annotator.project.backup import make
 from annotator.project.backup.archive import read_manifest
 from annotator.project.backup.make import BackupClock, Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.take_in import restore
 from annotator.project.backup.verify import verify
+from annotator.project.config import BACKUPS
 from annotator.types import BoxKind
 from annotator.types.errors import ProjectError
 
@@ -35,7 +35,7 @@ def test_a_database_is_backed_up_before_it_is_upgraded(full: Path, monkeypatch: 
 
 def test_a_database_that_cannot_be_backed_up_is_not_upgraded(full: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     use_next(monkeypatch)
-    (full.parent / make.FOLDER).write_text("in the way")
+    (full.parent / BACKUPS).write_text("in the way")
     with pytest.raises(ProjectError, match="is not upgraded, because it cannot be backed up first"):
         open_project(full)
     assert version_of(full / "project.db") == NOW

@@ -30,7 +30,7 @@ from annotator.project.backup.archive import (
     stored_files,
 )
 from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
-from annotator.project.config import CONFIG_FILE, ProjectSettings, read_config
+from annotator.project.config import BACKUPS, CONFIG_FILE, ProjectSettings, read_config
 from annotator.project.database.schema import events
 from annotator.project.database.store import DATABASE_FILE, Clock, Store, explained
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
@@ -157,7 +157,6 @@ def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:
 
 
 LOG = logging.getLogger("annotator.project")
-FOLDER = ".backups"
 # Files that a message lists.
 MOST_NAMED = 3
 _NS_PER_HOUR = 3600 * 10**9
@@ -175,7 +174,7 @@ class Reason(StrEnum):
 def automatic_backups(project: Path, reason: Reason | None = None) -> list[Path]:
     """The automatic backups of the project in a folder (for one reason), the oldest first."""
     project = project.resolve()
-    return sorted((project.parent / FOLDER / project.name).glob(f"*-{reason or '*'}.zip"))
+    return sorted((project.parent / BACKUPS / project.name).glob(f"*-{reason or '*'}.zip"))
 
 
 def back_up_automatically(project: Path, reason: Reason) -> Backup:
@@ -186,7 +185,7 @@ def back_up_automatically(project: Path, reason: Reason) -> Backup:
     """
     project = project.resolve()
     moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
-    out = project.parent / FOLDER / project.name / f"{moment}-{reason.value}.zip"
+    out = project.parent / BACKUPS / project.name / f"{moment}-{reason.value}.zip"
     backup = back_up(project, out, ModelChoice.ACTIVE)
     if backup.missing:
         files = first_few(backup.missing, MOST_NAMED)

@@ -25,6 +25,7 @@ from annotator.project.adjusting import (
 )
 from annotator.project.classes.applying import ClassChanges, frame_values, values_of
 from annotator.project.classes.attributes import Attribute, AttributeOf, fitting, values_json
+from annotator.project.classes.completing import given_back
 from annotator.project.database.schema import LABEL_OF_UID, AnyRow, frames, image_labels, labels, view_labels
 from annotator.project.log.event_types import (
     ClassesChanged,
@@ -59,7 +60,6 @@ from annotator.project.log.records import (
     said_of,
     suggestion_of,
 )
-from annotator.project.merging import given_back
 from annotator.types import ReviewState
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
