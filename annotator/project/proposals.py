@@ -20,8 +20,7 @@ from annotator.project.log.event_types import ProposalsReplaced, ProposedObject
 from annotator.project.log.events import Event, event_of
 from annotator.project.log.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
 from annotator.project.log.writing import Receipt, WriteContext, Writer, require_writable
-from annotator.project.merging import covered_by
-from annotator.project.sources import Brought, SourceTracks, beside_new_pass, bring, source_tracks
+from annotator.project.sources import Brought, SourceTracks, beside_new_pass, bring, covered_by, source_tracks
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import RESTORE, ProjectError
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
 from annotator.project.classes.completing import Values
 from annotator.project.log.event_types import LabelAttributesSet, Payload
-from annotator.project.merging import covered_by
+from annotator.project.sources import covered_by
 from annotator.types import Source
 from annotator.types.errors import StaleRevisionError
 
