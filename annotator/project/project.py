@@ -32,6 +32,7 @@ from annotator.project.config import (
     CONFIG_FILE,
     ProjectConfig,
     ProjectSettings,
+    mark_in_use,
     new_config,
     prepare_config,
     read_config,
@@ -39,7 +40,6 @@ from annotator.project.config import (
     write_config,
 )
 from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
-from annotator.project.folders import mark_in_use
 from annotator.project.frames import Frames
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels

@@ -10,8 +10,7 @@ import pytest
 from annotator.files import lock_folder
 from annotator.project import Project, config, create_project, open_project
 from annotator.project.classes import edit
-from annotator.project.config import read_config
-from annotator.project.folders import not_in_use, rename_project
+from annotator.project.config import not_in_use, read_config, rename_project
 from annotator.types.errors import InUseError
 
 
@@ -73,7 +72,7 @@ def test_a_rename_keeps_what_was_changed_just_before(cars: Path, monkeypatch) ->
 
         def __exit__(self, *_: object) -> None: ...
 
-    monkeypatch.setattr("annotator.project.folders.not_in_use", Late)
+    monkeypatch.setattr("annotator.project.config.not_in_use", Late)
     rename_project(cars, "lorries")
     config = read_config(cars.parent / "lorries")
     assert (config.name, config.classes) == ("lorries", ("lorry",))
