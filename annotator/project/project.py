@@ -15,7 +15,7 @@ from sqlalchemy import Connection
 from annotator.files import sync_folder
 from annotator.project.adjustments import Adjustments
 from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
-from annotator.project.backup.make import back_up_before_upgrade
+from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
 from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.boxes import Boxes, Views
 from annotator.project.classes.applying import (
@@ -230,6 +230,41 @@ def _concerns_labels(old: ProjectConfig, made: ClassEdit) -> bool:
         made.change != Relabelling()
         or not set(old.classes) <= set(made.config.classes)
         or not all(each.has_same_values(before.get(each.name)) for each in made.config.attributes)
+    )
+
+
+@dataclass(frozen=True)
+class Changed:
+    """The new configuration, and the backup that was made before, if any."""
+
+    config: ProjectConfig
+    backup: Path | None
+
+
+def change_classes(project: Project, edit: Callable[[ProjectConfig], ClassEdit], author: str) -> Changed:
+    """Changes the classes as `Project.change_classes`.
+
+    Undo does not revert it. The opposite change does, except for what the backup is made for.
+
+    Raises:
+        ConfigError, NotFoundError, ProjectError: as `Project.change_classes`, or it cannot be backed up.
+    """
+    old = project.config
+    made = edit(old)
+    # boxes may also have names that are no classes of the project
+    names = {*old.classes, *project.class_counts()} if made.change.classes else set[str]()
+    backup = back_up_automatically(project.path, Reason.CLASSES).path if _loses(old, made, names) else None
+    return Changed(project.change_classes(edit, author), backup)
+
+
+def _loses(old: ProjectConfig, made: ClassEdit, names: set[str]) -> bool:
+    """Whether boxes (of the classes `names`) or values are removed, or cannot be told apart afterwards."""
+    change = made.change
+    choices = {each.name: each.choices for each in old.attributes}
+    return (
+        bool(change.removed or change.dropped or change.fitted)
+        or any(new in names for new in change.classes.values())
+        or any(new in choices[name] for name, renamed in change.choices.items() for new in renamed.values())
     )
 
 
