@@ -1,4 +1,8 @@
-"""Adjustments of a recording (its up direction, its calibration), and how they move what is stored."""
+"""The adjustment of a recording (its up direction, its calibration), and how it moves what is stored.
+
+Boxes and pseudo-views stay where they are in the clouds when the correction of the calibration changes. So their poses
+in the camera frame move with the clouds.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +18,6 @@ from annotator.project.database.schema import AnyRow, adjustments, events, frame
 from annotator.project.log.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
 from annotator.project.log.records import BoxRecord, SaidRecord, ViewGeometry, parsed, said_json, said_of
 from annotator.types import NO_CORRECTION, Correction
-
-# TODO-MERGED docstring of adjusting.py:
-# The adjustment of a recording: its up direction and the correction of its calibration.
-
 
 Up = tuple[float, float, float]
 
@@ -81,10 +81,7 @@ def _up(content: str | None) -> Up | None:
     return None if content is None else tuple(parsed(json.loads, content))
 
 
-# TODO-MERGED docstring of moving.py:
-# Moves what is stored in a recording's camera frame when the correction of its calibration changes.
-#
-# Boxes and pseudo-views stay where they are in the clouds. So their poses in the camera frame move with the clouds.
+# --- what moves with the clouds ---------------------------------------------------------------------------------------
 # Earlier states, which undo compares and restores, are moved when they are read.
 
 

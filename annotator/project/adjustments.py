@@ -61,11 +61,7 @@ class Adjustments:
     def set_up(
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS
     ) -> Receipt:
-        """Sets the up direction: a vector in the camera frame (3,) of any length; None = as the files give it.
-
-        Raises:
-            ProjectError: not a direction, or as `correct`.
-        """
+        """Sets the up direction: a vector in the camera frame (3,) of any length; None = as the files give it."""
         unit = None if up is None else _unit(up)
         return self._set(recording_id, author, lambda present: Adjustment(unit, present.correction), basis)
 

@@ -1,4 +1,4 @@
-"""2D boxes on camera images and on pseudo-views: the detectors' training data."""
+"""2D boxes on camera images and on pseudo-views, the detectors' training data, and the images of the views."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from annotator.project.log.writing import Receipt, WriteContext, Writer
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 
-# TODO-MERGED docstring of views.py:
-# Images of labelled pseudo-views, each named by the hash of its content.
+# --- images of pseudo-views -------------------------------------------------------------------------------------------
 
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -45,9 +44,6 @@ class Views:
 
         Args:
             image: the bytes of a PNG file, or (H, W, 3) uint8, RGB order.
-
-        Raises:
-            ProjectError: not a PNG, or it cannot be written.
         """
         content = image if isinstance(image, bytes) else png(image)
         if not content.startswith(_PNG):
@@ -62,11 +58,7 @@ class Views:
         return view_id
 
     def path(self, view_id: str) -> Path:
-        """The file of an image.
-
-        Raises:
-            NotFoundError: no such image.
-        """
+        """The file of an image."""
         if not _ID.fullmatch(view_id):
             raise NotFoundError(f"{view_id!r} is not the id of a view; ids have 64 hexadecimal digits")
         path = self._file(view_id)
@@ -76,19 +68,11 @@ class Views:
         return path
 
     def load(self, view_id: str) -> UInt8[np.ndarray, "h w 3"]:
-        """The image, (H, W, 3) uint8, RGB order.
-
-        Raises:
-            ProjectError: it is missing, or its content does not match its id.
-        """
+        """The image, (H, W, 3) uint8, RGB order."""
         return _decode(self._file(view_id), self.content(view_id))
 
     def content(self, view_id: str) -> bytes:
-        """The bytes of an image's PNG file.
-
-        Raises:
-            ProjectError: it is missing, or does not match its id.
-        """
+        """The bytes of an image's PNG file."""
         path = self.path(view_id)
         try:
             content = read_file(path)
@@ -99,12 +83,7 @@ class Views:
         return content
 
     def size(self, view_id: str) -> tuple[int, int]:
-        """Width and height of an image, pixels, from the header of its file.
-
-        Raises:
-            NotFoundError: no such image.
-            ProjectError: it cannot be read.
-        """
+        """Width and height of an image, pixels, from the header of its file."""
         return _size_of(self, view_id)
 
     def _file(self, view_id: str) -> Path:
@@ -202,11 +181,7 @@ class Boxes:
     views: Views
 
     def set_on_image(self, frame_id: int, boxes: Sequence[Box2D], box_kind: BoxKind, context: WriteContext) -> Receipt:
-        """Sets all boxes on the camera image of a frame.
-
-        Raises:
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
-        """
+        """Sets all boxes on the camera image of a frame."""
         with storable("boxes on the image"):
             payload = ImageBoxesSet(boxes=tuple(boxes), box_kind=box_kind)
         return self.writer.to_frame(frame_id, (payload,), context)
@@ -227,9 +202,6 @@ class Boxes:
         Args:
             context: with the revision of the frame, or for a view without a frame that of the view, initially 0.
             frame_id: the frame that the view was rendered from; None for imported images.
-
-        Raises:
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`; or the image is missing.
         """
         self.views.path(view_id)
         with storable(f"boxes on view {view_id[:12]}"):

@@ -1,4 +1,4 @@
-"""`project.json`: a project's name, classes and settings; it may be edited by hand."""
+"""A project's folder, and its `project.json`: name, classes and settings, which may be edited by hand."""
 
 from __future__ import annotations
 
@@ -53,11 +53,7 @@ class BoxRotation(StrEnum):
 
 
 def check_name(name: str) -> str:
-    """Returns `name` if it is a valid project name, and thus a valid folder name on any system.
-
-    Raises:
-        ConfigError: an invalid name.
-    """
+    """Returns `name` if it is a valid project name, and thus a valid folder name on any system."""
     if not NAME_PATTERN.fullmatch(name):
         raise ConfigError(
             f"{name!r} is not a valid project name; use 1 to 64 of a-z, 0-9, _ and -, with a letter or digit first"
@@ -66,12 +62,7 @@ def check_name(name: str) -> str:
 
 
 def free_path(root: Path, name: str) -> Path:
-    """The folder of a new project of that name in the projects folder `root`.
-
-    Raises:
-        ConfigError: an invalid name.
-        ProjectError: the name is taken.
-    """
+    """The folder of a new project of that name in the projects folder `root`."""
     path = root / check_name(name)
     if os.path.lexists(path):
         raise ProjectError(f"{path} exists already; choose another name")
@@ -167,11 +158,7 @@ class ProjectConfig(BaseModel):
 
 
 def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, created_ns: int) -> ProjectConfig:
-    """The configuration of a new project.
-
-    Raises:
-        ConfigError: an invalid name or class.
-    """
+    """The configuration of a new project."""
     check_name(name)
     try:
         return ProjectConfig(name=name, created_ns=created_ns, classes=classes, settings=settings)
@@ -180,11 +167,7 @@ def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, c
 
 
 def read_config(folder: Path) -> ProjectConfig:
-    """The configuration of the project in `folder`.
-
-    Raises:
-        ProjectError: no project, an unreadable file, or one of a newer version.
-    """
+    """The configuration of the project in `folder`."""
     path = folder / CONFIG_FILE
     try:
         if path.is_symlink() and not is_within(folder, path):
@@ -219,11 +202,7 @@ def config_bytes(config: ProjectConfig) -> bytes:
 
 
 def write_config(folder: Path, config: ProjectConfig) -> None:
-    """Writes `project.json` atomically.
-
-    Raises:
-        ProjectError: it cannot be written.
-    """
+    """Writes `project.json` atomically."""
     path = folder / CONFIG_FILE
     try:
         write_atomic(path, config_bytes(config))
@@ -237,23 +216,18 @@ class _Version(BaseModel):
     format_version: int
 
 
-# TODO-MERGED docstring of config_change.py:
-# Changes `project.json` together with the database: both have the old classes or both the new ones, also after a kill.
-#
-# The new file is written beside the old one before the transaction ends, under a name with the number of its event.
-# Afterwards it takes the old one's place. After a kill, the next process looks for that event: if the log has it, the
-# transaction has ended well, and the new file counts; otherwise it is removed.
+# --- changes of `project.json` together with the database -------------------------------------------------------------
+# Both have the old classes or both the new ones, also after a kill. The new file is written beside the old one before
+# the transaction ends, under a name with the number of its event. Afterwards it takes the old one's place. After a
+# kill, the next process looks for that event: if the log has it, the transaction has ended well, and the new file
+# counts; otherwise it is removed.
 
 
 _PREPARED = f"{CONFIG_FILE}.event-"
 
 
 def prepare_config(folder: Path, config: ProjectConfig, connection: Connection) -> Path:
-    """Writes the configuration that counts once the transaction of `connection` has ended; returns its file.
-
-    Raises:
-        ProjectError: it cannot be written.
-    """
+    """Writes the configuration that counts once the transaction of `connection` has ended; returns its file."""
     newest = connection.execute(select(func.max(events.c.id))).scalar()
     path = folder / f"{_PREPARED}{newest}"
     try:
@@ -264,11 +238,7 @@ def prepare_config(folder: Path, config: ProjectConfig, connection: Connection) 
 
 
 def take_config(folder: Path, connection: Connection) -> ProjectConfig:
-    """The project's configuration, after a prepared one has taken its place, or was dropped.
-
-    Raises:
-        ProjectError: as `read_config`, or the prepared one cannot take its place.
-    """
+    """The project's configuration, after a prepared one has taken its place, or was dropped."""
     for path in sorted(folder.glob(f"{_PREPARED}*")):
         try:
             if _counts(path, connection):
@@ -298,12 +268,7 @@ def _counts(path: Path, connection: Connection) -> bool:
     )
 
 
-# TODO-MERGED docstring of folders.py:
-# Keeping projects tidy: recordings that are removed and come back, projects that are renamed or set aside.
-
-
-# TODO-MERGED docstring of in_use.py:
-# Tells other processes that a project is open: its folder is locked, shared by all who have it open.
+# --- the folder: in use, renamed, set aside ---------------------------------------------------------------------------
 
 
 def mark_in_use(opened: object, folder: Path) -> Callable[[], object]:
@@ -337,14 +302,9 @@ def not_in_use(folder: Path) -> Iterator[None]:
             os.close(lock)
 
 
-# TODO-MERGED docstring of folders.py:
-# Renames a project's folder, or moves it aside.
-#
-# Both are one rename, which other processes notice: the store refuses to write to a database that is no longer at its
-# place (`database.file`).
-
-
-FOLDER = ".removed"
+# Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that
+# is no longer at its place (`database/file.py`).
+REMOVED = ".removed"
 
 
 def set_aside(project: Path) -> Path:
@@ -354,7 +314,7 @@ def set_aside(project: Path) -> Path:
         InUseError: another process has it open.
         ProjectError: it cannot be moved.
     """
-    removed = project.parent / FOLDER
+    removed = project.parent / REMOVED
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
     aside = removed / f"{project.name}-{stamp}"
     try:

@@ -163,11 +163,7 @@ class Labels:
             return read_labels(connection, frame_id)
 
     def get(self, uid: str) -> StoredLabel:
-        """One label.
-
-        Raises:
-            NotFoundError: no such label.
-        """
+        """One label."""
         with self.writer.store.read() as connection:
             row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
         if row is None:
@@ -343,11 +339,7 @@ class Labels:
             return kept_proposals(connection, read_config(self.writer.folder).attributes, frame_id)
 
     def with_box(self, uid: str, box: OrientedBox) -> LabelRestored:
-        """The event that gives a label another box, and keeps all else that is known of it, its review state too.
-
-        Raises:
-            NotFoundError: no such label.
-        """
+        """The event that gives a label another box, and keeps all else that is known of it, its review state too."""
         with self.writer.store.read() as connection:
             former = label_state(connection, uid)
         if former is None:

@@ -1,4 +1,4 @@
-"""The data of one frame, or of a list of frames, for the page; each is read in one transaction."""
+"""The data of one frame, of a list of frames, and of the classes, for the page; each is read in one transaction."""
 
 from __future__ import annotations
 
@@ -68,9 +68,6 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
 
     Args:
         known: an earlier result for the same frame; its labels and boxes are reused if no event has changed them.
-
-    Raises:
-        NotFoundError: no such frame.
     """
     with project.store.read() as connection:
         row = connection.execute(_HEAD, {"frame": frame_id}).first()
@@ -150,8 +147,7 @@ def _frame_rows(
     return [FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown]
 
 
-# TODO-MERGED docstring of listing.py:
-# The list of a project's classes and attributes, for the command line and the page.
+# --- the classes ------------------------------------------------------------------------------------------------------
 
 
 class ClassRow(BaseModel):

@@ -245,9 +245,6 @@ def change_classes(project: Project, edit: Callable[[ProjectConfig], ClassEdit],
     """Changes the classes as `Project.change_classes`.
 
     Undo does not revert it. The opposite change does, except for what the backup is made for.
-
-    Raises:
-        ConfigError, NotFoundError, ProjectError: as `Project.change_classes`, or it cannot be backed up.
     """
     old = project.config
     made = edit(old)

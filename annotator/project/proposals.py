@@ -116,9 +116,6 @@ class Proposals:
                 id that a reviewed label of this frame uses is ignored.
             box_kind: what the proposed boxes enclose: what the view detector measures.
             others: labels of the other cameras of a rig, in this frame's camera; they cover proposals, too.
-
-        Raises:
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
         """
         with self.writer.store.write() as connection:
             # the cheap checks come before the IoU

@@ -32,13 +32,12 @@ from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
 from annotator.types.names import alternatives, first_few
 
-# TODO-MERGED docstring of removed.py:
-# Removed recordings: their events stay in the log, and the present state has nothing of them.
-#
-# A removed recording keeps its row, its frames (without an index) and their events. What the events give lies in the
-# table `removed_rows` and no longer in the derived tables, so nothing that reads these needs to know of it. When the
-# recording comes back, the rows return. Ids of its labels are not given to others meanwhile, so that the state is always
-# the one that a rebuild gives: undo refers to them.
+# --- removed recordings -----------------------------------------------------------------------------------------------
+# Their events stay in the log, and the present state has nothing of them. A removed recording keeps its row, its frames
+# (without an index) and their events. What the events give lies in the table `removed_rows` and no longer in the
+# derived tables, so nothing that reads these needs to know of it. When the recording comes back, the rows return. Ids
+# of its labels are not given to others meanwhile, so that the state is always the one that a rebuild gives: undo refers
+# to them.
 
 
 REMOVED = select(recordings.c.id).where(recordings.c.removed_ns.is_not(None))
@@ -208,10 +207,6 @@ class Recordings:
             up: vector against gravity in the camera frame (3,), any length.
             options, fingerprint: as in `StoredRecording`.
             left_out: keys of frames that get no index, as if a scan had not found them.
-
-        Raises:
-            ProjectError: the recording is in the project already or was removed from it, a key occurs twice, or `up` is
-                not a direction.
         """
         path = path.resolve()
         _require_unique(path, keys)
@@ -250,9 +245,6 @@ class Recordings:
         Args:
             fingerprint: as in `StoredRecording`; kept if none is known yet.
             left_out: as for `add`.
-
-        Raises:
-            ProjectError: no such recording, or a key occurs twice.
         """
         with self.store.write() as connection:
             before = _recording(connection, recording_id, removed=True)
@@ -281,9 +273,6 @@ class Recordings:
             moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
                 those of the latest scan, and possibly new ones.
             author: of the change, for the table `moves`.
-
-        Raises:
-            ProjectError: no such recording, frames are missing, or the path belongs to another recording.
         """
         with self.store.write() as connection:
             for recording_id, (path, keys) in moved.items():
@@ -320,11 +309,7 @@ class Recordings:
         _bring_back(connection, before)
 
     def remove(self, recording_id: int, author: str) -> None:
-        """Takes a recording out of the project; its labels stay in the log, and come back with it.
-
-        Raises:
-            NotFoundError: no such recording.
-        """
+        """Takes a recording out of the project; its labels stay in the log, and come back with it."""
         with self.store.write() as connection:
             _recording(connection, recording_id)
             values = {"removed_ns": self.store.clock(), "removed_by": author}
@@ -366,11 +351,7 @@ class Recordings:
             return tuple(map(_stored, connection.execute(_query().where(_THERE).order_by(recordings.c.id))))
 
     def get(self, recording_id: int, *, removed: bool = False) -> StoredRecording:
-        """One recording; with `removed`, also one that was removed.
-
-        Raises:
-            NotFoundError: no such recording.
-        """
+        """One recording; with `removed`, also one that was removed."""
         with self.store.read() as connection:
             return _recording(connection, recording_id, removed=removed)
 
@@ -393,11 +374,7 @@ class Recordings:
             return tuple(map(_stored, connection.execute(query)))
 
     def find(self, name: str, *, removed: bool = False) -> StoredRecording:
-        """The recording of that name; with `removed`, also one that was removed.
-
-        Raises:
-            NotFoundError: no such recording; the message says which is probably meant, or which there are.
-        """
+        """The recording of that name; with `removed`, also one that was removed."""
         stored, gone = self.all(), self.removed()
         for recording in (*stored, *(gone if removed else ())):
             if recording.name == name:

@@ -17,9 +17,6 @@ from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.log.records import OWN, sources_of
 from annotator.types import ReviewState, Source
 
-# TODO-MERGED docstring of value_filter.py:
-# Chooses proposals by the values of an attribute: of the box itself, its track, or its frame.
-
 
 @dataclass(frozen=True)
 class ValueFilter:
@@ -75,8 +72,8 @@ class ValueFilter:
         return found if self.usual is None else func.coalesce(found, literal(value_text(self.usual)))
 
 
-# TODO-MERGED docstring of waiting.py:
-# Open proposals in order of their doubt. The database sorts them, since a project may have 100,000 and more.
+# --- open proposals in order of their doubt ---------------------------------------------------------------------------
+# The database sorts them, since a project may have 100,000 and more.
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,6 @@ from annotator.project.log.records import OWN, BoxRecord, SaidRecord, parsed, sa
 from annotator.project.log.writing import Receipt, WriteContext, Writer
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source
 
-# TODO-MERGED docstring of merging.py:
-# One proposal for each object, from the boxes of several sources.
-
-
-# TODO-MERGED docstring of covering.py:
-# Which boxes of a frame the reviewed labels cover already.
-
-
 # Minimum exact 3D IoU at which two boxes count as the same object.
 SAME_OBJECT_IOU = 0.5
 
@@ -111,8 +103,7 @@ def _certainty(said: SaidRecord) -> float:
     return 1.0 if said.score is None else said.score
 
 
-# TODO-MERGED docstring of bring.py:
-# Stores boxes of other software as proposals, and keeps them beside those of automatic passes.
+# --- storing what a source says ---------------------------------------------------------------------------------------
 
 
 # Built once, since building a statement takes longer than running it.
@@ -158,9 +149,6 @@ def bring(
 
     Returns:
         The results by frame id; finalised frames are left out, and stay as they are.
-
-    Raises:
-        ProjectError: an unknown frame or class, or a box that cannot be stored.
     """
     with writer.store.write() as connection:
         config = read_config(writer.folder)

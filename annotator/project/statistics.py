@@ -110,9 +110,6 @@ def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Att
     Args:
         reader: of the project; it keeps what takes long to compute.
         attributes: of the project.
-
-    Raises:
-        ProjectError: the database cannot be read.
     """
     present = select(func.count()).where(frames.c.position.is_not(None))
     proposed = labels.c.state == ReviewState.PROPOSED.value

@@ -23,8 +23,7 @@ from annotator.project.config import CONFIG_FILE
 from annotator.project.database.store import DATABASE_FILE
 from annotator.types.errors import FormatError, ProjectError
 
-# TODO-MERGED docstring of content.py:
-# The files that a project consists of.
+# --- the files of a project -------------------------------------------------------------------------------------------
 
 
 MODELS_FOLDER, VIEWS_FOLDER = "models", "views"
@@ -79,11 +78,7 @@ class StoredFiles:
 
 
 def stored_files(connection: sqlite3.Connection) -> StoredFiles:
-    """The files that a database refers to.
-
-    Raises:
-        sqlite3.Error: it cannot be read.
-    """
+    """The files that a database refers to."""
     # changes of the classes have an id of no view
     of_views = "SELECT DISTINCT view_id FROM events WHERE view_id IS NOT NULL AND view_id <> 'classes' ORDER BY view_id"
     ids = connection.execute(of_views)
@@ -103,11 +98,7 @@ def stored_files(connection: sqlite3.Connection) -> StoredFiles:
 
 
 def keep_models(database: Path, choice: ModelChoice) -> None:
-    """Removes the other detectors from a copy of a database.
-
-    Raises:
-        sqlite3.Error: it cannot be written.
-    """
+    """Removes the other detectors from a copy of a database."""
     if choice is ModelChoice.ALL:
         return
     with closing(sqlite3.connect(database, isolation_level=None)) as connection:
@@ -130,11 +121,7 @@ def folder_files(folder: Path, stored: StoredFiles) -> Iterator[str]:
 
 
 def require_own_files(project: Path) -> None:
-    """Refuses a project with links that lead out of it: somebody may have sent it, to read or replace other files.
-
-    Raises:
-        ProjectError: the message names the link.
-    """
+    """Refuses a project with links that lead out of it: somebody may have sent it, to read or replace other files."""
     try:
         # images of views are many; who reads one refuses a link
         link = link_out(project, VIEWS_FOLDER)
@@ -227,11 +214,7 @@ class BackupManifest(BaseModel):
 
 
 def add_file(archive: zipfile.ZipFile, name: str, path: Path, *, packed: bool = False) -> BackupFile:
-    """Adds a file to an archive that is being written.
-
-    Raises:
-        OSError: it cannot be read, or the archive cannot be written.
-    """
+    """Adds a file to an archive that is being written."""
     info = zipfile.ZipInfo(name)
     info.compress_type = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
     info._compresslevel = 1  # type: ignore[attr-defined] # `ZipFile.open` has no argument for it
@@ -250,11 +233,7 @@ def add_manifest(archive: zipfile.ZipFile, manifest: BackupManifest) -> None:
 
 @contextmanager
 def open_backup(path: Path) -> Iterator[tuple[zipfile.ZipFile, BackupManifest]]:
-    """Opens a backup and checks the names, kinds and sizes of all entries.
-
-    Raises:
-        FormatError: no regular file, not a backup, damaged, of a newer annotator, or with entries that no backup has.
-    """
+    """Opens a backup and checks the names, kinds and sizes of all entries."""
     if not path.is_file():
         if path.is_dir():
             raise FormatError(path, "is a folder; `annotator project copy` takes in a project's folder")
@@ -269,21 +248,13 @@ def open_backup(path: Path) -> Iterator[tuple[zipfile.ZipFile, BackupManifest]]:
 
 
 def read_manifest(path: Path) -> BackupManifest:
-    """The manifest of a backup.
-
-    Raises:
-        FormatError: as `open_backup`.
-    """
+    """The manifest of a backup."""
     with open_backup(path) as (_, manifest):
         return manifest
 
 
 def unpack(path: Path, archive: zipfile.ZipFile, manifest: BackupManifest, folder: Path, progress: Progress) -> None:
-    """Unpacks a backup into an empty folder; each file's size and hash must be right.
-
-    Raises:
-        FormatError: the disk has too little space, or an entry is damaged or differs from the manifest.
-    """
+    """Unpacks a backup into an empty folder; each file's size and hash must be right."""
     free = shutil.disk_usage(folder).free
     if manifest.bytes > free:
         raise FormatError(path, f"needs {manifest.bytes >> 20} MiB, but {folder.parent} has {free >> 20} MiB left")

@@ -148,12 +148,10 @@ def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:
         )
 
 
-# TODO-MERGED docstring of automatic.py:
-# Automatic backups: before a database is upgraded or repaired, before classes or values are merged or removed, and
-# after some hours of changes while a server runs.
-#
-# They are files in `.backups/PROJECT` beside the project's folder, so they outlive it. Only the last few of each kind are
-# kept. They contain the active detectors, not all.
+# --- automatic backups ------------------------------------------------------------------------------------------------
+# Before a database is upgraded or repaired, before classes or values are merged or removed, and after some hours of
+# changes while a server runs. They are files in `.backups/PROJECT` beside the project's folder, so they outlive it.
+# Only the last few of each kind are kept. They contain the active detectors, not all.
 
 
 LOG = logging.getLogger("annotator.project")
@@ -178,11 +176,7 @@ def automatic_backups(project: Path, reason: Reason | None = None) -> list[Path]
 
 
 def back_up_automatically(project: Path, reason: Reason) -> Backup:
-    """Makes a backup, and removes older ones of the same reason beyond the number that the settings keep.
-
-    Raises:
-        ProjectError: it cannot be made; older ones stay.
-    """
+    """Makes a backup, and removes older ones of the same reason beyond the number that the settings keep."""
     project = project.resolve()
     moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
     out = project.parent / BACKUPS / project.name / f"{moment}-{reason.value}.zip"
@@ -196,11 +190,7 @@ def back_up_automatically(project: Path, reason: Reason) -> Backup:
 
 
 def back_up_before_upgrade(project: Path) -> None:
-    """As `back_up_automatically`, before the project's database is upgraded.
-
-    Raises:
-        ProjectError: it cannot be made; the message says that the database is not upgraded.
-    """
+    """As `back_up_automatically`, before the project's database is upgraded."""
     try:
         back_up_automatically(project, Reason.UPGRADE)
     except ProjectError as error:
@@ -222,11 +212,7 @@ class BackupClock:
         self._backed_up: int | None = None
 
     def is_due(self) -> bool:
-        """Whether the project should be backed up now.
-
-        Raises:
-            ProjectError: its settings or its database cannot be read.
-        """
+        """Whether the project should be backed up now."""
         hours = _settings(self._project).backup_hours
         if hours is None:
             return False

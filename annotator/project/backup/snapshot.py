@@ -1,4 +1,4 @@
-"""A copy of a database as of one moment, while other processes write to it."""
+"""A copy of a database as of one moment, whether it is sound, and the hidden folder in which it is made."""
 
 from __future__ import annotations
 
@@ -23,9 +23,6 @@ def write_snapshot(path: Path, out: Path) -> None:
     """Copies the database `path` to the new file `out` by SQLite's online backup: one file, without `-wal`.
 
     Neither readers nor writers of the database wait.
-
-    Raises:
-        ProjectError: it is missing, damaged, locked, or beside a foreign `-wal`; or `out` cannot be written.
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; {RESTORE}")
@@ -43,11 +40,7 @@ def write_snapshot(path: Path, out: Path) -> None:
 
 @contextmanager
 def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """A connection for one transaction that only reads, and that trusts nothing in the database's schema.
-
-    Raises:
-        sqlite3.Error: it cannot be opened or read.
-    """
+    """A connection for one transaction that only reads, and that trusts nothing in the database's schema."""
     with closing(
         sqlite3.connect(database_file(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
     ) as connection:
@@ -57,8 +50,7 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         yield connection
 
 
-# TODO-MERGED docstring of unfinished.py:
-# Folders that are filled under a hidden name; what killed processes have left of them is removed.
+# --- folders that are filled under a hidden name ----------------------------------------------------------------------
 
 
 @contextmanager
@@ -66,9 +58,6 @@ def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
     """Yields a new hidden folder in `root`, for its owner only; it is removed at the end if still there.
 
     Also removes folders that killed processes have left for the same name.
-
-    Raises:
-        OSError: the folder cannot be created.
     """
     root.mkdir(parents=True, exist_ok=True)
     for left in root.glob(f".{glob.escape(name)}.*.unfinished"):
@@ -104,8 +93,7 @@ def remove_abandoned(folder: Path) -> bool:
     return not folder.exists()
 
 
-# TODO-MERGED docstring of database_check.py:
-# Whether a database is sound, and has exactly the tables of its version.
+# --- checking a database ----------------------------------------------------------------------------------------------
 
 
 _MOST_PROBLEMS = 20
@@ -115,9 +103,6 @@ def database_problems(path: Path) -> list[str]:
     """The problems of the database `path`, of any version; empty for a sound one.
 
     Nothing in the file is trusted: its schema is compared as text before any of its tables is read.
-
-    Raises:
-        ProjectError: another process has locked it, so that nothing is known.
     """
     try:
         with reading(path) as connection:
@@ -130,11 +115,7 @@ def database_problems(path: Path) -> list[str]:
 
 
 def missing_events(connection: sqlite3.Connection) -> int:
-    """How many events have been deleted: events are never deleted, so their ids have no gaps.
-
-    Raises:
-        sqlite3.Error: the database cannot be read.
-    """
+    """How many events have been deleted: events are never deleted, so their ids have no gaps."""
     return given_id(connection, "events") - int(connection.execute("SELECT count(*) FROM events").fetchone()[0])
 
 

@@ -1,4 +1,4 @@
-"""Making a new project of a backup, or of the folder of a project that somebody else has sent."""
+"""Making a new project of a backup, of another one, or of the folder that somebody else has sent."""
 
 from __future__ import annotations
 
@@ -39,8 +39,7 @@ from annotator.project.recordings import KEPT, Recordings
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, ProjectError
 
-# TODO-MERGED docstring of unlabelled.py:
-# Makes a project without labels of a copy of one: its recordings, their adjustments, and its detectors.
+# --- a copy without labels --------------------------------------------------------------------------------------------
 
 
 AUTHOR = "annotator project copy"

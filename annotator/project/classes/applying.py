@@ -1,4 +1,4 @@
-"""Updates of the derived tables by changes of the classes, and by values of frames."""
+"""Changes of the classes in the tables of the present state, values of frames, and counts of both."""
 
 from __future__ import annotations
 
@@ -275,8 +275,7 @@ def _batches(connection: Connection, query: Any, key: Any) -> Iterator[AnyRow]:
         after = getattr(rows[-1], key.name)
 
 
-# TODO-MERGED docstring of counting.py:
-# How many boxes have a class, and whether stored values fit their attributes.
+# --- counting classes and values --------------------------------------------------------------------------------------
 
 
 # the shown box is a source's, too
@@ -363,11 +362,7 @@ def counts_with_defaults(connection: Connection, attributes: Sequence[Attribute]
 
 
 def require_fitting(connection: Connection, before: Sequence[Attribute], after: Sequence[Attribute]) -> None:
-    """Refuses a change of attributes that stored values do not fit.
-
-    Raises:
-        ProjectError: the message names an attribute, and how many of its values do not fit.
-    """
+    """Refuses a change of attributes that stored values do not fit."""
     for attribute in after:
         if any(attribute.has_same_values(each) for each in before):
             continue

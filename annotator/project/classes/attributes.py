@@ -1,4 +1,4 @@
-"""The schema of attributes and the looks of classes, as in `project.json`."""
+"""The schema of attributes and the looks of classes, as in `project.json`, and what its changes do to labels."""
 
 from __future__ import annotations
 
@@ -136,11 +136,7 @@ class Attribute(_Sparse):
         return other is not None and self == other.model_copy(update={"key": self.key, "required": self.required})
 
     def checked(self, value: AttributeValue) -> AttributeValue:
-        """The value as it is stored.
-
-        Raises:
-            ValueError: it is not one of this attribute; the message says which are.
-        """
+        """The value as it is stored."""
         match self.kind:
             case AttributeKind.CHOICE if value in self.choices:
                 return value
@@ -166,11 +162,7 @@ class Attribute(_Sparse):
         return True
 
     def read(self, value: AttributeValue) -> AttributeValue:
-        """The value of a command line or of a file that has fewer kinds of values: "2", 1.0 or "yes" are read, too.
-
-        Raises:
-            ValueError: as `checked`.
-        """
+        """The value of a command line or of a file that has fewer kinds of values: "2", 1.0 or "yes" are read, too."""
         text = str(value).strip().lower()
         if self.kind is AttributeKind.BOOLEAN and text in YES + NO:
             return text in YES
@@ -221,8 +213,7 @@ def value_text(value: AttributeValue) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-# TODO-MERGED docstring of relabelling.py:
-# What a change of the classes or attributes does to stored labels: pure functions on their values.
+# --- what a change does to stored labels ------------------------------------------------------------------------------
 
 
 class Filled(BaseModel):

@@ -1,4 +1,4 @@
-"""Completes events with values of attributes that follow from the schema: defaults, and values of the label's track."""
+"""Values of attributes that follow from the schema, a track or other sources: with them, events are complete."""
 
 from __future__ import annotations
 
@@ -41,9 +41,6 @@ def completed(
 
     Args:
         attributes: of the project.
-
-    Raises:
-        ProjectError: a value is not one of its attribute, or the label's class does not have the attribute.
     """
     match payload:
         case FrameAttributesSet():
@@ -251,8 +248,7 @@ def labels_of_tracks(frame_id: int | None, tracks: Collection[int]) -> Select[An
     ).order_by(labels.c.id)
 
 
-# TODO-MERGED docstring of kept.py:
-# Proposals that no automatic pass and no import replaces: a person has set values of their attributes.
+# --- proposals that no automatic pass and no import replaces ----------------------------------------------------------
 
 
 # Built once, since building a statement takes longer than running it.

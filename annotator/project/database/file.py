@@ -153,8 +153,8 @@ def _has_wal(path: Path) -> bool:
     return wal.st_size > 0 or path.with_name(path.name + SHARED_MEMORY).exists()
 
 
-# TODO-MERGED docstring of replaced.py:
-# Keeps what a replaced database held: the process that has it open is the last that can read it.
+# --- what a replaced database held ------------------------------------------------------------------------------------
+# The process that has it open is the last that can read it.
 
 
 LOG = logging.getLogger("annotator.project")

@@ -28,11 +28,7 @@ class PackedText(TypeDecorator[str]):
         return value if value is None or len(value) < PACKED_FROM else zlib.compress(value.encode())
 
     def process_result_value(self, value: str | bytes | None, dialect: Dialect) -> str | None:
-        """Converts a value from the database to Python.
-
-        Raises:
-            ProjectError: a damaged blob.
-        """
+        """Converts a value from the database to Python."""
         if not isinstance(value, bytes):
             return value
         try:

@@ -29,10 +29,6 @@ from annotator.project.database.migrations import (
 )
 from annotator.types.errors import RESTORE, ProjectError, ReplacedError
 
-# TODO-MERGED docstring of patience.py:
-# How long a thread waits for a database that another process has locked.
-
-
 _AT_MOST_S: ContextVar[float] = ContextVar("annotator_waits_at_most_s", default=float("inf"))
 
 
@@ -137,9 +133,6 @@ class Store:
     def snapshot(self) -> Iterator[None]:
         """Within the block, all of the thread's reads see one snapshot, in one transaction: what is written meanwhile
         is not seen. For a page of several parts, which belong together.
-
-        Raises:
-            ReplacedError, ProjectError: as `read`.
         """
         with self.read() as connection:
             outer = getattr(self._thread, "connection", None)

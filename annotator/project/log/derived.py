@@ -59,8 +59,7 @@ from annotator.types import ReviewState, Source
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
 
-# TODO-MERGED docstring of derived_labels.py:
-# Updates of the table `labels` by the events about 3D boxes.
+# --- the table `labels` -----------------------------------------------------------------------------------------------
 
 
 Value = str | int | float | None
@@ -173,11 +172,7 @@ def _proposal_values(event: Event, proposal: ProposalRecord) -> dict[str, Value]
 
 
 def create_label(connection: Connection, event: Event, payload: LabelCreated | LabelProposed) -> None:
-    """Inserts a label that does not come from an automatic pass.
-
-    Raises:
-        ProjectError: its uid exists already.
-    """
+    """Inserts a label that does not come from an automatic pass."""
     if connection.execute(select(labels.c.id).where(labels.c.uid == payload.uid)).first():
         raise ProjectError(f"label {payload.uid} exists already")
     row: dict[str, Value] = {
@@ -205,11 +200,7 @@ def create_label(connection: Connection, event: Event, payload: LabelCreated | L
 
 
 def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> None:
-    """Sets the track id of one label from linking, and the smoothed box of an open proposal.
-
-    Raises:
-        ProjectError: the label is missing, or its box would change although it has been reviewed.
-    """
+    """Sets the track id of one label from linking, and the smoothed box of an open proposal."""
     values: dict[str, Any] = {"event_id": event.id}
     if linked.track_id is not None:
         values |= {"track_id": linked.track_id, "track_linked": True}
@@ -226,11 +217,7 @@ def link_label(connection: Connection, event: Event, linked: LinkedLabel) -> Non
 
 
 def change_label(connection: Connection, event: Event, payload: LabelChange) -> None:
-    """Applies a review.
-
-    Raises:
-        ProjectError: the label is not in the frame.
-    """
+    """Applies a review."""
     if isinstance(payload, LabelDeleted):
         same = (labels.c.uid == payload.uid) & (labels.c.frame_id == event.frame_id)
         _require_one(payload.uid, connection.execute(delete(labels).where(same)).rowcount)
@@ -251,11 +238,7 @@ def change_values(connection: Connection, uid: str, changed: Mapping[str, Attrib
 
 
 def put_label(connection: Connection, event: Event, uid: str, values: dict[str, Any]) -> None:
-    """Sets columns of a label, and the event's author and time.
-
-    Raises:
-        ProjectError: it is not in the frame.
-    """
+    """Sets columns of a label, and the event's author and time."""
     changes = {"author": event.author, "time_ns": event.time_ns, "event_id": event.id} | values
     computed = {name: value for name, value in changes.items() if isinstance(value, ColumnElement)}
     plain = {name: value for name, value in changes.items() if name not in computed}
@@ -300,11 +283,7 @@ def _new_suggestion(payload: LabelEdited) -> Any:
 
 
 def restore_label(connection: Connection, event: Event, payload: LabelRestored) -> None:
-    """Restores a label to a former state.
-
-    Raises:
-        ProjectError: a label with its uid is in another frame.
-    """
+    """Restores a label to a former state."""
     former = payload.former
     same = labels.c.uid == payload.uid
     if connection.execute(select(labels.c.id).where(same, labels.c.frame_id != event.frame_id)).first():
@@ -352,11 +331,7 @@ _REVISION = update(frames).where(frames.c.id == bindparam("frame")).values(revis
 
 
 def apply_event(connection: Connection, event: Event) -> None:
-    """Updates the derived tables with one event.
-
-    Raises:
-        ProjectError: the event contradicts the state, such as a change of a missing label.
-    """
+    """Updates the derived tables with one event."""
     if event.action is None:
         _apply(connection, event)
     else:

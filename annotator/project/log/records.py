@@ -32,11 +32,7 @@ Stored = TypeVar("Stored")
 
 
 def parsed(read: Callable[[str], Stored], text: str) -> Stored:
-    """Parses the JSON of a database column with `read`.
-
-    Raises:
-        ProjectError: the JSON is damaged.
-    """
+    """Parses the JSON of a database column with `read`."""
     try:
         return read(text)
     except (ValueError, LookupError, TypeError) as error:
@@ -72,11 +68,7 @@ class BoxRecord(BaseModel):
 
     @classmethod
     def of(cls, box: OrientedBox) -> BoxRecord:
-        """The record of a box.
-
-        Raises:
-            pydantic.ValidationError: a pose with a matrix that is not a rotation.
-        """
+        """The record of a box."""
         matrix = box.pose
         return cls.model_validate(
             {"center_m": matrix[:3, 3].tolist(), "rotation": matrix[:3, :3].tolist(), "size_m": box.size_m.tolist()}
@@ -276,9 +268,6 @@ def storable(what: str) -> Iterator[None]:
 
     Args:
         what: names the value in the message.
-
-    Raises:
-        ProjectError: the value is invalid, or cannot be stored without loss.
     """
     try:
         yield

@@ -73,11 +73,7 @@ SAME_VIEW = 1e-6
 
 
 def target_of(payload: Payload) -> str:
-    """The target of an event.
-
-    Raises:
-        ProjectError: an automatic pass, which has many targets.
-    """
+    """The target of an event."""
     match payload:
         case ProposalsImported():
             return f"{SOURCE}:{payload.source}"

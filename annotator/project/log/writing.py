@@ -1,4 +1,4 @@
-"""Writing to the log: checks revision, finalisation and tracks, appends events and applies them, in one transaction."""
+"""Writing to the log and reading it; a write checks revision, finalisation and tracks, and applies the events."""
 
 from __future__ import annotations
 
@@ -158,10 +158,6 @@ class Writer:
         Args:
             action: id of an action that is written in several calls (`new_action`); None = a new one.
             new_tracks: track ids that must still be free in the recording of the first part's frame.
-
-        Raises:
-            TrackTakenError: one of them is in use; or as `to_frame`.
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `to_frame`, of any of the frames.
         """
         with self.store.write() as connection:
             if new_tracks:
@@ -204,9 +200,6 @@ class Writer:
 
         Args:
             before: what goes before it, by frame id; the frame may be finalised, or of a removed recording.
-
-        Raises:
-            ProjectError: the author has no name.
         """
         for frame_id, shown in before:
             revision = connection.execute(select(frames.c.revision).where(frames.c.id == frame_id)).scalar_one()
@@ -303,11 +296,7 @@ def _require_free(connection: Connection, frame_id: int, tracks: Collection[int]
 
 
 def require_writable(connection: Connection, frame_id: int, context: WriteContext) -> str:
-    """Checks that the frame may be changed; returns its name for messages.
-
-    Raises:
-        FinalisedFrameError, StaleRevisionError, ProjectError: as `Writer.to_frame`.
-    """
+    """Checks that the frame may be changed; returns its name for messages."""
     row = connection.execute(_FRAME, {"frame": frame_id}).first()
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
@@ -368,8 +357,7 @@ def _apply(connection: Connection, event: Event, where: str) -> None:
         raise ProjectError(f"{where}: {error}") from error
 
 
-# TODO-MERGED docstring of log.py:
-# The event log of a project: appending, reading, and rebuilding the derived tables from it.
+# --- reading the log --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -388,11 +376,7 @@ class Log:
     writer: Writer
 
     def append(self, frame_id: int, payloads: Sequence[Payload], context: WriteContext) -> Receipt:
-        """Appends several events to a frame as one action, all or none.
-
-        Raises:
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
-        """
+        """Appends several events to a frame as one action, all or none."""
         return self.writer.to_frame(frame_id, payloads, context)
 
     def append_to_frames(
@@ -403,9 +387,6 @@ class Log:
         Args:
             action: id of an action that is written in several calls (`new_action`); None = a new one.
             new_tracks: track ids that must still be free in the recording of the first part's frame.
-
-        Raises:
-            TrackTakenError, StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frames`.
         """
         return self.writer.to_frames(parts, action, new_tracks)
 
@@ -440,10 +421,6 @@ class Log:
             return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
 
     def rebuild(self) -> int:
-        """Rebuilds the derived tables from all events; returns the number of events. An intact state does not change.
-
-        Raises:
-            ProjectError: an event contradicts the ones before it; the tables stay as they were.
-        """
+        """Rebuilds the derived tables from all events; returns the number of events. An intact state does not change."""
         with self.writer.store.write() as connection:
             return rebuild(connection)

@@ -1,4 +1,4 @@
-"""The operators' actions and what they cost, read from the event log."""
+"""The operators' actions and what they cost, read from the event log, and their effort per box by its origin."""
 
 from __future__ import annotations
 
@@ -18,10 +18,6 @@ from annotator.project.log.events import Effort
 from annotator.project.log.records import parsed
 from annotator.project.log.undo_state import IMAGE, LABEL, Since, present_state
 from annotator.types import Box2D, ReviewState
-
-# TODO-MERGED docstring of efforts.py:
-# Operators' effort per box, by the box's origin.
-
 
 DRAFT = "draft-"
 
@@ -210,11 +206,7 @@ _LOG = (
 
 
 def read_log(connection: Connection) -> ActionLog:
-    """Reads all actions.
-
-    Raises:
-        ProjectError: a row is damaged.
-    """
+    """Reads all actions."""
     log = ActionLog(Since(connection))
     for row in connection.execute(_LOG):
         log.add(row)

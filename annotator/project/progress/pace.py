@@ -95,8 +95,7 @@ def _time_ns(box: ReviewedBox) -> int:
     return 0 if box.decided is None else box.decided[1]
 
 
-# TODO-MERGED docstring of frames_left.py:
-# Which frames are done, and what waits in the others.
+# --- frames that are done, and what waits in the others ---------------------------------------------------------------
 
 
 @dataclass(frozen=True)

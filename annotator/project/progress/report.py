@@ -1,4 +1,4 @@
-"""The results of the review, and the progress of the work, of one moment."""
+"""The results of the review and the quality of the proposals, by class and by distance, of one moment."""
 
 from __future__ import annotations
 
@@ -19,10 +19,6 @@ from annotator.project.progress.forecast import Forecast, forecast
 from annotator.project.progress.pace import Pace, pace_of, read_frames
 from annotator.project.progress.reviewed import ReviewedBox, read_reviewed
 from annotator.project.recordings import removed_recordings
-
-# TODO-MERGED docstring of quality.py:
-# How good the proposals were: as they were, against what they became, by class and by distance.
-
 
 # Distances from the camera, metres: from a hand in front of a camera to a car before a LiDAR.
 RANGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 100.0)
@@ -148,11 +144,7 @@ class ReviewReader:
         self._known: tuple[tuple[object, ...], Review] | None = None
 
     def read(self, connection: Connection) -> Review:
-        """The results of the transaction's moment.
-
-        Raises:
-            ProjectError: a row is damaged.
-        """
+        """The results of the transaction's moment."""
         # labels and finalised frames change with events and removed recordings; scans change the frames, passes the
         # results
         present = select(func.group_concat(frames.c.id)).where(frames.c.position.is_not(None))

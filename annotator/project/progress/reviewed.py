@@ -62,11 +62,7 @@ class ReviewedBox(NamedTuple):
 
 
 def read_reviewed(connection: Connection, log: ActionLog) -> list[ReviewedBox]:
-    """All reviewed labels, in the order of their creation.
-
-    Raises:
-        ProjectError: a row is damaged.
-    """
+    """All reviewed labels, in the order of their creation."""
     columns = ("uid", "frame_id", "label", "box", "source", "state", "origin", "proposal_event_id")
     centers = [func.json_extract(labels.c.box, f"$.center_m[{axis}]") for axis in range(3)]
     query = select(*(labels.c[name] for name in columns), *centers)
