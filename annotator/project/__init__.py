@@ -5,7 +5,7 @@ from annotator.project.boxes import ImageBoxes, ViewBoxes
 from annotator.project.config import BoxRotation, ProjectConfig, ProjectSettings
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import FrameResult, Run, Status, run_key
-from annotator.project.labels import REVIEWED, LabelSignals, NewLabel, StoredLabel
+from annotator.project.labels import REVIEWED, NewLabel, StoredLabel
 from annotator.project.log.event_types import Origin
 from annotator.project.log.events import Effort, Event
 from annotator.project.log.history import History, Reverted
@@ -33,7 +33,6 @@ __all__ = [
     "FrameResult",
     "History",
     "ImageBoxes",
-    "LabelSignals",
     "ListedProject",
     "NewLabel",
     "Origin",

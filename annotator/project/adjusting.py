@@ -7,6 +7,7 @@ in the camera frame move with the clouds.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from annotator.project.database.schema import AnyRow, adjustments, events, frame
 from annotator.project.log.event_types import PAYLOAD, LabelState, RecordingAdjusted, ViewBoxesState
 from annotator.project.log.records import BoxRecord, SaidRecord, ViewGeometry, parsed, said_json, said_of
 from annotator.types import NO_CORRECTION, Correction
+from annotator.types.errors import ProjectError
 
 Up = tuple[float, float, float]
 
@@ -79,6 +81,15 @@ def adjustment_in(row: AnyRow) -> tuple[Adjustment, int]:
 
 def _up(content: str | None) -> Up | None:
     return None if content is None else tuple(parsed(json.loads, content))
+
+
+def unit_up(up: Sequence[float | int] | np.ndarray) -> Up:
+    """The unit vector of a direction, (3,), any length."""
+    vector = np.asarray(up, np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
+        raise ProjectError(f"the up direction must be three finite numbers, not all zero, not {up}")
+    x, y, z = (vector / np.linalg.norm(vector)).tolist()
+    return x, y, z
 
 
 # --- what moves with the clouds ---------------------------------------------------------------------------------------

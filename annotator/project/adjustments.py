@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from sqlalchemy import Connection, bindparam, select
 
-from annotator.project.adjusting import Adjustment, Moves, Up, between, read_adjustment
+from annotator.project.adjusting import Adjustment, Moves, between, read_adjustment, unit_up
 from annotator.project.database.schema import adjustments, events, frames
 from annotator.project.log.event_types import RecordingAdjusted
 from annotator.project.log.events import Effort
@@ -62,7 +62,7 @@ class Adjustments:
         self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS
     ) -> Receipt:
         """Sets the up direction: a vector in the camera frame (3,) of any length; None = as the files give it."""
-        unit = None if up is None else _unit(up)
+        unit = None if up is None else unit_up(up)
         return self._set(recording_id, author, lambda present: Adjustment(unit, present.correction), basis)
 
     def correct(self, recording_id: int, correction: Correction, author: str, basis: Basis = NO_BASIS) -> Receipt:
@@ -76,7 +76,7 @@ class Adjustments:
         def corrected(present: Adjustment) -> Adjustment:
             T = between(present.correction, correction)
             up = present.up
-            return Adjustment(up if up is None or T is None else _unit(T.rotation.apply(up)), correction)
+            return Adjustment(up if up is None or T is None else unit_up(T.rotation.apply(up)), correction)
 
         return self._set(recording_id, author, corrected, basis)
 
@@ -110,11 +110,3 @@ _NEWEST = select(adjustments.c.event_id).where(adjustments.c.recording_id == bin
 
 def _newest(connection: Connection, recording_id: int) -> int:
     return connection.execute(_NEWEST, {"recording": recording_id}).scalar() or 0
-
-
-def _unit(up: Sequence[float] | np.ndarray) -> Up:
-    vector = np.asarray(up, np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
-        raise ProjectError(f"the up direction must be three finite numbers, not all zero, not {up}")
-    x, y, z = (vector / np.linalg.norm(vector)).tolist()
-    return x, y, z

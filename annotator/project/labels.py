@@ -42,7 +42,6 @@ from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
-QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement", "expected_iou_loss")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,24 +107,6 @@ class StoredLabel:
     image_box: Box2D | None = None
     track_linked: bool = False
     said: tuple[SaidRecord, ...] = ()
-
-
-@dataclass(frozen=True)
-class LabelSignals:
-    """The sort keys of a label: a `StoredLabel` without its box, which takes most of the reading time.
-
-    Attributes:
-        frame_id, quality: as in `StoredLabel`.
-        uid, label, score, track_id, attributes: as in `Label`.
-    """
-
-    frame_id: int
-    uid: str
-    label: str
-    score: float | None
-    quality: Quality | None
-    track_id: int | None = None
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -209,35 +190,11 @@ class Labels:
             for row in rows
         )
 
-    def count(self, states: Collection[ReviewState]) -> int:
-        """Number of labels in one of these states."""
-        query = select(func.count()).select_from(labels).where(labels.c.state.in_([state.value for state in states]))
+    def count(self, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None) -> int:
+        """Number of labels; None = no condition."""
+        query = _filtered(select(func.count()), states, recordings, None)
         with self.writer.store.read() as connection:
             return int(connection.execute(query).scalar_one())
-
-    def signals(
-        self,
-        *,
-        states: Collection[ReviewState] | None = None,
-        recordings: Collection[int] | None = None,
-        classes: Collection[str] | None = None,
-    ) -> tuple[LabelSignals, ...]:
-        """The same labels as `select`, in the same order, without their boxes."""
-        names = ("frame_id", "uid", "label", "score", "track_id", "proposal_event_id", "attributes", *QUALITY)
-        ordered = _in_order(_filtered(select(*(labels.c[name] for name in names)), states, recordings, classes))
-        with self.writer.store.read() as connection:
-            return tuple(
-                LabelSignals(
-                    row.frame_id,
-                    row.uid,
-                    row.label,
-                    row.score,
-                    _quality(row),
-                    row.track_id,
-                    values_of(row.attributes),
-                )
-                for row in connection.execute(ordered)
-            )
 
     def waiting(
         self,

@@ -14,7 +14,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Table, bindparam, delete, func, insert, select, update
 
 from annotator.file_names import is_within
-from annotator.project.adjusting import adjustment_in
+from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.database.schema import (
     DERIVED,
     AnyRow,
@@ -221,7 +221,7 @@ class Recordings:
                 "format": format,
                 "name": _free_name(connection, name),
                 "is_sequence": is_sequence,
-                "up": None if up is None else json.dumps(_unit(path, up)),
+                "up": None if up is None else json.dumps(unit_up(up)),
                 "added_ns": self.store.clock(),
                 "options": options,
                 "fingerprint": fingerprint,
@@ -476,13 +476,6 @@ def _free_name(connection: Connection, name: str) -> str:
         number += 1
         free = f"{name}-{number}"
     return free
-
-
-def _unit(path: Path, up: Sequence[float | int] | np.ndarray) -> list[float]:
-    vector = np.asarray(up, np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
-        raise ProjectError(f"{path}: the up direction must be three finite numbers, not all zero, not {up}")
-    return (vector / np.linalg.norm(vector)).tolist()
 
 
 def _insert_frames(connection: Connection, recording_id: int, indices: Mapping[str, int | None]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from functools import partial
 
@@ -60,10 +59,8 @@ def test_a_source_replaces_what_it_said_before_and_nothing_else(project: Project
     assert (stored.label.source, stored.label.author) == (Source.IMPORTED, "one")
 
 
-@pytest.mark.parametrize("order", list(itertools.permutations("abc")))
-def test_one_object_is_one_proposal_and_the_surest_box_is_shown(
-    project: Project, frame: int, order: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("order", ["abc", "cba"])
+def test_one_object_is_one_proposal_and_the_surest_box_is_shown(project: Project, frame: int, order: str) -> None:
     said = {"a": box(0.0, 0.2), "b": box(0.02, 0.9, label="person"), "c": box(0.04, 0.5)}
     for source in order:
         bring(project, frame, source, said[source], box({"a": 10.0, "b": 20.0, "c": 30.0}[source], 0.5))
@@ -395,13 +392,6 @@ def test_our_proposal_with_a_lent_value_is_not_kept(project: Project, frame: int
         )
     project.proposals.replace(frame, [], by_machine(project.frames.get(frame).revision))
     assert shown(project) == [("two", 0.02, [])]
-
-
-def test_values_follow_where_only_the_attributes_change(project: Project, frame: int) -> None:
-    with_colour(project, frame)
-    project.change_classes(lambda config: edit.rename_attribute(config, "colour", "paint"), "ann")
-    assert [each.attributes for each in project.labels.select()[0].said] == [{"paint": "red"}, {"paint": "blue"}]
-    assert verify(project.path, deep=True).problems == ()
 
 
 def test_where_the_class_of_the_shown_box_is_removed_another_source_is_shown(

@@ -15,7 +15,6 @@ from annotator.project import create_project, open_project
 from annotator.project.backup.repair import repair
 from annotator.project.backup.verify import verify
 from annotator.project.database.migrations import MIGRATIONS, Migration
-from annotator.project.database.schema import METADATA
 from annotator.project.database.store import open_store
 from annotator.types.errors import ProjectError
 
@@ -39,18 +38,6 @@ def test_an_upgraded_database_keeps_its_content_and_has_the_tables_of_a_new_one(
         with closing(sqlite3.connect(folder / "project.db")) as connection:
             schemas.append(connection.execute("SELECT type, name, sql FROM sqlite_master ORDER BY name").fetchall())
     assert schemas[0] == schemas[1]
-
-
-def test_the_tables_match_the_schema(tmp_path: Path) -> None:
-    with create_project(tmp_path, "new", ["hand"]) as project, project.store.read() as connection:
-        for name, table in METADATA.tables.items():
-            actual = {
-                row["name"]: (row["type"], bool(row["notnull"] or row["pk"]))
-                for row in connection.exec_driver_sql(f"PRAGMA table_info({name})").mappings()
-            }
-            types = {"INTEGER": "INTEGER", "BOOLEAN": "INTEGER", "TEXT": "TEXT", "FLOAT": "REAL"}
-            expected = {column.name: (types[str(column.type)], not column.nullable) for column in table.columns}
-            assert actual == expected, name
 
 
 def test_a_newer_database_is_refused_and_not_changed(full: Path) -> None:

@@ -43,23 +43,6 @@ def test_long_events_are_compressed_and_read_back(project: Project, frame: int) 
     assert [found.proposal.trace for found in latest.objects] == [proposal_at(steps=3, views=8).trace] * 3
 
 
-def test_uncompressed_long_events_of_older_versions_are_read(
-    project: Project, frame: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as old:
-        old.setattr("annotator.project.database.schema.PACKED_FROM", 10**9)
-        fill(project, frame)
-    assert [type(row) for row in stored(project)] == [str, str]
-    before = state_of(project)
-    assert project.log.rebuild() == 2
-    assert state_of(project) == before
-    again = [proposal_at(5.0 * n, steps=3, views=8) for n in range(3)]
-    project.proposals.replace(frame, again, by_machine(2))
-    assert [type(row) for row in stored(project)] == [str, str, bytes]
-    first, _, third = project.log.of_frame(frame)
-    assert len(first.payload.model_dump_json()) == len(third.payload.model_dump_json())
-
-
 def test_a_damaged_event_is_reported(project: Project, frame: int) -> None:
     connection = sqlite3.connect(project.path / "project.db")
     connection.execute(

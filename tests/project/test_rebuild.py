@@ -106,9 +106,9 @@ def test_a_rebuild_repairs_corrupted_tables(project: Project, frame: int) -> Non
 
 
 def test_a_long_log_is_replayed_in_batches(project: Project, frame: int) -> None:
-    for revision in range(120):
+    for revision in range(60):
         project.boxes.set_on_image(frame, some_boxes(revision % 3), BoxKind.BOX, by_hand(revision))
-    assert [event.revision for event in project.log.since()] == list(range(1, 121))
+    assert [event.revision for event in project.log.since()] == list(range(1, 61))
     before = state_of(project)
-    assert project.log.rebuild() == 120
+    assert project.log.rebuild() == 60
     assert state_of(project) == before

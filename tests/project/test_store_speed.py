@@ -61,7 +61,7 @@ def test_a_longer_recording_needs_no_more_statements(statements: Counted, of_len
                 lambda: project.jobs.pending(run.key),  # noqa: B023
                 project.statistics,
                 project.frames.of,
-                project.labels.signals,
+                project.labels.select,
             ]
             counts[frames] = [statements(work) for work in asked]
     assert counts[20] == counts[2_000]

@@ -18,7 +18,6 @@ from annotator.project.log.event_types import (
     LabelTracked,
     LinkedLabel,
     Payload,
-    ProposedObject,
     TracksLinked,
 )
 from annotator.project.log.records import BoxRecord, ProposalRecord
@@ -78,13 +77,6 @@ def test_a_proposal_does_not_get_the_track_of_a_reviewed_box_in_its_frame(projec
     found = [proposal_at(6.0), proposal_at(9.0)]
     again = project.proposals.replace(frame, found, by_machine(3), track_ids=[4, 5]).uids
     assert [_track(project, uid) for uid in again if uid] == [(None, False), (5, True)]
-
-
-def test_an_old_proposal_event_without_a_track_is_read() -> None:
-    new = ProposedObject(uid="u", proposal=ProposalRecord.of(proposal_at()))
-    old = new.model_dump(mode="json", exclude={"track_id"})
-    assert ProposedObject.model_validate_json(new.model_dump_json(exclude={"track_id"})) == new
-    assert "track_id" not in old
 
 
 def _span(project: Project, recording: StoredRecording, uids: list[str]) -> list[FramePart]:

@@ -13,7 +13,7 @@ from annotator.project import Project
 from annotator.types.errors import ProjectError
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(rgb=npst.arrays(np.uint8, npst.array_shapes(min_dims=2, max_dims=2, max_side=9).map(lambda s: (*s, 3))))
 def test_an_image_is_read_back(project: Project, rgb: np.ndarray) -> None:
     assert np.array_equal(project.views.load(project.views.store(rgb)), rgb)

@@ -7,8 +7,8 @@ changes in the same transaction as the tables.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -111,12 +111,19 @@ def _read_schema(connection: sqlite3.Connection) -> Schema:
 
 @lru_cache(maxsize=8)
 def _schema_of(migrations: tuple[Migration, ...]) -> Schema:
+    with in_memory(migrations) as connection:
+        return _read_schema(connection)
+
+
+@contextmanager
+def in_memory(migrations: Sequence[Migration]) -> Iterator[sqlite3.Connection]:
+    """A new database that these migrations have made."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
         connection.execute("BEGIN")
         for migration in migrations:
             for statement in migration.statements:
                 connection.execute(statement)
-        return _read_schema(connection)
+        yield connection
 
 
 # --- version 1 --------------------------------------------------------------------------------------------------------
@@ -142,7 +149,7 @@ CREATE TABLE recordings (
     path TEXT NOT NULL,
     format TEXT NOT NULL,
     name TEXT NOT NULL UNIQUE,
-    is_sequence INTEGER NOT NULL CHECK (is_sequence IN (0, 1)),
+    is_sequence BOOLEAN NOT NULL CHECK (is_sequence IN (0, 1)),
     up TEXT,
     added_ns INTEGER NOT NULL,
     options TEXT NOT NULL,
@@ -171,7 +178,7 @@ CREATE TABLE frames (
     "key" TEXT NOT NULL,
     position INTEGER,
     revision INTEGER NOT NULL,
-    finalised INTEGER NOT NULL CHECK (finalised IN (0, 1)),
+    finalised BOOLEAN NOT NULL CHECK (finalised IN (0, 1)),
     UNIQUE (recording_id, "key")
 )
 """
@@ -186,7 +193,7 @@ CREATE TABLE events (
     view_id TEXT,
     revision INTEGER NOT NULL CHECK (revision > 0),
     kind TEXT NOT NULL,
-    payload TEXT NOT NULL,
+    payload PACKED_TEXT NOT NULL,
     author TEXT NOT NULL CHECK (author <> ''),
     time_ns INTEGER NOT NULL,
     source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
@@ -223,7 +230,7 @@ CREATE TABLE labels (
     origin TEXT,
     image_box TEXT,
     image_agreement REAL,
-    track_linked INTEGER NOT NULL CHECK (track_linked IN (0, 1)),
+    track_linked BOOLEAN NOT NULL CHECK (track_linked IN (0, 1)),
     expected_iou_loss REAL,
     box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
     suggestion TEXT,
@@ -335,7 +342,7 @@ CREATE TABLE models (
     metrics TEXT NOT NULL,
     manifest TEXT,
     fingerprint TEXT NOT NULL,
-    active INTEGER NOT NULL CHECK (active IN (0, 1)),
+    active BOOLEAN NOT NULL CHECK (active IN (0, 1)),
     sha256 TEXT NOT NULL
 )
 """

@@ -421,6 +421,6 @@ class Log:
             return newest, tuple(ChangedFrame(row[0], row[1], row[2]) for row in connection.execute(changed))
 
     def rebuild(self) -> int:
-        """Rebuilds the derived tables from all events; returns the number of events. An intact state does not change."""
+        """Rebuilds the derived tables from all events, of which it returns the number; an intact state stays."""
         with self.writer.store.write() as connection:
             return rebuild(connection)
