@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from killer import Killer
-from next_version import NEXT, NOW, use_next, version_of
 from sound import labels_in, require_sound
+from store_samples import NEXT, NOW, use_next, version_of
 
 from annotator.cli.main import main
 from annotator.project import create_project, open_project

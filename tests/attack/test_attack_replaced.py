@@ -16,8 +16,8 @@ from pathlib import Path
 import httpx
 import pytest
 from live_server import Live, wait_until
-from replacing import replace_database, replace_folder
 from room_api import BOX, ROOM, change
+from store_samples import replace_database, replace_folder
 
 from annotator.project import open_project
 

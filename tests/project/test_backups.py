@@ -15,9 +15,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from backup_samples import content, files
-from next_version import NOW, use_next, version_of
-from store_samples import box_at, by_hand
+from store_samples import NOW, box_at, by_hand, files, stored_state, use_next, version_of
 
 from annotator.project import NewLabel, Project, create_project, open_project
 from annotator.project.backup import make, snapshot
@@ -32,14 +30,14 @@ from annotator.types.errors import AnnotatorError, FormatError, ProjectError
 
 
 def test_a_database_is_backed_up_before_it_is_upgraded(full: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = content(full)
+    before = stored_state(full)
     use_next(monkeypatch)
     with open_project(full) as project:
         assert project.problems() == []
     (backup,) = automatic_backups(full)
     assert read_manifest(backup).database_version == NOW
     path, _ = restore(backup, full.parent, "older")
-    assert content(path) == before
+    assert stored_state(path) == before
     assert verify(path, deep=True).problems == ()
 
 
@@ -103,7 +101,7 @@ def test_a_backup_restores_everything_but_what_can_be_made_again(full: Path, tmp
     back_up(full, tmp_path / "copy.zip")
     path, manifest = restore(tmp_path / "copy.zip", tmp_path / "elsewhere")
     assert path == tmp_path / "elsewhere" / "hands"
-    assert content(path) == content(full)
+    assert stored_state(path) == stored_state(full)
     assert files(path) == {name for name in files(full) if "openvino" not in name}
     assert (manifest.labels, manifest.models) == (2, ModelChoice.ALL)
     assert verify(path, deep=True).problems == ()
@@ -189,7 +187,7 @@ def test_errors_are_for_users(full: Path) -> None:
 def test_a_foreign_project_is_copied_without_links_and_caches(full: Path, tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.write_text("secret")
-    before = content(full)
+    before = stored_state(full)
     (full / "models/image/one/validation/1.jpg").symlink_to(secret)
     (full / "models/image/two/validation").rename(tmp_path / "away")
     (full / "models/image/two/validation").symlink_to(tmp_path / "away")
@@ -197,7 +195,7 @@ def test_a_foreign_project_is_copied_without_links_and_caches(full: Path, tmp_pa
     (full / "cache").mkdir()
     (full / "cache/points.json").write_text("{}")
     path = copy_project(full, tmp_path / "mine", "taken")
-    assert content(path) == before
+    assert stored_state(path) == before
     left_out = {"cache/points.json", "models/image/one/pipe", "models/image/one/validation/1.jpg"}
     assert files(path) == {
         name for name in files(full) - left_out if "openvino" not in name and "two/valid" not in name
@@ -289,21 +287,21 @@ def rezipped(start: str, change: Callable[[zipfile.ZipInfo, bytes], list[Entry]]
 def renamed(name: str) -> Change:
     """Gives the view another name, in the manifest, too."""
 
-    def change(info: zipfile.ZipInfo, content: bytes) -> list[Entry]:
+    def change(info: zipfile.ZipInfo, stored_state: bytes) -> list[Entry]:
         if info.filename.startswith("views/"):
             info = zipfile.ZipInfo(name)
         if info.filename == "manifest.json":
-            view = content[content.index(b"views/") :].split(b'"')[0]
-            content = content.replace(view, name.encode())
-        return [(info, content)]
+            view = stored_state[stored_state.index(b"views/") :].split(b'"')[0]
+            stored_state = stored_state.replace(view, name.encode())
+        return [(info, stored_state)]
 
     return rezipped("", change)
 
 
 def with_mode(mode: int) -> Change:
-    def change(info: zipfile.ZipInfo, content: bytes) -> list[Entry]:
+    def change(info: zipfile.ZipInfo, stored_state: bytes) -> list[Entry]:
         info.external_attr = mode << 16
-        return [(info, content)]
+        return [(info, stored_state)]
 
     return rezipped("views/", change)
 

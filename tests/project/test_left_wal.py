@@ -10,9 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from backup_samples import content
-from next_version import use_next
-from store_samples import box_at, by_hand
+from store_samples import box_at, by_hand, stored_state, use_next
 from time_limit import time_limit
 
 from annotator.project import NewLabel, open_project
@@ -39,7 +37,7 @@ def write_and_be_killed(project: Path) -> None:
 
 def test_a_database_copied_beside_a_left_wal_is_not_mixed_with_it(full: Path, tmp_path: Path) -> None:
     shutil.copyfile(full / "project.db", tmp_path / "by_hand.db")
-    before = content(full)
+    before = stored_state(full)
     write_and_be_killed(full)
     shutil.copyfile(tmp_path / "by_hand.db", full / "project.db")
     with pytest.raises(ProjectError, match=r"does not belong to the file project\.db-wal beside it"):
@@ -47,7 +45,7 @@ def test_a_database_copied_beside_a_left_wal_is_not_mixed_with_it(full: Path, tm
     assert "does not belong" in verify(full).problems[0]
     repaired = repair(full)
     assert (repaired.path, repaired.is_new, repaired.lost) == (tmp_path / "hands-repaired", True, {})
-    assert content(repaired.path) == before
+    assert stored_state(repaired.path) == before
     assert verify(repaired.path, deep=True).problems == ()
     assert (full / "project.db-wal").exists()
 

@@ -8,8 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from next_version import NEXT, NOW, use_next, version_of
-from store_samples import by_hand, state_of
+from store_samples import NEXT, NOW, by_hand, state_of, use_next, version_of
 
 from annotator.project import create_project, open_project
 from annotator.project.backup.repair import repair

@@ -9,8 +9,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from backup_samples import content, damage
-from store_samples import box_at, by_hand
+from store_samples import box_at, by_hand, damage, stored_state
 
 from annotator.project import NewLabel, Project, StoredRecording
 from annotator.project.backup.make import Reason, automatic_backups, back_up
@@ -125,11 +124,11 @@ def test_a_deep_verification_finds_what_differs_from_the_events(
 
 
 def test_repair_makes_the_state_anew_after_a_backup(full: Path) -> None:
-    before = content(full)
+    before = stored_state(full)
     damage("UPDATE labels SET state = 'rejected'")(full)
     repaired = repair(full)
     assert (repaired.path, repaired.is_new) == (full, False)
-    assert content(full) == before
+    assert stored_state(full) == before
     assert verify(full, deep=True).problems == ()
     assert automatic_backups(full, Reason.REPAIR) == [repaired.backup]
 
@@ -143,7 +142,7 @@ def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, r
     with closing(sqlite3.connect(database)) as connection:
         tables = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'events'").fetchall()
         pages = connection.execute("PRAGMA page_count").fetchone()[0]
-    before, whole = database.read_bytes(), content(project.path)
+    before, whole = database.read_bytes(), stored_state(project.path)
     leaves = [page for page in range(1, pages) if b"label_created" in before[page * 4096 : page * 4096 + 4096]]
     assert tables and len(leaves) > 3
     with database.open("r+b") as file:  # one page of events, not the labels
@@ -154,7 +153,7 @@ def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, r
     assert repaired.is_new and repaired.lost and repaired.restored
     assert database.read_bytes() == damaged
     assert verify(repaired.path, deep=True).problems == ()
-    saved = content(repaired.path)
+    saved = stored_state(repaired.path)
     boxes = [sorted(str(row[3]) for row in state["labels"]) for state in (saved, whole)]
     assert boxes[0] == boxes[1]
 
@@ -174,7 +173,7 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
     def columns(state: dict[str, list[tuple[object, ...]]], table: str, first: int) -> list[str]:
         return sorted(str(row[first]) for row in state[table])
 
-    whole = content(full)
+    whole = stored_state(full)
     assert whole["labels"]
     with closing(sqlite3.connect(full / "project.db")) as connection:
         triggers = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
@@ -189,7 +188,7 @@ def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, 
     repaired = repair(full, "saved")
     assert repaired.is_new and repaired.lost["events"] >= count and repaired.restored
     assert verify(repaired.path, deep=True).problems == ()
-    saved = content(repaired.path)
+    saved = stored_state(repaired.path)
     assert columns(saved, "labels", 3) == columns(whole, "labels", 3)
     assert {table: len(rows) for table, rows in saved.items()} == {table: len(rows) for table, rows in whole.items()}
 
@@ -198,11 +197,11 @@ def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:
     database = full / "project.db"
     with closing(sqlite3.connect(database)) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    whole = len(content(full)["labels"])
+    whole = len(stored_state(full)["labels"])
     size = database.stat().st_size
     with database.open("r+b") as file:
         file.truncate(size - 2 * 4096)
     repaired = repair(full, "saved")
     assert repaired.is_new and repaired.events
-    assert len(content(repaired.path)["labels"]) == whole
+    assert len(stored_state(repaired.path)["labels"]) == whole
     assert database.stat().st_size == size - 2 * 4096

@@ -11,9 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from next_version import use_next
-from replacing import replace_database, replace_folder
-from store_samples import box_at, by_hand
+from store_samples import box_at, by_hand, replace_database, replace_folder, use_next
 
 from annotator.project import NewLabel, Project, StoredRecording, create_project, open_project
 from annotator.types.errors import ProjectError, ReplacedError

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from replacing import replace_folder
+from store_samples import replace_folder
 
 from annotator.project import WriteContext, create_project
 from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically

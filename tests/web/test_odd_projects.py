@@ -18,8 +18,8 @@ import pytest
 from fastapi import FastAPI
 from in_process import HERE, ask
 from live_server import PATIENCE_S, wait_until
-from replacing import replace_folder
 from room_api import BOX, ROOM
+from store_samples import replace_folder
 
 from annotator.project import create_project
 from annotator.project.backup.snapshot import unfinished_folder
