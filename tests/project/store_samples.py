@@ -318,8 +318,7 @@ def give_attributes(project: Project) -> None:
         project.change_classes(lambda config, attribute=attribute: edit.put_attribute(config, attribute), "ann")
 
 
-# TODO-MERGED docstring of backup_samples.py:
-# What a project holds, and ways to damage it.
+# --- what a project holds, and ways to damage it ----------------------------------------------------------------------
 
 
 def stored_state(project: Path) -> dict[str, list[tuple[object, ...]]]:
@@ -343,8 +342,7 @@ def damage(statement: str) -> Callable[[Path], None]:
     return change
 
 
-# TODO-MERGED docstring of replacing.py:
-# Ways to put a backup in the place of a project.
+# --- ways to put a backup in the place of a project -------------------------------------------------------------------
 
 
 def replace_folder(folder: Path, backup: Path) -> None:
@@ -365,8 +363,7 @@ def replace_database(folder: Path, backup: Path) -> None:
     (folder / "new.db").rename(folder / "project.db")
 
 
-# TODO-MERGED docstring of next_version.py:
-# An example of a migration: the database of the next release.
+# --- an example of a migration: the database of the next release ------------------------------------------------------
 
 
 NOW = newest_version()

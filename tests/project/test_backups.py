@@ -93,8 +93,7 @@ def test_a_backup_of_more_events_than_the_project_has_says_nothing_about_it(tmp_
         assert BackupClock(restored.path, restored.store).is_due()
 
 
-# TODO-MERGED docstring of test_backup_restore.py:
-# Backups restore to the state of one moment, and replace nothing.
+# --- backups restore to the state of one moment, and replace nothing --------------------------------------------------
 
 
 def test_a_backup_restores_everything_but_what_can_be_made_again(full: Path, tmp_path: Path) -> None:
@@ -180,8 +179,7 @@ def test_errors_are_for_users(full: Path) -> None:
         copy_project(full, full.parent, "Bad Name")
 
 
-# TODO-MERGED docstring of test_copy_project.py:
-# A foreign project is copied without what could lead out of it.
+# --- A foreign project is copied without what could lead out of it ----------------------------------------------------
 
 
 def test_a_foreign_project_is_copied_without_links_and_caches(full: Path, tmp_path: Path) -> None:
@@ -211,8 +209,7 @@ def test_a_foreign_project_whose_main_files_are_links_is_refused(full: Path, tmp
         copy_project(full, tmp_path, "taken")
 
 
-# TODO-MERGED docstring of test_failed_backups.py:
-# Backups and repairs that cannot be made say why, and what a killed one left does not stay.
+# --- backups and repairs that cannot be made say why, and what a killed one left does not stay ------------------------
 
 
 @pytest.fixture
@@ -262,8 +259,7 @@ def test_a_locked_project_is_not_taken_for_a_damaged_one(room: Path, monkeypatch
     assert [path.name for path in room.parent.iterdir()] == ["room"]
 
 
-# TODO-MERGED docstring of test_bad_backups.py:
-# Damaged and hostile backups are refused, and leave nothing.
+# --- damaged and hostile backups are refused, and leave nothing -------------------------------------------------------
 
 
 Change = Callable[[Path, Path], object]

@@ -92,8 +92,7 @@ def test_boxes_on_a_view_need_its_image(project: Project, frame: int) -> None:
     assert project.boxes.on_views() == ()
 
 
-# TODO-MERGED docstring of test_view_store.py:
-# Images of pseudo-views, stored by the hash of their content.
+# --- images of pseudo-views, stored by the hash of their content ------------------------------------------------------
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])

@@ -285,8 +285,7 @@ def test_settings_can_be_changed(project: Project) -> None:
     assert project.config.classes == ("hand", "person")
 
 
-# TODO-MERGED docstring of test_config_change.py:
-# Changes of classes that end in the middle, and whoever has a project open while its folder is renamed.
+# --- changes of classes that end in the middle, and whoever has a project open while its folder is renamed ------------
 
 
 @pytest.fixture

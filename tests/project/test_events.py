@@ -99,8 +99,7 @@ def test_a_pose_with_an_invalid_rotation_is_refused_with_a_clear_error() -> None
         BoxRecord.of(OrientedBox(sheared, np.ones(3)))
 
 
-# TODO-MERGED docstring of test_packed_events.py:
-# Long events are compressed in the database; the project's API does not show it.
+# --- long events are compressed in the database; the project's API does not show it -----------------------------------
 
 
 def stored(project: Project) -> list[str | bytes]:
@@ -157,8 +156,7 @@ def test_a_damaged_row_is_reported(project: Project, frame: int, table: str, col
         _ = project.labels.of_frame(frame), project.recordings.all()
 
 
-# TODO-MERGED docstring of test_append_only.py:
-# Events cannot be changed or removed, not even with plain SQL.
+# --- events cannot be changed or removed, not even with plain SQL -----------------------------------------------------
 
 
 @pytest.mark.parametrize("careful", [False, True])

@@ -264,8 +264,7 @@ def test_an_undo_that_needs_a_removed_class_is_refused(project: Project, frame: 
     project.history.undo("ann")
 
 
-# TODO-MERGED docstring of test_undo_of_values.py:
-# Undo and redo of values of attributes that the project's schema no longer allows.
+# --- undo and redo of values of attributes that the project's schema no longer allows ---------------------------------
 
 
 # An attribute as it was, a value that it had, and the attribute as it is now.

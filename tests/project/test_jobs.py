@@ -132,8 +132,7 @@ def test_errors_name_the_missing_run_or_frame(project: Project, recording: Store
     assert run.finished_ns is None
 
 
-# TODO-MERGED docstring of test_models_registry.py:
-# The registry of trained detectors.
+# --- the registry of trained detectors --------------------------------------------------------------------------------
 
 
 def _register(project: Project, role: DetectorKind, name: str, activate: bool = True) -> StoredModel:

@@ -186,8 +186,7 @@ def test_moves_are_append_only(project: Project, recording: StoredRecording, sta
         connection.rollback()
 
 
-# TODO-MERGED docstring of test_removed_recordings.py:
-# Recordings that are removed, and come back with their labels.
+# --- recordings that are removed, and come back with their labels -----------------------------------------------------
 
 
 KEYS = [str(number) for number in range(5)]

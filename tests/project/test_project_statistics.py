@@ -17,8 +17,7 @@ from annotator.project.log.records import BoxRecord
 from annotator.project.progress.action_log import ORIGINS, draft_id
 from annotator.types import Box2D, BoxKind, Source
 
-# TODO-MERGED docstring of test_effort_statistics.py:
-# The effort per box by origin, and the results of reviewing proposals.
+# --- the effort per box by origin, and the results of reviewing proposals ---------------------------------------------
 
 
 def ann(revision: int, actions: int | None = None, seconds: float = 0.0, target: str | None = None) -> WriteContext:

@@ -18,8 +18,7 @@ from annotator.project.backup.take_in import copy_project
 from annotator.project.backup.verify import verify
 from annotator.types.errors import ProjectError
 
-# TODO-MERGED docstring of test_verify.py:
-# A verification finds damaged databases, and with `deep` what differs from the events; neither is copied.
+# --- A verification finds damaged databases, and with `deep` what differs from the events; neither is copied ----------
 
 
 def overwritten(project: Path) -> None:

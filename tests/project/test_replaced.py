@@ -231,8 +231,7 @@ def test_an_older_project_that_cannot_be_written_is_not_upgraded(
         open_project(tmp_path / "old")
 
 
-# TODO-MERGED docstring of test_left_wal.py:
-# A file project.db-wal that is left beside a database is used only if it belongs to it.
+# --- A file project.db-wal that is left beside a database is used only if it belongs to it ----------------------------
 
 
 def write_and_be_killed(project: Path) -> None:

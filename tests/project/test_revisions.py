@@ -127,10 +127,7 @@ def test_appending_no_events_changes_nothing(project: Project, frame: int) -> No
     assert (receipt.event_ids, receipt.revision) == ((), 0)
 
 
-# TODO-MERGED docstring of test_store_speed.py:
-# The number of SQL statements does not depend on the number of frames.
-#
-# (`python -m benchmarks.store` measures the times.)
+# --- the number of SQL statements does not depend on the number of frames ---------------------------------------------
 
 
 Counted = Callable[[Callable[[], object]], int]
