@@ -9,8 +9,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from killer import Killer
-from sound import labels_in, require_sound
+from attacks import Killer, labels_in, require_sound
 from store_samples import NEXT, NOW, use_next, version_of
 
 from annotator.cli.main import main

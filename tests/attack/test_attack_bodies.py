@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import pytest
-from raw import MOST_GROWTH_MB, memory_mb, request, send, unharmed
+from attacks import MOST_GROWTH_MB, memory_mb, request, send, unharmed
 
 from annotator.recordings import open_recording
 from annotator.types.errors import AnnotatorError

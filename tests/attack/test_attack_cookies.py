@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from attacks import request, require_alive
 from live_server import running
-from raw import request, require_alive
 
 from annotator.project import open_project
 from annotator.web.security import cookie_name

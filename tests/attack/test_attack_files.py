@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from raw import MOST_GROWTH_MB, memory_mb
+from attacks import MOST_GROWTH_MB, memory_mb
 
 from annotator.cli.main import main
 from annotator.formats.kitti.tracklets import read_tracklets

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import httpx
 import pytest
-from raw import request, require_alive, send
+from attacks import request, require_alive, send
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-from killer import Killer
-from sound import Labels, content_of, labels_in, require_sound
+from attacks import Killer, Labels, content_of, labels_in, require_sound
 
 from annotator.project import open_project
 

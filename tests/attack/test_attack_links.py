@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from attacks import content_of
 from live_server import Live, ended, running
-from sound import content_of
 
 from annotator.cli.main import main
 from annotator.web.settings import ServerSettings

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from attacks import request, require_alive
 from live_server import running
-from raw import request, require_alive
 
 from annotator.web.settings import ServerSettings
 

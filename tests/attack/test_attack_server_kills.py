@@ -10,8 +10,8 @@ import zipfile
 
 import httpx
 import pytest
+from attacks import require_sound
 from live_server import PATIENCE_S, wait_until
-from sound import require_sound
 from test_kill_server import EDITS_BEFORE_KILL, Editor, server
 
 from annotator.project import open_project

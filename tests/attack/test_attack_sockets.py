@@ -10,8 +10,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
+from attacks import require_alive, unharmed
 from live_server import PATIENCE_S
-from raw import require_alive, unharmed
 from room_api import change, state
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
