@@ -12,14 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+import httpx
 import pytest
-from attacks import MOST_GROWTH_MB, memory_mb, request, send, unharmed
+from attacks import MOST_GROWTH_MB, memory_mb, request, require_alive, send, unharmed
+from live_server import running
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
+from annotator.project import open_project
 from annotator.recordings import open_recording
 from annotator.types.errors import AnnotatorError
+from annotator.web.security import cookie_name
+from annotator.web.settings import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
+
 
 CHANGES = "/api/projects/room/frames/1/changes"
 OBJECT = "/api/projects/room/frames/1/label/object"
@@ -217,3 +225,164 @@ def test_pictures_that_unpack_to_gigabytes_are_refused(own_copy: Any) -> None:
         with pytest.raises(AnnotatorError):
             open_recording(folder).frame(0)
     assert memory_mb() - before < MOST_GROWTH_MB
+
+
+# TODO-MERGED docstring of test_attack_cookies.py:
+# Cookies that nobody was given, on a server without and with a token.
+
+
+TOKEN = "the-token-of-this-attack"
+HOSTILE = {
+    "control characters": "Ada%00%0a%1b%5b31m",
+    "6,000 letters": "a" * 6000,
+    "broken escapes": "%zz%",
+    "surrogates": "%ed%a0%80",
+    "direction": "%e2%80%ae%e2%80%8b",
+    "script": "%3Cscript%3Ealert(1)%3C/script%3E",
+    "quotes": '"\\"',
+    "bytes": "\xff\xfe",
+    "equals": "=;=;=",
+}
+
+
+def _others(live: Live) -> str:
+    """The token's cookie, without the operator's."""
+    return "; ".join(f"{name}={value}" for name, value in live.client.cookies.items() if name != "annotator_operator")
+
+
+@pytest.mark.parametrize("cookie", HOSTILE.values(), ids=HOSTILE)
+def test_an_operator_that_could_not_sign_in_is_no_author(live: Live, cookie: str) -> None:
+    given = {"Cookie": "; ".join(filter(None, [_others(live), f"annotator_operator={cookie}"]))}
+    for method, path, body in (
+        ("GET", "/api/session", b""),
+        ("GET", "/api/projects/room/frames/1", b""),
+        (
+            "POST",
+            "/api/projects/room/frames/1/changes",
+            b'{"revision": 0, "changes": [{"kind": "finalise"}]}',
+        ),
+    ):
+        status, answer = request(live, method, path, body, given)
+        assert status < 500, (path, answer)
+    with open_project(live.settings.projects_root / "room") as project:
+        authors = {event.author for event in project.log.since()}
+    assert all(author.isprintable() and len(author) <= 64 for author in authors), authors
+    require_alive(live)
+
+
+def test_cookies_do_not_stand_in_for_the_token(web_settings: ServerSettings) -> None:
+    locked = ServerSettings(web_settings.projects_root, web_settings.folders, port=0, token=TOKEN)
+    name = cookie_name(TOKEN)
+    with running(locked) as live:
+        for cookie in (
+            "",
+            "annotator_operator=Ada",
+            f"{name}=",
+            f"{name}={TOKEN[:-1]}",
+            f"{name}={TOKEN}x",
+            f"{name.upper()}={TOKEN}",
+            f"{name}=%74{TOKEN[1:]}",
+            f'{name}="{TOKEN}x"',
+            f"annotator_token={TOKEN}",
+            f"token={TOKEN}",
+            f"{name}={'a' * 4000}",
+            f"{name}={TOKEN}\xff",
+            f"{name}={TOKEN}; {name}=wrong",
+        ):
+            for path in ("/api/projects", "/", "/api/projects/room/frames/1/image.jpg"):
+                status, answer = request(live, "GET", path, headers={"Cookie": cookie})
+                assert status in (400, 401), (cookie, path, status)
+                assert b"room" not in answer and TOKEN.encode() not in answer
+        for more in ({"Authorization": f"Bearer {TOKEN}x"}, {"X-Token": TOKEN}, {"Referer": f"/?token={TOKEN}"}):
+            assert request(live, "GET", "/api/projects", headers={"Cookie": "", **more})[0] == 401
+        require_alive(live)
+
+
+def test_the_cookies_cannot_be_read_by_scripts_or_sent_by_other_sites(live: Live) -> None:
+    answer = live.client.post("/api/session", json={"operator": "Ada <b>;=, \\ é 😀"})
+    assert answer.status_code == 200
+    words = answer.headers["set-cookie"].lower()
+    assert "httponly" in words and "samesite=strict" in words and "<b>" not in words
+    assert live.client.get("/api/session").json()["operator"] == "Ada <b>;=, \\ é 😀"
+
+
+# TODO-MERGED docstring of test_attack_hosts.py:
+# Requests that name another host, or come from another page.
+
+
+REBOUND = [
+    "evil.example",
+    "127.0.0.1.evil.example",
+    "localhost.evil.example",
+    "0.0.0.0",
+    "[::ffff:127.0.0.1]",
+    "2130706433",
+    "127.1",
+    "localhost\t.evil.example",
+]
+ORIGINS = ["null", "", "http://127.0.0.1", "http://127.0.0.1:1", "http://evil.example", "file://", "data:", "*"]
+
+
+def test_a_name_that_was_rebound_to_this_machine_reads_and_changes_nothing(live: Live) -> None:
+    for host in REBOUND:
+        for path in ("/", "/api/projects", "/api/projects/room/frames/1", "/assets/js/main.js"):
+            for more in ("", live.url.rpartition(":")[2]):
+                status, answer = request(live, "GET", path, headers={"Host": f"{host}:{more}" if more else host})
+                assert status in (400, 403), (path, host, answer)
+                assert b"room" not in answer
+        # the attacker's own page sends its own name in both
+        asked = {"Host": host, "Origin": f"http://{host}"}
+        assert request(live, "POST", "/api/projects/room/undo", b"{}", asked)[0] in (400, 403)
+    require_alive(live)
+
+
+def test_two_hosts_no_host_or_an_absolute_target_do_not_confuse_the_check(live: Live) -> None:
+    here, cookie = live.url.removeprefix("http://"), live.cookies()
+    for lines in (
+        f"GET /api/projects HTTP/1.1\r\nHost: evil.example\r\nHost: {here}\r\n",
+        f"GET /api/projects HTTP/1.1\r\nHost: {here}\r\nHost: evil.example\r\n",
+        "GET /api/projects HTTP/1.1\r\n",
+        "GET /api/projects HTTP/1.0\r\n",
+        "GET http://evil.example/api/projects HTTP/1.1\r\nHost: evil.example\r\n",
+        f"GET /api/projects HTTP/1.1\r\nHost: evil.example\r\nX-Forwarded-Host: {here}\r\n",
+        f"GET /api/projects HTTP/1.1\r\nHost: evil.example\r\nForwarded: host={here}\r\n",
+        "GET /api/projects HTTP/1.1\r\nHost: evil.example\r\nX-Forwarded-For: 127.0.0.1\r\n",
+        f"GET /api/projects HTTP/1.1\r\nHost : {here}\r\n",
+        f"GET /api/projects HTTP/1.1\r\n Host: {here}\r\n",
+    ):
+        status, answer = send(live, f"{lines}Cookie: {cookie}\r\nConnection: close\r\n\r\n".encode())
+        assert status in (400, 403), (lines, answer)
+        assert b"room" not in answer
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_a_foreign_page_changes_nothing(live: Live, origin: str) -> None:
+    before = live.client.get("/api/projects/room/frames/1").json()
+    asked = {"Origin": origin, "Cookie": live.cookies()}
+    port = live.url.rpartition(":")[2]
+    places = [
+        ("POST", "/api/projects/room/frames/1/changes"),
+        ("POST", "/api/projects"),
+        ("PATCH", "/api/projects/room"),
+    ]
+    places += [("POST", "/api/session"), ("DELETE", "/api/session"), ("PUT", "/api/projects/room/models/learning")]
+    for method, path in places:
+        for text in ("application/json", "text/plain", "application/x-www-form-urlencoded"):
+            # what forms of other pages can send without asking first
+            answer = httpx.request(method, live.url + path, content="{}", headers={**asked, "Content-Type": text})
+            assert answer.status_code == 403, (path, answer.text)
+            assert "access-control-allow-origin" not in answer.headers
+    preflight = httpx.options(live.url + "/api/projects", headers={**asked, "Access-Control-Request-Method": "POST"})
+    assert "access-control-allow-origin" not in preflight.headers
+    for path in ("/api/events?project=room", "/viser/1"):
+        with (
+            pytest.raises(InvalidStatus) as refused,
+            connect(
+                f"ws://127.0.0.1:{port}{path}",
+                additional_headers={"Cookie": live.cookies()},
+                origin=origin or None,  # type: ignore[arg-type]
+            ),
+        ):
+            pass
+        assert refused.value.response.status_code == 403
+    assert live.client.get("/api/projects/room/frames/1").json() == before
