@@ -17,8 +17,6 @@ from annotator.project import create_project, open_project
 from annotator.project.backup.archive import read_manifest
 from benchmarks.backup import fill
 
-# 20 kills of each command, on a busy machine
-pytestmark = pytest.mark.timeout(3600)
 LABELS = 900
 
 

@@ -13,9 +13,6 @@ from annotator.project import open_project
 
 # 20 kills of a training, on a busy machine
 pytestmark = pytest.mark.timeout(3600)
-OLD_FRAMES = 100
-
-
 def require_whole_frames(kills: Killer, words: Sequence[str | Path], wanted: Labels) -> None:
     """Each kill of the command leaves whole frames of the wanted labels, and the next run makes the others."""
     room = kills.folder / "room"

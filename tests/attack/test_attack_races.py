@@ -103,19 +103,6 @@ def test_undo_during_a_race_reverts_own_work_only(live: Live) -> None:
     assert len(kept) == 3 * RACERS
 
 
-def test_a_project_of_one_name_is_created_once(live: Live) -> None:
-    statuses: list[int] = []
-
-    def race(client: httpx.Client, number: int) -> None:
-        answer = client.post("/api/projects", json={"name": "wanted", "classes": [f"class{number}"]})
-        statuses.append(answer.status_code)
-
-    _racing(live, race)
-    assert statuses.count(201) == 1 and len(statuses) == RACERS
-    assert all(400 <= status < 500 for status in statuses if status != 201)
-    assert [path.name for path in live.settings.projects_root.iterdir() if "wanted" in path.name] == ["wanted"]
-
-
 def test_classes_and_recordings_that_ten_change_at_once_stay_whole(live: Live) -> None:
     def race(client: httpx.Client, number: int) -> None:
         for _ in range(5):

@@ -9,7 +9,6 @@ import time
 import zipfile
 
 import httpx
-import pytest
 from attacks import require_sound
 from live_server import PATIENCE_S, wait_until
 from test_kill_server import EDITS_BEFORE_KILL, Editor, server
@@ -17,8 +16,6 @@ from test_kill_server import EDITS_BEFORE_KILL, Editor, server
 from annotator.project import open_project
 from annotator.web.settings import ServerSettings
 
-# 20 kills on a busy machine
-pytestmark = pytest.mark.timeout(3600)
 EDITORS = 2
 LONGEST_S = 6.0
 
