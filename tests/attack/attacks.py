@@ -80,8 +80,7 @@ def unharmed(live: Live) -> Iterator[None]:
     assert memory_mb() - before < MOST_GROWTH_MB
 
 
-# TODO-MERGED docstring of sound.py:
-# What must hold for a project after any attack.
+# --- what must hold for a project after any attack --------------------------------------------------------------------
 
 
 Labels = dict[str, list[tuple[str, str, tuple[float, ...]]]]
@@ -117,8 +116,7 @@ def content_of(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
-# TODO-MERGED docstring of killer.py:
-# Kills of a command at moments that are spread over its run time.
+# --- kills of a command at moments that are spread over its run time --------------------------------------------------
 
 
 class Killer:

@@ -188,8 +188,7 @@ def test_recordings_with_hostile_names_are_added_exported_and_leave_nothing_outs
     assert not list(tmp_path.rglob("hacked*")) and not Path("hacked").exists()
 
 
-# TODO-MERGED docstring of test_attack_endless_files.py:
-# Files of a recording or a project that never end, or that are far larger than they look.
+# --- files of a recording or a project that never end, or that are far larger than they look --------------------------
 
 
 ENDLESS: dict[str, Callable[[Path], object]] = {

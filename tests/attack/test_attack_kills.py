@@ -106,8 +106,7 @@ def test_a_killed_import_stores_whole_frames_and_goes_on(
     require_whole_frames(kills, words, wanted)
 
 
-# TODO-MERGED docstring of test_attack_backup.py:
-# `kill -9` of backup, restore, copy, repair and upgrade: nothing half is offered, and nothing is lost.
+# --- `kill -9` of backup, restore, copy, repair and upgrade: nothing half is offered, and nothing is lost -------------
 
 
 LABELS = 900
@@ -221,8 +220,7 @@ def test_a_killed_upgrade_changes_all_or_nothing(
     assert len(versions) == 2, "no kill came before the end of the migration, or none after it"
 
 
-# TODO-MERGED docstring of test_attack_server_kills.py:
-# `kill -9` of the server while operators save and a job writes a dataset.
+# --- `kill -9` of the server while operators save and a job writes a dataset ------------------------------------------
 
 
 EDITORS = 2

@@ -146,8 +146,7 @@ def test_projects_have_plain_names(places: Live, name: str) -> None:
     assert sorted(path.name for path in root.iterdir()) == before
 
 
-# TODO-MERGED docstring of test_attack_links.py:
-# Links and paths in a project or a projects folder that somebody sent: nothing outside is read or written.
+# --- links and paths in a project or a projects folder that somebody sent: nothing outside is read or written ---------
 
 
 SECRET_TEXT = "the secret of another folder"

@@ -119,10 +119,7 @@ def test_classes_and_recordings_that_ten_change_at_once_stay_whole(live: Live) -
     assert live.client.get(f"{ROOM}/frames").json()["total"] == 10
 
 
-# TODO-MERGED docstring of test_attack_replaced.py:
-# Projects are replaced on disk while operators save: nothing acknowledged afterwards is lost, and nothing is mixed.
-#
-# What a single replacement does is in tests/project/test_replaced.py and tests/web/test_odd_projects.py.
+# --- projects are replaced on disk while operators save ---------------------------------------------------------------
 
 
 CLIENTS, SAVES = 3, 4

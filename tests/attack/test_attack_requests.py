@@ -227,8 +227,7 @@ def test_pictures_that_unpack_to_gigabytes_are_refused(own_copy: Any) -> None:
     assert memory_mb() - before < MOST_GROWTH_MB
 
 
-# TODO-MERGED docstring of test_attack_cookies.py:
-# Cookies that nobody was given, on a server without and with a token.
+# --- cookies that nobody was given, on a server without and with a token ----------------------------------------------
 
 
 TOKEN = "the-token-of-this-attack"
@@ -298,8 +297,7 @@ def test_cookies_do_not_stand_in_for_the_token(web_settings: ServerSettings) -> 
         require_alive(live)
 
 
-# TODO-MERGED docstring of test_attack_hosts.py:
-# Requests that name another host, or come from another page.
+# --- requests that name another host, or come from another page -------------------------------------------------------
 
 
 REBOUND = [

@@ -143,8 +143,7 @@ def test_connections_that_come_and_go_leave_nothing(live: Live) -> None:
     assert len(live.context.hub._clients) <= 1
 
 
-# TODO-MERGED docstring of test_attack_limits.py:
-# Strangers who hold connections open, guess tokens, flood sockets and fill the log of a server with a token.
+# --- strangers who hold connections open, guess tokens, flood sockets and fill the log of a server with a toke --------
 
 
 TOKEN = "a-token-for-the-attacks"
