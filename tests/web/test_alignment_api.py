@@ -13,7 +13,7 @@ import pytest
 from drawing import Scene, draw_object
 from room_api import ROOM, change, state
 from scipy.spatial import cKDTree
-from test_stored_events import listen, next_of
+from test_events import listen, next_of
 
 from annotator.project import Project, open_project
 from annotator.recordings import open_recording

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from live_server import ended, running
 from room_api import BOX, change, state
-from test_stored_events import listen, next_of
+from test_events import listen, next_of
 
 from annotator.cli.main import main
 from annotator.project import open_project

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import fake_jobs
 import pytest
 from live_server import PATIENCE_S, ended, look, running
-from test_stored_events import listen, next_of
+from test_events import listen, next_of
 
 from annotator.formats.rcv import read_rcv
 from annotator.project import open_project
