@@ -207,15 +207,15 @@ class Labels:
         source: str | None = None,
         most: int | None = None,
     ) -> tuple[tuple[WaitingProposal, ...], int]:
-        """The first open proposals in an order, and the number of all, as `review.waiting.waiting`."""
+        """The first open proposals in an order, and the number of all, as `review.waiting`."""
         return waiting(self.writer.store, formula, by, recordings, classes, attribute, source, most)
 
     def waiting_sources(self) -> dict[str, int]:
-        """The number of objects that each source sees among the open proposals, as `review.waiting.waiting_sources`."""
+        """The number of objects that each source sees among the open proposals, as `review.waiting_sources`."""
         return waiting_sources(self.writer.store)
 
     def worst_of_frames(self, formula: Formula, recordings: Collection[int] | None = None) -> dict[int, float]:
-        """The greatest doubt of each frame's open proposals, as `review.waiting.worst_of_frames`."""
+        """The greatest doubt of each frame's open proposals, as `review.worst_of_frames`."""
         return worst_of_frames(self.writer.store, formula, recordings)
 
     def frames(
@@ -263,7 +263,7 @@ class Labels:
     ) -> tuple[tuple[int, Receipt], ...]:
         """Sets values of a label's attributes (None removes one); those of its track in all labels of the track.
 
-        A proposal of which a person has set values is not replaced by automatic passes (`classes/kept.py`).
+        A proposal of which a person has set values is not replaced by automatic passes (`kept_proposals`).
 
         Returns:
             The changed frames with their receipts, that of the label first.

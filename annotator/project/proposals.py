@@ -107,7 +107,7 @@ class Proposals:
         covered if its exact 3D IoU with one of them, of the same class, is 0.5 or more: it gets no label, and the log
         stores it with the uid of the covering label.
         Proposals of other software stay as well. If one of them is surer of the same object, it hides ours
-        (`sources/merge.py`).
+        (`sources.merged`).
 
         Args:
             context: its source is normally AUTO, so that a pass over a finalised frame is rejected.

@@ -138,7 +138,7 @@ def bring(
 
     A box is not proposed if a reviewed label of its class, or a proposal of which a person has set values, covers it
     (exact 3D IoU 0.5 or more). Boxes of several sources that overlap as much become one proposal, together with our own
-    (`merge.py`).
+    (`merged`).
 
     Args:
         source: name of the detector, person or file that the boxes come from.

@@ -190,7 +190,7 @@ class Store:
                 advance(connection)
 
     def _begin_writing(self, ends_s: float) -> None:
-        """Changes the database file itself, so that it differs from every copy made before (`backup.generation`)."""
+        """Changes the database file itself, so that it differs from every copy made before (`database/generation.py`)."""
         with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
             advance(connection)
         with explained(self.path, self.file), closing(self.engine.raw_connection()) as outside_transactions:
