@@ -67,12 +67,15 @@ def require_known(version: int, path: Path) -> None:
 
 def upgrade(connection: Connection) -> None:
     """Runs the missing migrations, within the caller's write transaction."""
-    version = connection.exec_driver_sql("PRAGMA user_version").scalar_one()
+    # without SQLAlchemy, which takes longer for a statement than SQLite
+    driver = connection.connection.driver_connection
+    assert isinstance(driver, sqlite3.Connection)
+    (version,) = driver.execute("PRAGMA user_version").fetchone()
     for migration in MIGRATIONS:
         if migration.version > version:
             for statement in migration.statements:
-                connection.exec_driver_sql(statement)
-            connection.exec_driver_sql(f"PRAGMA user_version = {migration.version}")
+                driver.execute(statement)
+            driver.execute(f"PRAGMA user_version = {migration.version}")
 
 
 # --- comparing a schema, as text --------------------------------------------------------------------------------------

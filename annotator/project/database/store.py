@@ -6,16 +6,19 @@ import logging
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import closing, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as NoConnectionError
 from sqlalchemy.pool import QueuePool
+from sqlalchemy.util import LRUCache
 
 from annotator.project.database.file import DatabaseFile, database_file, keep_replaced, kept_copies
 from annotator.project.database.generation import advance, has_foreign_wal, wal_of
@@ -190,7 +193,7 @@ class Store:
                 advance(connection)
 
     def _begin_writing(self, ends_s: float) -> None:
-        """Changes the database file itself, so that it differs from every copy made before (`database/generation.py`)."""
+        """Changes the database file itself, so that it differs from every copy made before (`generation.py`)."""
         with self._transaction("BEGIN IMMEDIATE", max(0.0, ends_s - time.monotonic())) as connection:
             advance(connection)
         with explained(self.path, self.file), closing(self.engine.raw_connection()) as outside_transactions:
@@ -397,6 +400,18 @@ def _closed_on_error(store: Store) -> Iterator[None]:
         raise
 
 
+_COMPILED: MutableMapping[Any, Any] = LRUCache(1000)
+
+
+@lru_cache(maxsize=1)
+def _shared_engine() -> Engine:
+    """An engine whose dialect all stores share, and with it their compiled queries, which take long to compile."""
+    engine = create_engine("sqlite://")
+    engine.connect().close()  # the dialect asks SQLite for its version
+    engine.dispose()
+    return engine
+
+
 def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
     def connect() -> sqlite3.Connection:
         file.require_current()
@@ -423,14 +438,9 @@ def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
             raise
         return connection
 
-    engine = create_engine(
-        "sqlite://",
-        creator=connect,
-        poolclass=QueuePool,
-        pool_size=THREADS,
-        max_overflow=THREADS,
-        pool_timeout=busy_timeout_s,
-    )
+    shared = _shared_engine()
+    pool = QueuePool(connect, THREADS, THREADS, busy_timeout_s, dialect=shared.dialect)
+    engine = Engine(pool, shared.dialect, shared.url, execution_options={"compiled_cache": _COMPILED})
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
