@@ -413,7 +413,7 @@ def _shared_engine() -> Engine:
 
 
 def _store(file: DatabaseFile, busy_timeout_s: float, clock: Clock) -> Store:
-    def connect() -> sqlite3.Connection:
+    def connect() -> Any:  # typed as sqlite3.Connection, it is none of SQLAlchemy's
         file.require_current()
         connection = sqlite3.connect(
             file.address,
