@@ -95,7 +95,6 @@ def unit_up(up: Sequence[float | int] | np.ndarray) -> Up:
 # --- what moves with the clouds ---------------------------------------------------------------------------------------
 # Earlier states, which undo compares and restores, are moved when they are read.
 
-
 ADJUSTED = "recording_adjusted"
 
 

@@ -24,7 +24,6 @@ from annotator.types.errors import RESTORE, NotFoundError, ProjectError
 
 # --- images of pseudo-views -------------------------------------------------------------------------------------------
 
-
 _PNG = b"\x89PNG\r\n\x1a\n"
 _ID = re.compile(r"[0-9a-f]{64}")
 

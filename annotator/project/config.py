@@ -222,7 +222,6 @@ class _Version(BaseModel):
 # kill, the next process looks for that event: if the log has it, the transaction has ended well, and the new file
 # counts; otherwise it is removed.
 
-
 _PREPARED = f"{CONFIG_FILE}.event-"
 
 

@@ -39,7 +39,6 @@ from annotator.types.names import alternatives, first_few
 # of its labels are not given to others meanwhile, so that the state is always the one that a rebuild gives: undo refers
 # to them.
 
-
 REMOVED = select(recordings.c.id).where(recordings.c.removed_ns.is_not(None))
 """Ids of the removed recordings."""
 
@@ -125,6 +124,8 @@ def _shown(table: Table, content: str) -> dict[str, object]:
     # the ids of views have no meaning, and may be taken
     return {name: value for name, value in json.loads(content).items() if name != "id" or table is labels}
 
+
+# --- the registry -----------------------------------------------------------------------------------------------------
 
 # Maximum number of frame keys listed in an error message.
 MOST_NAMED = 5

@@ -105,7 +105,6 @@ def _certainty(said: SaidRecord) -> float:
 
 # --- storing what a source says ---------------------------------------------------------------------------------------
 
-
 # Built once, since building a statement takes longer than running it.
 _OF_FRAMES = select(labels).where(labels.c.frame_id.in_(bindparam("frames", expanding=True))).order_by(labels.c.id)
 

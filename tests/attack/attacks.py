@@ -82,7 +82,6 @@ def unharmed(live: Live) -> Iterator[None]:
 
 # --- what must hold for a project after any attack --------------------------------------------------------------------
 
-
 Labels = dict[str, list[tuple[str, str, tuple[float, ...]]]]
 """By frame: class, state and centre (rounded to micrometres) of each label, sorted."""
 

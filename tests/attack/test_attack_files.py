@@ -190,7 +190,6 @@ def test_recordings_with_hostile_names_are_added_exported_and_leave_nothing_outs
 
 # --- files of a recording or a project that never end, or that are far larger than they look --------------------------
 
-
 ENDLESS: dict[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo,
     "device": lambda path: path.symlink_to("/dev/zero"),

@@ -108,7 +108,6 @@ def test_a_killed_import_stores_whole_frames_and_goes_on(
 
 # --- `kill -9` of backup, restore, copy, repair and upgrade: nothing half is offered, and nothing is lost -------------
 
-
 LABELS = 900
 
 
@@ -221,7 +220,6 @@ def test_a_killed_upgrade_changes_all_or_nothing(
 
 
 # --- `kill -9` of the server while operators save and a job writes a dataset ------------------------------------------
-
 
 EDITORS = 2
 LONGEST_S = 6.0

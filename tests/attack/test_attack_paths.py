@@ -148,7 +148,6 @@ def test_projects_have_plain_names(places: Live, name: str) -> None:
 
 # --- links and paths in a project or a projects folder that somebody sent: nothing outside is read or written ---------
 
-
 SECRET_TEXT = "the secret of another folder"
 PLACES = (
     "project.db",

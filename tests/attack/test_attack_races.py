@@ -121,7 +121,6 @@ def test_classes_and_recordings_that_ten_change_at_once_stay_whole(live: Live) -
 
 # --- projects are replaced on disk while operators save ---------------------------------------------------------------
 
-
 CLIENTS, SAVES = 3, 4
 # while the project is being replaced
 REFUSED = (400, 404, 409)

@@ -229,7 +229,6 @@ def test_pictures_that_unpack_to_gigabytes_are_refused(own_copy: Any) -> None:
 
 # --- cookies that nobody was given, on a server without and with a token ----------------------------------------------
 
-
 TOKEN = "the-token-of-this-attack"
 HOSTILE = {
     "control characters": "Ada%00%0a%1b%5b31m",
@@ -298,7 +297,6 @@ def test_cookies_do_not_stand_in_for_the_token(web_settings: ServerSettings) -> 
 
 
 # --- requests that name another host, or come from another page -------------------------------------------------------
-
 
 REBOUND = [
     "evil.example",

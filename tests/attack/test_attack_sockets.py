@@ -145,7 +145,6 @@ def test_connections_that_come_and_go_leave_nothing(live: Live) -> None:
 
 # --- strangers who hold connections open, guess tokens, flood sockets and fill the log of a server with a toke --------
 
-
 TOKEN = "a-token-for-the-attacks"
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 CONNECTIONS, GUESSES, LOUD, REFUSED = 1100, 300, 60_000, 300

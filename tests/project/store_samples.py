@@ -365,7 +365,6 @@ def replace_database(folder: Path, backup: Path) -> None:
 
 # --- an example of a migration: the database of the next release ------------------------------------------------------
 
-
 NOW = newest_version()
 NEXT = Migration(
     NOW + 1, ("ALTER TABLE runs ADD COLUMN note TEXT", "CREATE INDEX labels_by_author ON labels (author, time_ns)")

@@ -261,7 +261,6 @@ def test_a_locked_project_is_not_taken_for_a_damaged_one(room: Path, monkeypatch
 
 # --- damaged and hostile backups are refused, and leave nothing -------------------------------------------------------
 
-
 Change = Callable[[Path, Path], object]
 """Writes a changed backup: (of this one, to this file)."""
 Entry = tuple[zipfile.ZipInfo, bytes]

@@ -266,7 +266,6 @@ def test_an_undo_that_needs_a_removed_class_is_refused(project: Project, frame: 
 
 # --- undo and redo of values of attributes that the project's schema no longer allows ---------------------------------
 
-
 # An attribute as it was, a value that it had, and the attribute as it is now.
 BEFORE, VALUE, AFTER = {"kind": "boolean"}, True, {"kind": "integer"}
 

@@ -188,7 +188,6 @@ def test_moves_are_append_only(project: Project, recording: StoredRecording, sta
 
 # --- recordings that are removed, and come back with their labels -----------------------------------------------------
 
-
 KEYS = [str(number) for number in range(5)]
 
 

@@ -129,7 +129,6 @@ def test_appending_no_events_changes_nothing(project: Project, frame: int) -> No
 
 # --- the number of SQL statements does not depend on the number of frames ---------------------------------------------
 
-
 Counted = Callable[[Callable[[], object]], int]
 
 

@@ -25,7 +25,6 @@ from annotator.types.errors import FormatError, ProjectError
 
 # --- the files of a project -------------------------------------------------------------------------------------------
 
-
 MODELS_FOLDER, VIEWS_FOLDER = "models", "views"
 VIEW_FILE = re.compile(r"([0-9a-f]{64})\.png")
 # Files of a trained detector: weights, records, and pictures in subfolders; no hidden ones.

@@ -153,7 +153,6 @@ def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:
 # changes while a server runs. They are files in `.backups/PROJECT` beside the project's folder, so they outlive it.
 # Only the last few of each kind are kept. They contain the active detectors, not all.
 
-
 LOG = logging.getLogger("annotator.project")
 # Files that a message lists.
 MOST_NAMED = 3

@@ -95,7 +95,6 @@ def remove_abandoned(folder: Path) -> bool:
 
 # --- checking a database ----------------------------------------------------------------------------------------------
 
-
 _MOST_PROBLEMS = 20
 
 

@@ -41,7 +41,6 @@ from annotator.types.errors import FormatError, ProjectError
 
 # --- a copy without labels --------------------------------------------------------------------------------------------
 
-
 AUTHOR = "annotator project copy"
 
 

@@ -277,7 +277,6 @@ def _batches(connection: Connection, query: Any, key: Any) -> Iterator[AnyRow]:
 
 # --- counting classes and values --------------------------------------------------------------------------------------
 
-
 # the shown box is a source's, too
 _SAID = """
     SELECT json_extract(said.value, '$.label') AS name, count(*) FROM labels, json_each(labels.said) AS said

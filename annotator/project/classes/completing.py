@@ -250,7 +250,6 @@ def labels_of_tracks(frame_id: int | None, tracks: Collection[int]) -> Select[An
 
 # --- proposals that no automatic pass and no import replaces ----------------------------------------------------------
 
-
 # Built once, since building a statement takes longer than running it.
 _VALUES_SET = select(events.c.payload, events.c.subject).where(
     events.c.frame_id == bindparam("frame"),

@@ -156,7 +156,6 @@ def _has_wal(path: Path) -> bool:
 # --- what a replaced database held ------------------------------------------------------------------------------------
 # The process that has it open is the last that can read it.
 
-
 LOG = logging.getLogger("annotator.project")
 
 # Beside the projects: a file that appears in a folder would disturb those who remove or replace it.

@@ -61,7 +61,6 @@ from annotator.types.label import AttributeValue
 
 # --- the table `labels` -----------------------------------------------------------------------------------------------
 
-
 Value = str | int | float | None
 
 # Built once, since building a statement takes longer than running it.
@@ -324,6 +323,8 @@ def _authorship(event: Event) -> dict[str, Value]:
         "event_id": event.id,
     }
 
+
+# --- all tables -------------------------------------------------------------------------------------------------------
 
 # Built once, since building these frequent statements takes longer than running them.
 _REVERTIBLE = insert(revertible)
