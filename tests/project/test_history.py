@@ -62,7 +62,7 @@ def _all(step: Callable[[], object]) -> int:
         count += 1
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(STEPS, st.booleans())
 def test_undoing_all_restores_the_first_state_and_redoing_all_the_last(steps: list[Step], restart: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -97,7 +97,7 @@ def test_undoing_all_restores_the_first_state_and_redoing_all_the_last(steps: li
             assert content(project) == before
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(WITH_CLASSES)
 def test_rebuilt_and_maintained_state_agree_after_proposals_and_undo(
     steps: list[Step],

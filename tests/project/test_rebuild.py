@@ -65,7 +65,7 @@ def _take(project: Project, views: list[str], step: Step) -> None:
         assert not labels or not known, f"only changes of missing labels may be refused, not {what}: {error}"
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(STEPS)
 def test_rebuilt_and_maintained_state_agree(steps: list[Step]) -> None:
     with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:
