@@ -270,18 +270,9 @@ def _append(connection: Connection, store: Store, frame_id: int | None, target: 
         former = payload.former.model_copy(update={"proposal_event_id": None, "run_id": None})
         payload = payload.model_copy(update={"former": former})
     revision = _revision(connection, {"frame_id": frame_id, "view_id": target.partition(":")[2]}) + 1
+    event = Event(0, frame_id, None, revision, AUTHOR, store.clock(), Source.IMPORTED, payload)
     with connection.begin_nested():
-        event: Event = insert_event(
-            connection,
-            frame_id=frame_id,
-            revision=revision,
-            content=payload.model_dump_json(),
-            payload=payload,
-            author=AUTHOR,
-            time_ns=store.clock(),
-            source=Source.IMPORTED,
-        )
-        apply_event(connection, event)
+        apply_event(connection, insert_event(connection, event, payload.model_dump_json()))
 
 
 def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConfig:

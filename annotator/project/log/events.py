@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select
@@ -38,7 +38,7 @@ class Event:
     """One change of a frame, of a pseudo-view that belongs to no frame, or of the classes.
 
     Attributes:
-        id: increases with every event of the project.
+        id: increases with every event of the project; 0 until it is stored.
         frame_id: the frame, or None.
         view_id: the pseudo-view, for boxes on one; `CLASSES` for a change of the classes.
         revision: of the frame (or of the view, where there is no frame) after the event.
@@ -70,46 +70,31 @@ class Event:
 _INSERT = insert(events)
 
 
-def insert_event(
-    connection: Connection,
-    *,
-    frame_id: int | None,
-    revision: int,
-    content: str,
-    payload: Payload,
-    author: str,
-    time_ns: int,
-    source: Source,
-    action: str | None = None,
-    undoes: str | None = None,
-    effort_target: str | None = None,
-    effort: Effort | None = None,
-) -> Event:
-    """Appends one row; `content` is the JSON of `payload`."""
-    view_id = CLASSES if isinstance(payload, ClassesChanged) else None
-    if isinstance(payload, ViewBoxesSet | ViewBoxesRestored | ViewBoxesRemoved):
+def insert_event(connection: Connection, event: Event, content: str) -> Event:
+    """Appends one row; returns the event with its id and its view. `content` is the JSON of its payload."""
+    payload, view_id = event.payload, None
+    if isinstance(payload, ClassesChanged):
+        view_id = CLASSES
+    elif isinstance(payload, ViewBoxesSet | ViewBoxesRestored | ViewBoxesRemoved):
         view_id = payload.view
     row = {
-        "frame_id": frame_id,
+        "frame_id": event.frame_id,
         "view_id": view_id,
-        "revision": revision,
+        "revision": event.revision,
         "kind": payload.kind,
         "payload": content,
-        "author": author,
-        "time_ns": time_ns,
-        "source": source.value,
-        "action": action,
-        "undoes": undoes,
-        "subject": effort_target,
-        "actions": effort.actions if effort else None,
-        "seconds": effort.seconds if effort else None,
+        "author": event.author,
+        "time_ns": event.time_ns,
+        "source": event.source.value,
+        "action": event.action,
+        "undoes": event.undoes,
+        "subject": event.effort_target,
+        "actions": event.effort.actions if event.effort else None,
+        "seconds": event.effort.seconds if event.effort else None,
     }
     key = connection.execute(_INSERT, row).inserted_primary_key
     assert key is not None  # one row was inserted
-    event_id = int(key[0])
-    return Event(
-        event_id, frame_id, view_id, revision, author, time_ns, source, payload, action, undoes, effort_target, effort
-    )
+    return replace(event, id=int(key[0]), view_id=view_id)
 
 
 def read_events(connection: Connection, query: Select[Any] | None = None, after: int = 0) -> Iterator[Event]:

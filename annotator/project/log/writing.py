@@ -232,20 +232,21 @@ class Writer:
             else:
                 whole = restored(connection, attributes, frame_id, whole)
             content, stored = _encoded(where, whole)
-            event = insert_event(
-                connection,
+            event = Event(
+                id=0,
                 frame_id=frame_id,
+                view_id=None,
                 revision=revision,
-                content=content,
-                payload=stored,
                 author=context.author,
                 time_ns=time_ns,
                 source=context.source,
+                payload=stored,
                 action=action,
                 undoes=context.undoes,
                 effort_target=context.effort_target,
                 effort=None if appended else context.effort,
             )
+            event = insert_event(connection, event, content)
             _apply(connection, event, where)
             appended.append(event)
         for track_id, boxes in _tracks_with_several_boxes(connection, frame_id).items():
