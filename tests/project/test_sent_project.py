@@ -20,11 +20,8 @@ PLACES = (
     "project.db",
     "project.db-wal",
     "models",
-    "models/view",
-    "models/view/dataset",
     "models/view/run/validation/0.jpg",
     "views",
-    ".uploads",
     ".cache/points.json",
 )
 
