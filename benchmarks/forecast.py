@@ -18,7 +18,7 @@ import tyro
 from annotator.project import Effort
 from annotator.project.progress.action_log import FROM_NOTHING, Action
 from annotator.project.progress.forecast import COVERED, Forecast, forecast
-from annotator.project.progress.pace import Frames
+from annotator.project.progress.frames_left import Frames
 from annotator.project.progress.reviewed import ReviewedBox
 from annotator.types.errors import ConfigError
 from benchmarks.report import Table, finish, guarded

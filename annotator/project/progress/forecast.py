@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 
 from annotator.project.progress.action_log import Action
 from annotator.project.progress.days import WorkOfDay
-from annotator.project.progress.pace import Frames
+from annotator.project.progress.frames_left import Frames
 from annotator.project.progress.reviewed import ReviewedBox
 
 FEWEST_FRAMES, FEWEST_BOXES = 10, 10
