@@ -12,8 +12,8 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.outline import box_on_image
 from annotator.project import Effort, Project, StoredFrame, WriteContext
-from annotator.project.event_types import Payload
-from annotator.project.views import png
+from annotator.project.boxes import png
+from annotator.project.log.event_types import Payload
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth

@@ -23,7 +23,8 @@ from sqlalchemy import Connection
 
 from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, Origin, Project, RunShare, WriteContext, create_project, open_project
-from annotator.project.event_types import (
+from annotator.project.jobs import record_result
+from annotator.project.log.event_types import (
     LabelAccepted,
     LabelCreated,
     LabelEdited,
@@ -32,9 +33,8 @@ from annotator.project.event_types import (
     ProposalsReplaced,
     ProposedObject,
 )
-from annotator.project.jobs import record_result
-from annotator.project.records import BoxRecord, ProposalRecord
-from annotator.project.writing import Writer
+from annotator.project.log.records import BoxRecord, ProposalRecord
+from annotator.project.log.writing import Writer
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.importing import BoxFormat, import_proposals, read_labels

@@ -36,17 +36,15 @@ SUSPECT = re.compile("|".join(rf"\b{re.escape(name.rpartition('.')[2])}\(" for n
 # Modules that open what they have checked, or made themselves, and why.
 EXCEPT = {
     "files.py": "it is the door",
-    "project/store.py": "SQLite; the path is checked to be a regular file",
+    "project/database/store.py": "SQLite; the path is checked to be a regular file",
     "recordings/ros/sqlite_file.py": "SQLite; the file's beginning is read through the door first",
     "cli/main.py": "os.devnull",
-    "project/backup/archive.py": "a backup's list of files may be long; its file is opened through the door",
-    "project/backup/content.py": "SQLite, on a copy of our own",
-    "project/backup/generation.py": "SQLite; a `-wal` is read through the door",
+    "project/backup/archive.py": "a backup's file is opened through the door; SQLite, on a copy of our own",
     "project/backup/snapshot.py": "SQLite; the path is checked to be a regular file",
     "project/backup/take_in.py": "regular files only, and no links",
-    "project/backup/unfinished.py": "folders of our own",
-    "project/database/expected.py": "SQLite, in memory",
-    "project/database/replaced.py": "SQLite, on a copy of our own",
+    "project/database/file.py": "SQLite, on a copy of our own",
+    "project/database/generation.py": "SQLite; a `-wal` is read through the door",
+    "project/database/migrations.py": "SQLite, in memory",
     "web/tokens.py": "the token may come from a pipe",
 }
 

@@ -16,11 +16,11 @@ from annotator.cli.output import print_facts, print_json, print_line
 from annotator.cli.projects import open_named, projects_root
 from annotator.project import ProjectConfig
 from annotator.project.classes import edit
+from annotator.project.classes.applying import ClassCounts
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf, ClassStyle, value_text
-from annotator.project.classes.changing import change_classes
-from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
-from annotator.project.classes.listing import ClassRow, list_classes
+from annotator.project.overview import ClassRow, list_classes
+from annotator.project.project import change_classes
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.validation import first_problem

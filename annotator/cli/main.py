@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import Annotated, Any, get_type_hints
 
 from annotator import __version__
-from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
+from annotator.cli.table import COMMANDS, GROUPS, Command
 
 USAGE_ERROR = 2
 INTERNAL_ERROR = 1
@@ -106,7 +106,6 @@ def _dispatch(words: list[str]) -> int:
     if command is None:
         raise _unknown_command(name)
     options = _options(words[length:])
-    _refuse_old_options(name, options)
     _refuse_repeated_options(options)
     return _run(name, command, words[length:])
 
@@ -143,8 +142,6 @@ def _columns(rows: dict[str, str]) -> str:
 def _unknown_command(name: str) -> Exception:
     from annotator.types.errors import ConfigError
 
-    if name in RENAMED_COMMANDS:
-        return ConfigError(f"`annotator {name}` is now `annotator {RENAMED_COMMANDS[name]}`")
     group, _, member = name.partition(" ")
     known = [known for known in COMMANDS if not member or known.startswith(f"{group} ")]
     near = get_close_matches(name, known, 1)
@@ -156,20 +153,6 @@ def _options(words: list[str]) -> list[str]:
     """The names of the options among the words before a bare `--`."""
     before = words[: words.index("--") if "--" in words else None]
     return [word.partition("=")[0] for word in before if word.startswith("--")]
-
-
-def _refuse_old_options(name: str, options: list[str]) -> None:
-    """Refuses options of version 0.1.
-
-    Raises:
-        ConfigError: an option was renamed; the message gives the new name.
-    """
-    renamed = {"--root": "--projects"} | RENAMED_OPTIONS.get(name, {})
-    for old in options:
-        if old in renamed:
-            from annotator.types.errors import ConfigError
-
-            raise ConfigError(f"{old} is now {renamed[old]}: annotator {name} ... {renamed[old]} ...")
 
 
 def _refuse_repeated_options(options: list[str]) -> None:

@@ -10,7 +10,7 @@ from annotator.cli.options import ModelsOption, ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import named_folder
-from annotator.project.backup.content import ModelChoice
+from annotator.project.backup.archive import ModelChoice
 from annotator.project.backup.make import back_up
 from annotator.types.amounts import amount
 from annotator.types.names import first_few

@@ -9,7 +9,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import no_project, projects_root
 from annotator.project import open_project
-from annotator.project.backup.content import ModelChoice
+from annotator.project.backup.archive import ModelChoice
 from annotator.project.backup.take_in import copy_project
 from annotator.project.config import CONFIG_FILE
 from annotator.types.errors import ConfigError

@@ -8,7 +8,7 @@ from annotator.cli.options import ProjectName, Projects, Yes
 from annotator.cli.output import print_line, require_yes
 from annotator.cli.projects import named_folder, open_named
 from annotator.project import open_project
-from annotator.project.tidying.folders import set_aside
+from annotator.project.config import set_aside
 from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError
 

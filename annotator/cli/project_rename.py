@@ -5,7 +5,7 @@ from __future__ import annotations
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.projects import named_folder
-from annotator.project.tidying.folders import rename_project
+from annotator.project.config import rename_project
 
 
 def run(project: ProjectName, new_name: str, /, *, projects: Projects = None) -> None:

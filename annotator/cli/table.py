@@ -71,16 +71,3 @@ GROUPS: dict[str, str] = {
     "classes": "show and change the classes and attributes of a project",
 }
 """First words of the two-word commands, and their summaries in `annotator --help`."""
-
-RENAMED_COMMANDS: dict[str, str] = {"move": "project move"}
-"""Commands of version 0.1 and their new names."""
-
-RENAMED_OPTIONS: dict[str, dict[str, str]] = {
-    "evaluate": {"--frames": "--frame-list"},
-    "export": {"--pictures": "--boxes-on"},
-    "import": {"--as-2d": "--as 2d", "--kind": "--box-kind"},
-    "live": {"--frames": "--limit", "--token": "--token-file FILE"},
-    "serve": {"--token": "--token-file FILE"},
-    "simulate": {"--operator": "--box-kind"},
-}
-"""By command: options of version 0.1 and their new names. `--root` is `--projects` in every command."""

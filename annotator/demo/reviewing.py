@@ -11,8 +11,8 @@ import numpy as np
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.outline import box_on_image
 from annotator.project import REVIEWED, FramePart, NewLabel, Origin, Project, StoredFrame, WriteContext
-from annotator.project.event_types import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
-from annotator.project.records import BoxRecord
+from annotator.project.log.event_types import LabelAccepted, LabelEdited, LabelRejected, LabelTracked, Payload
+from annotator.project.log.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
 from annotator.types import Box2D, BoxKind, Label, ReviewState, Source

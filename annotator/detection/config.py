@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.detection.edge_errors import EdgeErrors
 from annotator.types import DetectorKind
@@ -51,11 +51,6 @@ def default_augmentation(role: DetectorKind, free_rotation: bool) -> Augmentatio
     return Augmentation(flip_horizontal=0.5, flip_vertical=0.5 if free_rotation else 0.0, quarter_turns=free_rotation)
 
 
-def _current_name(optimizer: Any) -> Any:
-    """The current name of a stored optimiser; before version 0.2, MuonSgd was stored as "MuSGD"."""
-    return "MuonSgd" if optimizer == "MuSGD" else optimizer
-
-
 class TrainingConfig(BaseModel):
     """Settings of a training run; docs/detector_training.md explains the defaults."""
 
@@ -81,7 +76,7 @@ class TrainingConfig(BaseModel):
         None, ge=1, description="epochs between validations; None: about 12 validations per run"
     )
 
-    optimizer: Annotated[Literal["MuonSgd", "AdamW", "SGD"], BeforeValidator(_current_name)] = Field(
+    optimizer: Literal["MuonSgd", "AdamW", "SGD"] = Field(
         "MuonSgd", description="MuonSgd: `annotator/detection/muon.py`; the others are torch's"
     )
     learning_rate: float = Field(0.01, gt=0, description="peak learning rate; use about 0.002 with AdamW")

@@ -221,7 +221,7 @@ def _resumable(out: Path, fingerprint: str) -> RunRecord | None:
 
 def _clear(out: Path) -> None:
     """Removes the files of an earlier run, and no others."""
-    for name in ("model.json", "run.json", DETECTOR, "detector.pt", "curves.csv", "results.csv", "args.yaml"):
+    for name in ("model.json", "run.json", DETECTOR, "curves.csv", "results.csv", "args.yaml"):
         (out / name).unlink(missing_ok=True)
     shutil.rmtree(out / "weights", ignore_errors=True)
 

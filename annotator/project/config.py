@@ -1,10 +1,13 @@
-"""`project.json`: a project's name, classes and settings; it may be edited by hand."""
+"""A project's folder, and its `project.json`: name, classes and settings, which may be edited by hand."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
@@ -20,14 +23,20 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from sqlalchemy import Connection, func, select
 
 from annotator.file_names import is_within
-from annotator.files import read_file, write_atomic
+from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
-from annotator.types.errors import RESTORE, ConfigError, ProjectError
+from annotator.project.database.schema import events
+from annotator.project.log.event_types import ClassesChanged
+from annotator.project.log.events import event_of
+from annotator.project.log.records import parsed
+from annotator.types.errors import RESTORE, ConfigError, InUseError, ProjectError
 from annotator.types.validation import first_problem
 
 CONFIG_FILE = "project.json"
+BACKUPS = ".backups"  # folder of automatic backups, beside the projects
 FORMAT_VERSION = 1
 NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
@@ -44,11 +53,7 @@ class BoxRotation(StrEnum):
 
 
 def check_name(name: str) -> str:
-    """Returns `name` if it is a valid project name, and thus a valid folder name on any system.
-
-    Raises:
-        ConfigError: an invalid name.
-    """
+    """Returns `name` if it is a valid project name, and thus a valid folder name on any system."""
     if not NAME_PATTERN.fullmatch(name):
         raise ConfigError(
             f"{name!r} is not a valid project name; use 1 to 64 of a-z, 0-9, _ and -, with a letter or digit first"
@@ -57,12 +62,7 @@ def check_name(name: str) -> str:
 
 
 def free_path(root: Path, name: str) -> Path:
-    """The folder of a new project of that name in the projects folder `root`.
-
-    Raises:
-        ConfigError: an invalid name.
-        ProjectError: the name is taken.
-    """
+    """The folder of a new project of that name in the projects folder `root`."""
     path = root / check_name(name)
     if os.path.lexists(path):
         raise ProjectError(f"{path} exists already; choose another name")
@@ -158,11 +158,7 @@ class ProjectConfig(BaseModel):
 
 
 def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, created_ns: int) -> ProjectConfig:
-    """The configuration of a new project.
-
-    Raises:
-        ConfigError: an invalid name or class.
-    """
+    """The configuration of a new project."""
     check_name(name)
     try:
         return ProjectConfig(name=name, created_ns=created_ns, classes=classes, settings=settings)
@@ -171,11 +167,7 @@ def new_config(name: str, classes: tuple[str, ...], settings: ProjectSettings, c
 
 
 def read_config(folder: Path) -> ProjectConfig:
-    """The configuration of the project in `folder`.
-
-    Raises:
-        ProjectError: no project, an unreadable file, or one of a newer version.
-    """
+    """The configuration of the project in `folder`."""
     path = folder / CONFIG_FILE
     try:
         if path.is_symlink() and not is_within(folder, path):
@@ -210,11 +202,7 @@ def config_bytes(config: ProjectConfig) -> bytes:
 
 
 def write_config(folder: Path, config: ProjectConfig) -> None:
-    """Writes `project.json` atomically.
-
-    Raises:
-        ProjectError: it cannot be written.
-    """
+    """Writes `project.json` atomically."""
     path = folder / CONFIG_FILE
     try:
         write_atomic(path, config_bytes(config))
@@ -226,3 +214,140 @@ class _Version(BaseModel):
     """The field that every version of the file has."""
 
     format_version: int
+
+
+# --- changes of `project.json` together with the database -------------------------------------------------------------
+# Both have the old classes or both the new ones, also after a kill. The new file is written beside the old one before
+# the transaction ends, under a name with the number of its event. Afterwards it takes the old one's place. After a
+# kill, the next process looks for that event: if the log has it, the transaction has ended well, and the new file
+# counts; otherwise it is removed.
+
+_PREPARED = f"{CONFIG_FILE}.event-"
+
+
+def prepare_config(folder: Path, config: ProjectConfig, connection: Connection) -> Path:
+    """Writes the configuration that counts once the transaction of `connection` has ended; returns its file."""
+    newest = connection.execute(select(func.max(events.c.id))).scalar()
+    path = folder / f"{_PREPARED}{newest}"
+    try:
+        write_atomic(path, config_bytes(config))
+    except OSError as error:
+        raise ProjectError(f"{path}: cannot be written: {error}") from error
+    return path
+
+
+def take_config(folder: Path, connection: Connection) -> ProjectConfig:
+    """The project's configuration, after a prepared one has taken its place, or was dropped."""
+    for path in sorted(folder.glob(f"{_PREPARED}*")):
+        try:
+            if _counts(path, connection):
+                path.replace(folder / CONFIG_FILE)
+                sync_folder(folder)
+            else:
+                path.unlink()
+        except FileNotFoundError:  # another process was faster
+            continue
+        except OSError as error:
+            raise ProjectError(f"{path}: cannot take the place of {CONFIG_FILE}: {error}") from error
+    return read_config(folder)
+
+
+def _counts(path: Path, connection: Connection) -> bool:
+    """Whether the log has the event, and not another one with its number, of a transaction that came later."""
+    number = path.name.removeprefix(_PREPARED)
+    if not number.isdecimal():
+        return False
+    row = connection.execute(select(events).where(events.c.id == int(number))).first()
+    if row is None or row.kind != "classes_changed":
+        return False
+    payload, config = event_of(row).payload, parsed(ProjectConfig.model_validate_json, read_file(path).decode())
+    return isinstance(payload, ClassesChanged) and (payload.names, payload.attributes) == (
+        config.classes,
+        config.attributes,
+    )
+
+
+# --- the folder: in use, renamed, set aside ---------------------------------------------------------------------------
+
+
+def mark_in_use(opened: object, folder: Path) -> Callable[[], object]:
+    """Marks the project in `folder` as open until the returned function is called, or `opened` is gone.
+
+    Waits while another process renames or removes it. Without locks, as on Windows and some network disks, nothing is
+    marked.
+    """
+    lock = lock_folder(folder, is_shared=True, waits=True)
+    return (lambda: None) if lock is None else weakref.finalize(opened, os.close, lock)
+
+
+@contextmanager
+def not_in_use(folder: Path) -> Iterator[None]:
+    """In the block, nobody has the project in `folder` open.
+
+    Raises:
+        InUseError: another process has it open.
+    """
+    try:
+        lock = lock_folder(folder, is_told=True)
+    except BlockingIOError:
+        raise InUseError(
+            f"{folder}: another process has this project open; if it is a server, use its start page, or stop it; "
+            "if it is a command, wait until it is done"
+        ) from None
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+# Renaming and setting aside are one rename, which other processes notice: the store refuses to write to a database that
+# is no longer at its place (`database/file.py`).
+REMOVED = ".removed"
+
+
+def set_aside(project: Path) -> Path:
+    """Moves a project, which may be damaged, into the folder `.removed` beside it; returns its new folder.
+
+    Raises:
+        InUseError: another process has it open.
+        ProjectError: it cannot be moved.
+    """
+    removed = project.parent / REMOVED
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
+    aside = removed / f"{project.name}-{stamp}"
+    try:
+        with not_in_use(project):
+            if not removed.exists():
+                private_folder(removed)
+            project.rename(aside)
+        sync_folder(removed)
+        sync_folder(project.parent)
+    except OSError as error:
+        raise ProjectError(f"{project}: cannot be moved to {removed}: {error.strerror}") from error
+    return aside
+
+
+def rename_project(project: Path, name: str) -> str:
+    """Gives a project and the folder of its automatic backups another name, which it returns.
+
+    Raises:
+        ConfigError: an invalid name.
+        InUseError: another process has it open.
+        ProjectError: not a project, the name is taken, or the folder cannot be renamed.
+    """
+    read_config(project)
+    path = free_path(project.parent, name)
+    try:
+        with not_in_use(project):
+            # never replaces a folder with content, which another process may have made meanwhile
+            project.rename(path)
+            # nobody has it open; the folder's name counts, and a project with an old name in its settings is whole
+            write_config(path, read_config(path).model_copy(update={"name": name}))
+        sync_folder(project.parent)
+        backups, renamed = (project.parent / BACKUPS / each for each in (project.name, name))
+        if backups.is_dir() and not renamed.exists():
+            backups.rename(renamed)
+    except OSError as error:
+        raise ProjectError(f"{project}: cannot be renamed to {name}: {error.strerror}") from error
+    return name

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, bindparam, func, select
 
 from annotator.project.classes.applying import frame_values, values_of
-from annotator.project.event_types import FrameAttributesSet, FrameFinalised, FrameReopened
-from annotator.project.schema import AnyRow, frame_attributes, frames
-from annotator.project.tidying.removed import KEPT
-from annotator.project.writing import Receipt, WriteContext, Writer
+from annotator.project.database.schema import AnyRow, frame_attributes, frames
+from annotator.project.log.event_types import FrameAttributesSet, FrameFinalised, FrameReopened
+from annotator.project.log.writing import Receipt, WriteContext, Writer
+from annotator.project.recordings import KEPT
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 
@@ -44,20 +44,12 @@ class Frames:
     writer: Writer
 
     def get(self, frame_id: int) -> StoredFrame:
-        """One frame.
-
-        Raises:
-            NotFoundError: no such frame.
-        """
+        """One frame."""
         with self.writer.store.read() as connection:
             return read_frame(connection, frame_id)
 
     def find(self, recording_id: int, key: str) -> StoredFrame:
-        """The frame with that key.
-
-        Raises:
-            ProjectError: no such frame.
-        """
+        """The frame with that key."""
         same = (frames.c.recording_id == recording_id) & (frames.c.key == key)
         with self.writer.store.read() as connection:
             row = connection.execute(select(frames).where(same)).first()
@@ -103,12 +95,7 @@ class Frames:
     def set_attributes(
         self, frame_id: int, changed: Mapping[str, AttributeValue | None], context: WriteContext
     ) -> Receipt:
-        """Sets values of a frame's attributes; None removes one.
-
-        Raises:
-            StaleRevisionError, FinalisedFrameError: as `Writer.to_frame`.
-            ProjectError: no such frame or attribute, or another kind of value.
-        """
+        """Sets values of a frame's attributes; None removes one."""
         with self.writer.store.write() as connection:
             both = frame_values(connection, frame_id) | dict(changed)
             values = {name: value for name, value in both.items() if value is not None}
@@ -139,11 +126,7 @@ _FRAME = select(frames).where(frames.c.id == bindparam("frame"), KEPT)
 
 
 def read_frame(connection: Connection, frame_id: int) -> StoredFrame:
-    """One frame, within the caller's transaction.
-
-    Raises:
-        NotFoundError: no such frame.
-    """
+    """One frame, within the caller's transaction."""
     row = connection.execute(_FRAME, {"frame": frame_id}).first()
     if row is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")

@@ -11,9 +11,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, delete, func, insert, literal, select, tuple_, update
 
+from annotator.project.database.schema import AnyRow, adjustments, events, frame_results, frames, runs
+from annotator.project.database.store import Store
 from annotator.project.frames import StoredFrame, frame_of
-from annotator.project.schema import AnyRow, adjustments, events, frame_results, frames, runs
-from annotator.project.store import Store
 from annotator.types.errors import ConfigError, NotFoundError
 
 
@@ -66,11 +66,7 @@ class FrameResult:
 
 
 def run_key(image_detector: str, view_detector: str, config_json: str) -> str:
-    """SHA-256 (hex) over the detectors' fingerprints and the settings, independent of the order of their fields.
-
-    Raises:
-        ConfigError: `config_json` is not JSON.
-    """
+    """SHA-256 (hex) over the detectors' fingerprints and the settings, independent of the order of their fields."""
     text = json.dumps([image_detector, view_detector, _parsed(config_json)], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -82,11 +78,7 @@ class Jobs:
     store: Store
 
     def start(self, *, image_detector: str, view_detector: str, config_json: str) -> Run:
-        """Starts a run.
-
-        Raises:
-            ConfigError: `config_json` is not JSON.
-        """
+        """Starts a run."""
         row = {
             "key": run_key(image_detector, view_detector, config_json),
             "image_detector": image_detector,
@@ -100,11 +92,7 @@ class Jobs:
             return read_run(connection, key[0])
 
     def finish(self, run_id: int) -> Run:
-        """Records the end of a run.
-
-        Raises:
-            NotFoundError: no such run.
-        """
+        """Records the end of a run."""
         with self.store.write() as connection:
             connection.execute(update(runs).where(runs.c.id == run_id).values(finished_ns=self.store.clock()))
             return read_run(connection, run_id)
@@ -115,11 +103,7 @@ class Jobs:
             return tuple(map(_run, connection.execute(select(runs).order_by(runs.c.id))))
 
     def record_failure(self, run_id: int, frame_id: int, reason: str, seconds: float) -> None:
-        """Records a failure (`Proposals.replace` records a success); the next run retries the frame.
-
-        Raises:
-            NotFoundError: no such run or frame.
-        """
+        """Records a failure (`Proposals.replace` records a success); the next run retries the frame."""
         with self.store.write() as connection:
             record_result(connection, run_id, frame_id, seconds, reason=reason, time_ns=self.store.clock())
 
@@ -206,11 +190,7 @@ def record_result(
     reason: str | None = None,
     proposals: int = 0,
 ) -> None:
-    """Records the result of a frame, replacing an earlier one under the same key; a `reason` marks a failure.
-
-    Raises:
-        NotFoundError: no such run or frame.
-    """
+    """Records the result of a frame, replacing an earlier one under the same key; a `reason` marks a failure."""
     key = read_run(connection, run_id).key
     if connection.execute(select(frames.c.id).where(frames.c.id == frame_id)).first() is None:
         raise NotFoundError(f"the project has no frame with id {frame_id}")
@@ -230,11 +210,7 @@ def record_result(
 
 
 def read_run(connection: Connection, run_id: int) -> Run:
-    """One run, within the caller's transaction.
-
-    Raises:
-        NotFoundError: no such run.
-    """
+    """One run, within the caller's transaction."""
     row = connection.execute(select(runs).where(runs.c.id == run_id)).first()
     if row is None:
         raise NotFoundError(f"the project has no run with id {run_id}")

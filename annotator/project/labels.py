@@ -12,10 +12,10 @@ from sqlalchemy import Connection, Select, func, select
 
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import AttributeOf
-from annotator.project.classes.completing import labels_of_tracks
-from annotator.project.classes.kept import kept_proposals
+from annotator.project.classes.completing import kept_proposals, labels_of_tracks
 from annotator.project.config import read_config
-from annotator.project.event_types import (
+from annotator.project.database.schema import LABELS_OF_FRAME, AnyRow, frames, labels
+from annotator.project.log.event_types import (
     LabelAccepted,
     LabelAttributesSet,
     LabelCreated,
@@ -25,18 +25,23 @@ from annotator.project.event_types import (
     LabelRestored,
     Origin,
 )
-from annotator.project.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
-from annotator.project.review.value_filter import ValueFilter
-from annotator.project.review.waiting import By, Formula, WaitingProposal, waiting, waiting_sources, worst_of_frames
-from annotator.project.schema import LABELS_OF_FRAME, AnyRow, frames, labels
-from annotator.project.undo_state import label_state
-from annotator.project.writing import FramePart, Receipt, WriteContext, Writer
+from annotator.project.log.records import BoxRecord, SaidRecord, box_2d_of, parsed, said_of, storable, suggestion_of
+from annotator.project.log.undo_state import label_state
+from annotator.project.log.writing import FramePart, Receipt, WriteContext, Writer
+from annotator.project.review import (
+    By,
+    Formula,
+    ValueFilter,
+    WaitingProposal,
+    waiting,
+    waiting_sources,
+    worst_of_frames,
+)
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, Quality, ReviewState, Source, Suggestion
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
 
 REVIEWED = (ReviewState.ACCEPTED, ReviewState.EDITED)
-QUALITY = ("view_disagreement", "kept_share", "last_change", "image_agreement", "expected_iou_loss")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,24 +110,6 @@ class StoredLabel:
 
 
 @dataclass(frozen=True)
-class LabelSignals:
-    """The sort keys of a label: a `StoredLabel` without its box, which takes most of the reading time.
-
-    Attributes:
-        frame_id, quality: as in `StoredLabel`.
-        uid, label, score, track_id, attributes: as in `Label`.
-    """
-
-    frame_id: int
-    uid: str
-    label: str
-    score: float | None
-    quality: Quality | None
-    track_id: int | None = None
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Created:
     """Result of `Labels.create`: the uids of the new labels, in the given order, and the receipt."""
 
@@ -157,11 +144,7 @@ class Labels:
             return read_labels(connection, frame_id)
 
     def get(self, uid: str) -> StoredLabel:
-        """One label.
-
-        Raises:
-            NotFoundError: no such label.
-        """
+        """One label."""
         with self.writer.store.read() as connection:
             row = connection.execute(select(labels).where(labels.c.uid == uid)).first()
         if row is None:
@@ -207,35 +190,11 @@ class Labels:
             for row in rows
         )
 
-    def count(self, states: Collection[ReviewState]) -> int:
-        """Number of labels in one of these states."""
-        query = select(func.count()).select_from(labels).where(labels.c.state.in_([state.value for state in states]))
+    def count(self, states: Collection[ReviewState] | None = None, recordings: Collection[int] | None = None) -> int:
+        """Number of labels; None = no condition."""
+        query = _filtered(select(func.count()), states, recordings, None)
         with self.writer.store.read() as connection:
             return int(connection.execute(query).scalar_one())
-
-    def signals(
-        self,
-        *,
-        states: Collection[ReviewState] | None = None,
-        recordings: Collection[int] | None = None,
-        classes: Collection[str] | None = None,
-    ) -> tuple[LabelSignals, ...]:
-        """The same labels as `select`, in the same order, without their boxes."""
-        names = ("frame_id", "uid", "label", "score", "track_id", "proposal_event_id", "attributes", *QUALITY)
-        ordered = _in_order(_filtered(select(*(labels.c[name] for name in names)), states, recordings, classes))
-        with self.writer.store.read() as connection:
-            return tuple(
-                LabelSignals(
-                    row.frame_id,
-                    row.uid,
-                    row.label,
-                    row.score,
-                    _quality(row),
-                    row.track_id,
-                    values_of(row.attributes),
-                )
-                for row in connection.execute(ordered)
-            )
 
     def waiting(
         self,
@@ -248,15 +207,15 @@ class Labels:
         source: str | None = None,
         most: int | None = None,
     ) -> tuple[tuple[WaitingProposal, ...], int]:
-        """The first open proposals in an order, and the number of all, as `review.waiting.waiting`."""
+        """The first open proposals in an order, and the number of all, as `review.waiting`."""
         return waiting(self.writer.store, formula, by, recordings, classes, attribute, source, most)
 
     def waiting_sources(self) -> dict[str, int]:
-        """The number of objects that each source sees among the open proposals, as `review.waiting.waiting_sources`."""
+        """The number of objects that each source sees among the open proposals, as `review.waiting_sources`."""
         return waiting_sources(self.writer.store)
 
     def worst_of_frames(self, formula: Formula, recordings: Collection[int] | None = None) -> dict[int, float]:
-        """The greatest doubt of each frame's open proposals, as `review.waiting.worst_of_frames`."""
+        """The greatest doubt of each frame's open proposals, as `review.worst_of_frames`."""
         return worst_of_frames(self.writer.store, formula, recordings)
 
     def frames(
@@ -304,7 +263,7 @@ class Labels:
     ) -> tuple[tuple[int, Receipt], ...]:
         """Sets values of a label's attributes (None removes one); those of its track in all labels of the track.
 
-        A proposal of which a person has set values is not replaced by automatic passes (`classes/kept.py`).
+        A proposal of which a person has set values is not replaced by automatic passes (`kept_proposals`).
 
         Returns:
             The changed frames with their receipts, that of the label first.
@@ -337,11 +296,7 @@ class Labels:
             return kept_proposals(connection, read_config(self.writer.folder).attributes, frame_id)
 
     def with_box(self, uid: str, box: OrientedBox) -> LabelRestored:
-        """The event that gives a label another box, and keeps all else that is known of it, its review state too.
-
-        Raises:
-            NotFoundError: no such label.
-        """
+        """The event that gives a label another box, and keeps all else that is known of it, its review state too."""
         with self.writer.store.read() as connection:
             former = label_state(connection, uid)
         if former is None:

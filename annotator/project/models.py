@@ -10,9 +10,9 @@ from pydantic import TypeAdapter
 from sqlalchemy import Connection, insert, select, update
 
 from annotator.files import sha256_of
-from annotator.project.records import parsed
-from annotator.project.schema import AnyRow, models
-from annotator.project.store import Store
+from annotator.project.database.schema import AnyRow, models
+from annotator.project.database.store import Store
+from annotator.project.log.records import parsed
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import NotFoundError, ProjectError
 
@@ -78,9 +78,6 @@ class Models:
 
         Args:
             created_ns: as in `StoredModel`: classes that are renamed later are translated; None = now.
-
-        Raises:
-            ProjectError: a file is missing, cannot be read, or lies outside the project's folder.
         """
         for file in (path, manifest):
             if file is not None and not file.exists():
@@ -109,11 +106,7 @@ class Models:
             return self._read(connection, key[0])
 
     def activate(self, model_id: int) -> StoredModel:
-        """Makes a model the active one of its role.
-
-        Raises:
-            NotFoundError: no such model.
-        """
+        """Makes a model the active one of its role."""
         with self.store.write() as connection:
             _activate(connection, self._read(connection, model_id).role, model_id)
             return self._read(connection, model_id)
@@ -132,11 +125,7 @@ class Models:
             return tuple(map(self._stored, connection.execute(query)))
 
     def get(self, model_id: int) -> StoredModel:
-        """One model.
-
-        Raises:
-            NotFoundError: no such model.
-        """
+        """One model."""
         with self.store.read() as connection:
             return self._read(connection, model_id)
 

@@ -1,4 +1,4 @@
-"""The data of one frame, or of a list of frames, for the page; each is read in one transaction."""
+"""The data of one frame, of a list of frames, and of the classes, for the page; each is read in one transaction."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy import ScalarSelect, bindparam, func, select
 
 from annotator.project.boxes import ImageBoxes, ViewBoxes, read_image_boxes, read_view_boxes
-from annotator.project.classes.applying import frame_values
+from annotator.project.classes.applying import ClassCounts, frame_values
+from annotator.project.classes.attributes import Attribute, ClassStyle
+from annotator.project.database.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.project.frames import StoredFrame, frame_of
 from annotator.project.labels import StoredLabel, stored_label
 from annotator.project.project import Project
-from annotator.project.schema import LABELS_OF_FRAME, frames, image_labels, labels, recordings
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError
 from annotator.types.label import AttributeValue
@@ -66,9 +68,6 @@ def read_page(project: Project, frame_id: int, known: FramePage | None = None) -
 
     Args:
         known: an earlier result for the same frame; its labels and boxes are reused if no event has changed them.
-
-    Raises:
-        NotFoundError: no such frame.
     """
     with project.store.read() as connection:
         row = connection.execute(_HEAD, {"frame": frame_id}).first()
@@ -146,3 +145,52 @@ def _frame_rows(
         if entry.label.state is ReviewState.PROPOSED:
             proposed[entry.frame_id].append(entry)
     return [FrameRow(f, counts[f.id], boxes.get(f.id), tuple(proposed[f.id])) for f in shown]
+
+
+# --- the classes ------------------------------------------------------------------------------------------------------
+
+
+class ClassRow(BaseModel):
+    """A class as JSON; the counts as in `ClassCounts`."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    labels: int
+    boxes_2d: int
+    said: int
+    colour: str | None
+    key: str | None
+
+
+class ClassList(BaseModel):
+    """The classes and attributes as JSON.
+
+    Attributes:
+        unknown: names of boxes that are no classes of the project.
+        values: how many boxes and frames have a value, by attribute.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    classes: tuple[ClassRow, ...]
+    attributes: tuple[Attribute, ...]
+    unknown: tuple[ClassRow, ...]
+    values: dict[str, int]
+
+
+def list_classes(project: Project) -> ClassList:
+    """The classes and attributes of a project, with the numbers of their boxes and values."""
+    config, counts, values = project.config, project.class_counts(), project.value_counts()
+    return ClassList(
+        classes=tuple(_row(name, counts, config.class_styles) for name in config.classes),
+        attributes=config.attributes,
+        unknown=tuple(_row(name, counts, {}) for name in counts if name not in config.classes),
+        values={name: sum(by_value.values()) for name, by_value in values.items()},
+    )
+
+
+def _row(name: str, counts: Mapping[str, ClassCounts], styles: Mapping[str, ClassStyle]) -> ClassRow:
+    count, style = counts.get(name, ClassCounts()), styles.get(name, ClassStyle())
+    counted = {"labels": count.labels, "boxes_2d": count.boxes_2d, "said": count.said}
+    return ClassRow(name=name, **counted, colour=style.colour, key=style.key)

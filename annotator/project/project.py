@@ -13,41 +13,45 @@ from types import TracebackType
 from sqlalchemy import Connection
 
 from annotator.files import sync_folder
-from annotator.project.adjusting.adjustments import Adjustments
-from annotator.project.backup.automatic import back_up_before_upgrade
-from annotator.project.backup.content import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
-from annotator.project.backup.unfinished import unfinished_folder
-from annotator.project.boxes import Boxes
-from annotator.project.classes.applying import ClassChanges, made_changes
-from annotator.project.classes.config_change import prepare_config, take_config
-from annotator.project.classes.counting import ClassCounts, class_counts, require_fitting, value_counts
+from annotator.project.adjustments import Adjustments
+from annotator.project.backup.archive import MODELS_FOLDER, VIEWS_FOLDER, require_own_files
+from annotator.project.backup.make import Reason, back_up_automatically, back_up_before_upgrade
+from annotator.project.backup.snapshot import unfinished_folder
+from annotator.project.boxes import Boxes, Views
+from annotator.project.classes.applying import (
+    ClassChanges,
+    ClassCounts,
+    class_counts,
+    made_changes,
+    require_fitting,
+    value_counts,
+)
+from annotator.project.classes.attributes import Relabelling
 from annotator.project.classes.edit import ClassEdit, with_classes
-from annotator.project.classes.relabelling import Relabelling
 from annotator.project.config import (
     CONFIG_FILE,
     ProjectConfig,
     ProjectSettings,
+    mark_in_use,
     new_config,
+    prepare_config,
     read_config,
+    take_config,
     write_config,
 )
-from annotator.project.event_types import ClassesChanged
+from annotator.project.database.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
 from annotator.project.frames import Frames
-from annotator.project.history import History
 from annotator.project.jobs import Jobs
 from annotator.project.labels import Labels
-from annotator.project.log import Log
+from annotator.project.log.event_types import ClassesChanged
+from annotator.project.log.history import History
+from annotator.project.log.writing import Log, Writer
 from annotator.project.models import Models
 from annotator.project.progress.report import ReviewReader
 from annotator.project.proposals import Proposals
-from annotator.project.recordings import Recordings
-from annotator.project.sources.bring import without_classes
+from annotator.project.recordings import Recordings, with_removed
+from annotator.project.sources import without_classes
 from annotator.project.statistics import Statistics, read_statistics
-from annotator.project.store import BUSY_TIMEOUT_S, DATABASE_FILE, Clock, Store, create_store, open_store
-from annotator.project.tidying.in_use import mark_in_use
-from annotator.project.tidying.removed import with_removed
-from annotator.project.views import Views
-from annotator.project.writing import Writer
 from annotator.types.errors import ProjectError
 
 AUTHOR = "annotator"
@@ -229,6 +233,38 @@ def _concerns_labels(old: ProjectConfig, made: ClassEdit) -> bool:
     )
 
 
+@dataclass(frozen=True)
+class Changed:
+    """The new configuration, and the backup that was made before, if any."""
+
+    config: ProjectConfig
+    backup: Path | None
+
+
+def change_classes(project: Project, edit: Callable[[ProjectConfig], ClassEdit], author: str) -> Changed:
+    """Changes the classes as `Project.change_classes`.
+
+    Undo does not revert it. The opposite change does, except for what the backup is made for.
+    """
+    old = project.config
+    made = edit(old)
+    # boxes may also have names that are no classes of the project
+    names = {*old.classes, *project.class_counts()} if made.change.classes else set[str]()
+    backup = back_up_automatically(project.path, Reason.CLASSES).path if _loses(old, made, names) else None
+    return Changed(project.change_classes(edit, author), backup)
+
+
+def _loses(old: ProjectConfig, made: ClassEdit, names: set[str]) -> bool:
+    """Whether boxes (of the classes `names`) or values are removed, or cannot be told apart afterwards."""
+    change = made.change
+    choices = {each.name: each.choices for each in old.attributes}
+    return (
+        bool(change.removed or change.dropped or change.fitted)
+        or any(new in names for new in change.classes.values())
+        or any(new in choices[name] for name, renamed in change.choices.items() for new in renamed.values())
+    )
+
+
 def create_project(
     root: Path,
     name: str,
@@ -281,8 +317,8 @@ def open_project(
         clock: returns the current time, UTC nanoseconds since the epoch.
 
     Raises:
-        ProjectError: no project, a damaged one, one of a newer version, one that stays locked, or one with a link or a
-            model that leads out of its folder.
+        ProjectError: no project, a damaged one, one of a newer version or from before the first release, one that stays
+            locked, or one with a link or a model that leads out of its folder.
     """
     read_config(path)
     require_own_files(path)

@@ -10,18 +10,17 @@ from dataclasses import dataclass, replace
 from scipy.spatial.transform import RigidTransform
 from sqlalchemy import select
 
-from annotator.project.adjusting.moving import Moves
-from annotator.project.classes.kept import kept_proposals
+from annotator.project.adjusting import Moves
+from annotator.project.classes.completing import kept_proposals
 from annotator.project.config import read_config
-from annotator.project.event_types import ProposalsReplaced, ProposedObject
-from annotator.project.events import Event, event_of
+from annotator.project.database.schema import events, frames, labels
 from annotator.project.jobs import read_run, record_result
 from annotator.project.labels import NewLabel, read_labels
-from annotator.project.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
-from annotator.project.schema import events, frames, labels
-from annotator.project.sources.bring import Brought, SourceTracks, beside_new_pass, bring, source_tracks
-from annotator.project.sources.covering import covered_by
-from annotator.project.writing import Receipt, WriteContext, Writer, require_writable
+from annotator.project.log.event_types import ProposalsReplaced, ProposedObject
+from annotator.project.log.events import Event, event_of
+from annotator.project.log.records import OWN, BoxRecord, ProposalRecord, SaidRecord, parsed, storable
+from annotator.project.log.writing import Receipt, WriteContext, Writer, require_writable
+from annotator.project.sources import Brought, SourceTracks, beside_new_pass, bring, covered_by, source_tracks
 from annotator.types import BoxKind, Label, LostObject, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import RESTORE, ProjectError
 
@@ -108,7 +107,7 @@ class Proposals:
         covered if its exact 3D IoU with one of them, of the same class, is 0.5 or more: it gets no label, and the log
         stores it with the uid of the covering label.
         Proposals of other software stay as well. If one of them is surer of the same object, it hides ours
-        (`sources/merge.py`).
+        (`sources.merged`).
 
         Args:
             context: its source is normally AUTO, so that a pass over a finalised frame is rejected.
@@ -117,9 +116,6 @@ class Proposals:
                 id that a reviewed label of this frame uses is ignored.
             box_kind: what the proposed boxes enclose: what the view detector measures.
             others: labels of the other cameras of a rig, in this frame's camera; they cover proposals, too.
-
-        Raises:
-            StaleRevisionError, FinalisedFrameError, ProjectError: as `Writer.to_frame`.
         """
         with self.writer.store.write() as connection:
             # the cheap checks come before the IoU

@@ -4,23 +4,128 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, bindparam, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Table, bindparam, delete, func, insert, select, update
 
 from annotator.file_names import is_within
-from annotator.project.adjusting.adjustment import adjustment_in
-from annotator.project.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
-from annotator.project.store import Store
-from annotator.project.tidying.removed import hide_removed, show_again
+from annotator.project.adjusting import adjustment_in, unit_up
+from annotator.project.database.schema import (
+    DERIVED,
+    AnyRow,
+    adjustments,
+    events,
+    frames,
+    labels,
+    moves,
+    recordings,
+    removed_rows,
+)
+from annotator.project.database.store import Store
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
 from annotator.types.names import alternatives, first_few
+
+# --- removed recordings -----------------------------------------------------------------------------------------------
+# Their events stay in the log, and the present state has nothing of them. A removed recording keeps its row, its frames
+# (without an index) and their events. What the events give lies in the table `removed_rows` and no longer in the
+# derived tables, so nothing that reads these needs to know of it. When the recording comes back, the rows return. Ids
+# of its labels are not given to others meanwhile, so that the state is always the one that a rebuild gives: undo refers
+# to them.
+
+REMOVED = select(recordings.c.id).where(recordings.c.removed_ns.is_not(None))
+"""Ids of the removed recordings."""
+
+KEPT = frames.c.recording_id.not_in(REMOVED)
+"""Of frames: their recording is in the project."""
+
+# Built once, since building a statement takes longer than running it.
+_LAST_HIDDEN = select(func.max(removed_rows.c.label_id))
+
+# Rows in one step, which bounds memory.
+_BATCH = 1000
+
+
+def removed_recordings(connection: Connection) -> frozenset[int]:
+    """Ids of the removed recordings."""
+    return frozenset(connection.execute(REMOVED).scalars())
+
+
+def hide_removed(connection: Connection) -> None:
+    """Moves what the events give for removed recordings out of the tables of the present state."""
+    for recording_id in sorted(removed_recordings(connection)):
+        for table, of_recording in _rows_of(recording_id):
+            for row in connection.execute(select(table).where(of_recording)).mappings().partitions(_BATCH):
+                connection.execute(insert(removed_rows), [_hidden(recording_id, table, dict(each)) for each in row])
+            connection.execute(delete(table).where(of_recording))
+        gone = frames.c.recording_id == recording_id
+        connection.execute(update(frames).where(gone).values(position=None))
+
+
+def show_again(connection: Connection, recording_id: int) -> None:
+    """Moves the rows of a recording that comes back into the tables of the present state."""
+    of_recording = removed_rows.c.recording_id == recording_id
+    for table, _ in _rows_of(recording_id):
+        query = select(removed_rows.c.content).where(of_recording, removed_rows.c.name == table.name)
+        for contents in connection.execute(query.order_by(removed_rows.c.id)).scalars().partitions(_BATCH):
+            connection.execute(insert(table), [_shown(table, content) for content in contents])
+    connection.execute(delete(removed_rows).where(of_recording))
+
+
+@contextmanager
+def with_removed(connection: Connection) -> Iterator[None]:
+    """In the block, the tables of the present state also have what was removed: for changes of the whole project.
+
+    In a rebuild nothing is hidden yet, so it changes nothing there.
+    """
+    hidden = connection.execute(select(removed_rows.c.recording_id).distinct()).scalars().all()
+    for recording_id in hidden:
+        show_again(connection, recording_id)
+    yield
+    if hidden:
+        hide_removed(connection)
+
+
+def next_label_id(connection: Connection) -> int | None:
+    """The id of the next label; None if the database may choose it, as nothing is hidden."""
+    hidden = connection.execute(_LAST_HIDDEN).scalar()
+    return None if hidden is None else max(hidden, connection.execute(select(func.max(labels.c.id))).scalar() or 0) + 1
+
+
+def is_hidden(connection: Connection, label_id: int) -> bool:
+    """Whether a label of a removed recording has this id."""
+    return connection.execute(select(removed_rows.c.id).where(removed_rows.c.label_id == label_id)).first() is not None
+
+
+def _rows_of(recording_id: int) -> Iterator[tuple[Table, ColumnElement[bool]]]:
+    """Yields each other derived table, and the condition for the rows of a recording."""
+    ids = select(frames.c.id).where(frames.c.recording_id == recording_id)
+    for table in (each for each in DERIVED if each is not removed_rows):
+        if "frame_id" in table.c:
+            yield table, table.c.frame_id.in_(ids)
+        elif "recording_id" in table.c:
+            yield table, table.c.recording_id == recording_id
+        else:
+            yield table, table.c.event_id.in_(select(events.c.id).where(events.c.frame_id.in_(ids)))
+
+
+def _hidden(recording_id: int, table: Table, row: dict[str, object]) -> dict[str, object]:
+    label_id = row["id"] if table is labels else None
+    return {"recording_id": recording_id, "name": table.name, "label_id": label_id, "content": json.dumps(row)}
+
+
+def _shown(table: Table, content: str) -> dict[str, object]:
+    # the ids of views have no meaning, and may be taken
+    return {name: value for name, value in json.loads(content).items() if name != "id" or table is labels}
+
+
+# --- the registry -----------------------------------------------------------------------------------------------------
 
 # Maximum number of frame keys listed in an error message.
 MOST_NAMED = 5
@@ -103,10 +208,6 @@ class Recordings:
             up: vector against gravity in the camera frame (3,), any length.
             options, fingerprint: as in `StoredRecording`.
             left_out: keys of frames that get no index, as if a scan had not found them.
-
-        Raises:
-            ProjectError: the recording is in the project already or was removed from it, a key occurs twice, or `up` is
-                not a direction.
         """
         path = path.resolve()
         _require_unique(path, keys)
@@ -121,7 +222,7 @@ class Recordings:
                 "format": format,
                 "name": _free_name(connection, name),
                 "is_sequence": is_sequence,
-                "up": None if up is None else json.dumps(_unit(path, up)),
+                "up": None if up is None else json.dumps(unit_up(up)),
                 "added_ns": self.store.clock(),
                 "options": options,
                 "fingerprint": fingerprint,
@@ -145,9 +246,6 @@ class Recordings:
         Args:
             fingerprint: as in `StoredRecording`; kept if none is known yet.
             left_out: as for `add`.
-
-        Raises:
-            ProjectError: no such recording, or a key occurs twice.
         """
         with self.store.write() as connection:
             before = _recording(connection, recording_id, removed=True)
@@ -176,9 +274,6 @@ class Recordings:
             moved: by recording id, the new path, stored as an absolute path, and the keys of the frames there: all
                 those of the latest scan, and possibly new ones.
             author: of the change, for the table `moves`.
-
-        Raises:
-            ProjectError: no such recording, frames are missing, or the path belongs to another recording.
         """
         with self.store.write() as connection:
             for recording_id, (path, keys) in moved.items():
@@ -215,11 +310,7 @@ class Recordings:
         _bring_back(connection, before)
 
     def remove(self, recording_id: int, author: str) -> None:
-        """Takes a recording out of the project; its labels stay in the log, and come back with it.
-
-        Raises:
-            NotFoundError: no such recording.
-        """
+        """Takes a recording out of the project; its labels stay in the log, and come back with it."""
         with self.store.write() as connection:
             _recording(connection, recording_id)
             values = {"removed_ns": self.store.clock(), "removed_by": author}
@@ -261,11 +352,7 @@ class Recordings:
             return tuple(map(_stored, connection.execute(_query().where(_THERE).order_by(recordings.c.id))))
 
     def get(self, recording_id: int, *, removed: bool = False) -> StoredRecording:
-        """One recording; with `removed`, also one that was removed.
-
-        Raises:
-            NotFoundError: no such recording.
-        """
+        """One recording; with `removed`, also one that was removed."""
         with self.store.read() as connection:
             return _recording(connection, recording_id, removed=removed)
 
@@ -288,11 +375,7 @@ class Recordings:
             return tuple(map(_stored, connection.execute(query)))
 
     def find(self, name: str, *, removed: bool = False) -> StoredRecording:
-        """The recording of that name; with `removed`, also one that was removed.
-
-        Raises:
-            NotFoundError: no such recording; the message says which is probably meant, or which there are.
-        """
+        """The recording of that name; with `removed`, also one that was removed."""
         stored, gone = self.all(), self.removed()
         for recording in (*stored, *(gone if removed else ())):
             if recording.name == name:
@@ -394,13 +477,6 @@ def _free_name(connection: Connection, name: str) -> str:
         number += 1
         free = f"{name}-{number}"
     return free
-
-
-def _unit(path: Path, up: Sequence[float | int] | np.ndarray) -> list[float]:
-    vector = np.asarray(up, np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
-        raise ProjectError(f"{path}: the up direction must be three finite numbers, not all zero, not {up}")
-    return (vector / np.linalg.norm(vector)).tolist()
 
 
 def _insert_frames(connection: Connection, recording_id: int, indices: Mapping[str, int | None]) -> None:

@@ -8,13 +8,9 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, FromClause, Select, distinct, func, select
 
+from annotator.project.classes.applying import counts_with_defaults
 from annotator.project.classes.attributes import Attribute
-from annotator.project.classes.counting import counts_with_defaults
-from annotator.project.efforts import EffortStatistics
-from annotator.project.jobs import Status, latest_results
-from annotator.project.labels import REVIEWED
-from annotator.project.progress.report import Progress, ReviewReader
-from annotator.project.schema import (
+from annotator.project.database.schema import (
     events,
     frame_results,
     frames,
@@ -25,8 +21,12 @@ from annotator.project.schema import (
     runs,
     view_labels,
 )
-from annotator.project.store import Store
-from annotator.project.tidying.removed import KEPT
+from annotator.project.database.store import Store
+from annotator.project.jobs import Status, latest_results
+from annotator.project.labels import REVIEWED
+from annotator.project.progress.action_log import EffortStatistics
+from annotator.project.progress.report import Progress, ReviewReader
+from annotator.project.recordings import KEPT
 from annotator.types import BoxKind, ReviewState, Source
 
 
@@ -110,9 +110,6 @@ def read_statistics(store: Store, reader: ReviewReader, attributes: Sequence[Att
     Args:
         reader: of the project; it keeps what takes long to compute.
         attributes: of the project.
-
-    Raises:
-        ProjectError: the database cannot be read.
     """
     present = select(func.count()).where(frames.c.position.is_not(None))
     proposed = labels.c.state == ReviewState.PROPOSED.value

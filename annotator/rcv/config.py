@@ -320,7 +320,7 @@ class RcvConfig(BaseModel):
     def record(self) -> dict[str, Any]:
         """The settings as JSON values, for the record of a run; those that do not apply are left out.
 
-        So frames that were annotated before these settings existed are not annotated again.
+        So frames are not annotated again when a setting changes that has no effect on them.
         """
         # Reviewed sizes change with every review, which is no reason to annotate all frames again.
         left_out: dict[str, Any] = {"orientation": True, "reviewed_sizes": True}

@@ -83,9 +83,9 @@ class Quality:
         last_change: 1 - IoU of the boxes of the last two steps.
         image_agreement: IoU on the camera image between the result (the projected box, or for silhouettes the kept
             points) and its image box. Low if the object is partly hidden, or if the result is another object
-            next to the detected one. None for results stored before this signal existed.
+            next to the detected one. None where it was not measured.
         expected_iou_loss: expected 1 - IoU with the true box, by the uncertainty of the last step's fit. None without a
-            fit, and for results stored before this signal existed.
+            fit.
     """
 
     view_disagreement: float

@@ -19,8 +19,7 @@ from starlette.requests import HTTPConnection
 
 from annotator.project import Project, StoredRecording, open_project
 from annotator.project.config import check_name
-from annotator.project.database.patience import patience_s, waiting_at_most
-from annotator.project.store import BUSY_TIMEOUT_S
+from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
 from annotator.web.caches import Caches

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from annotator.project import Origin, WriteContext
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     FrameFinalised,
     FrameReopened,
     ImageBoxesSet,
@@ -20,7 +20,7 @@ from annotator.project.event_types import (
     LabelTracked,
     Payload,
 )
-from annotator.project.records import BoxRecord
+from annotator.project.log.records import BoxRecord
 from annotator.types import BoxKind
 from annotator.types.label import MOST_TRACK
 from annotator.web.schemas import (

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from annotator.project.backup.automatic import FOLDER as BACKUPS
-from annotator.project.backup.unfinished import remove_abandoned
+from annotator.project.backup.snapshot import remove_abandoned
+from annotator.project.config import BACKUPS
 
 LOG = logging.getLogger("annotator.web")
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.files import why_missing
 from annotator.project import ListedProject, Project, StoredModel, StoredRecording
-from annotator.project.database.patience import waiting_at_most
+from annotator.project.database.store import waiting_at_most
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context

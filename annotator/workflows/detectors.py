@@ -15,7 +15,7 @@ from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
 from annotator.gpu.compute import torch_compute
 from annotator.project import Statistics
-from annotator.project.classes.relabelling import renamed_over
+from annotator.project.classes.attributes import renamed_over
 from annotator.project.jobs import Run
 from annotator.project.models import StoredModel
 from annotator.project.project import Project

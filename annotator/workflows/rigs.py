@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.nuscenes import is_seen
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel, StoredRecording
-from annotator.project.sources.covering import covered_by
+from annotator.project.sources import covered_by
 from annotator.recordings import stored_options
 from annotator.recordings.rig import RigCamera
 from annotator.types import Camera, Label, OrientedBox, ReviewState

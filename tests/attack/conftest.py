@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from killer import Killer
+from attacks import Killer
 from mortal import Mortal
 from room_server import live, web_settings
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import pickle
@@ -13,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from annotator.cli.main import main
-from annotator.detection.backends.export_cache import export_key
-from annotator.detection.backends.network import ExportKind
 from annotator.detection.config import TrainingConfig
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.detection.ultralytics_api import api
@@ -83,10 +80,7 @@ NAMES = ("detector.pt", "detector.safetensors", "best.pt", "last.pt", "yolo11n.p
 
 
 def sent_project(root: Path, recording: Path, trap: Path, weights: bytes, name: str = "detector.pt") -> Path:
-    """The project `sent`, with labels, two active models of these weights, and code wherever it could be looked for.
-
-    Exports of the models lie beside them, as earlier versions wrote and read them.
-    """
+    """The project `sent`, with labels, two active models of these weights, and code wherever it could be looked for."""
     for words in (["new", "sent", "--classes", "person"], ["add", "sent", str(recording)]):
         assert main([*words, "--projects", str(root)]) == 0
     with open_project(root / "sent") as project:
@@ -132,46 +126,8 @@ def _model(project: Project, role: DetectorKind, weights: bytes, name: str, trap
         config=config,
     ).write(folder)
     RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0).write(folder)
-    _exports(folder / name)
     facts: dict[str, Any] = {"labels": ["person"], "box_kind": BoxKind.BOX, "metrics": {"map50": 1.0}}
     project.models.register(role, folder / name, fingerprint=role.value, **facts)
-
-
-def _exports(weights: Path) -> None:
-    """Valid records of exports beside the weights; their networks are none."""
-    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-    facts = {"labels": ["person"], "stride": 32, "end2end": False, "edge_spread": False}
-    parts: dict[ExportKind, tuple[str, ...]] = {
-        "openvino": ("network.xml", "network.bin"),
-        "onnxruntime": ("network.onnx",),
-    }
-    for kind, names in parts.items():
-        key = export_key(kind, digest)
-        folder = weights.parent / f"{weights.stem}-{kind}-{key[:12]}"
-        folder.mkdir()
-        files = {name: external_onnx() if name.endswith("onnx") else b"<net/>" for name in names}
-        for name, content in files.items():
-            (folder / name).write_bytes(content)
-        digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-        record = {"key": key, "facts": facts, "files": digests}
-        (folder / "export.json").write_text(json.dumps(record), encoding="utf-8")
-
-
-def external_onnx() -> bytes:
-    """A network in ONNX whose weights are read from a file of this machine."""
-    from onnx import TensorProto, helper
-
-    tensor = helper.make_tensor("w", TensorProto.UINT8, [8], bytes(8), raw=True)
-    tensor.ClearField("raw_data")
-    tensor.data_location = TensorProto.EXTERNAL
-    for key, value in (("location", "/etc/passwd"), ("offset", "0"), ("length", "8")):
-        entry = tensor.external_data.add()
-        entry.key, entry.value = key, value
-    node = helper.make_node("Identity", ["w"], ["prediction"])
-    output = helper.make_tensor_value_info("prediction", TensorProto.UINT8, [8])
-    graph = helper.make_graph([node], "g", [], [output], [tensor])
-    content: bytes = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)]).SerializeToString()
-    return content
 
 
 def safetensors(header: Any, payload: bytes = b"", length: int | None = None) -> bytes:

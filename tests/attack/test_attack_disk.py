@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from attacks import labels_in, require_sound
 from live_server import running
 from mortal import Mortal
 from room_api import BOX, change, state
-from sound import labels_in, require_sound
 
 from annotator.cli.main import main
 from annotator.web.settings import ServerSettings

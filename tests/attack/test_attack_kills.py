@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import io
+import random
 import shutil
 import sqlite3
+import threading
+import time
+import zipfile
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
+import httpx
 import pytest
-from killer import Killer
-from old_versions import replaced_by, version_one
-from sound import Labels, content_of, labels_in, require_sound
-from store_samples import proposal_at
+from attacks import Killer, Labels, content_of, labels_in, require_sound
+from benchmarks.backup import fill
+from live_server import PATIENCE_S, wait_until
+from store_samples import NEXT, NOW, use_next, version_of
+from test_kill_server import EDITS_BEFORE_KILL, Editor, server
 
-from annotator.project import open_project
-from annotator.project.migrations import MIGRATIONS
+from annotator.cli.main import main
+from annotator.project import create_project, open_project
+from annotator.project.backup.archive import read_manifest
+from annotator.web.settings import ServerSettings
 
 # 20 kills of a training, on a busy machine
 pytestmark = pytest.mark.timeout(3600)
-OLD_FRAMES = 100
 
 
 def require_whole_frames(kills: Killer, words: Sequence[str | Path], wanted: Labels) -> None:
@@ -97,35 +106,171 @@ def test_a_killed_import_stores_whole_frames_and_goes_on(
     require_whole_frames(kills, words, wanted)
 
 
+# --- `kill -9` of backup, restore, copy, repair and upgrade: nothing half is offered, and nothing is lost -------------
+
+LABELS = 900
+
+
 @pytest.fixture(scope="module")
-def old_version(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A projects folder with `old`, a project of database version 1 with many events; do not change it."""
-    root, proposal = tmp_path_factory.mktemp("old"), proposal_at(steps=3, views=4)
-    version_one(root, {f"f{number}": [replaced_by(f"u{number}", proposal)] for number in range(OLD_FRAMES)})
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A projects folder with `long`, a project of many labels and views; do not change it."""
+    root = tmp_path_factory.mktemp("long")
+    with create_project(root, "long", ("person",)) as project:
+        fill(project, 300, LABELS, 100)
     return root
 
 
-def test_a_killed_migration_changes_all_or_nothing(killer: Callable[[Path], Killer], old_version: Path) -> None:
-    kills = killer(old_version)
-    words = ["stats", "old", "--projects", kills.folder]
-    path = kills.folder / "old/project.db"
-    versions = set()
+def test_a_killed_backup_is_whole_or_not_there(killer: Callable[[Path], Killer], long: Path, tmp_path: Path) -> None:
+    kills = killer(long)
+    file = tmp_path / "backups/long.zip"
+    file.parent.mkdir()
+    words = ["project", "backup", "long", file, "--projects", kills.folder]
+    wanted = labels_in(long / "long")
+    restored = 0
+    for number, end in enumerate(kills.kills(*words, done=file.unlink)):
+        require_sound(kills.folder / "long")
+        assert end.was_killed or file.exists()
+        if not file.exists():
+            # the next backup is not in the way of what is left, and removes it
+            kills.whole(*words)
+        root = tmp_path / f"restored{number}"
+        assert main(["project", "restore", str(file), "--projects", str(root)]) == 0
+        require_sound(root / "long")
+        assert labels_in(root / "long") == wanted
+        restored += 1
+        if len(list(file.parent.iterdir())) > 1:  # killed when the file was complete
+            file.unlink()
+            kills.whole(*words)
+        assert [path.name for path in file.parent.iterdir()] == ["long.zip"], "a leftover"
+        file.unlink()
+    assert restored == kills.times
+
+
+def test_a_killed_restore_makes_a_whole_project_or_none(
+    killer: Callable[[Path], Killer], long: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "long.zip"
+    assert main(["project", "backup", "long", str(file), "--projects", str(long)]) == 0
+    kills = killer(long)
+    words = ["project", "restore", file, "again", "--projects", kills.folder]
+    again, wanted = kills.folder / "again", labels_in(long / "long")
     for end in kills.kills(*words):
-        with sqlite3.connect(path) as connection:
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            count = connection.execute("SELECT count(*) FROM events").fetchone()[0]
-        connection.close()
+        require_sound(kills.folder / "long")
+        assert end.was_killed or again.exists()
+        shown = kills.whole("stats", "long", "--projects", kills.folder)
+        assert shown.code == 0
+        if not again.exists():
+            kills.whole(*words)
+        require_sound(again)
+        assert labels_in(again) == wanted
+        assert sorted(path.name for path in kills.folder.iterdir()) == ["again", "long"], "a leftover"
+
+
+def damage(database: Path) -> None:
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("DROP TRIGGER events_are_not_deleted")
+
+
+COMMANDS: dict[str, tuple[list[str], Callable[[Path], None] | None]] = {
+    "copy": (["project", "copy", "{folder}/long", "new"], None),
+    "copy by name": (["project", "copy", "long", "new"], None),
+    "repair": (["project", "repair", "long"], None),
+    "salvage": (["project", "repair", "long", "new"], damage),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_kill_leaves_nothing_half(killer: Callable[[Path], Killer], long: Path, tmp_path: Path, name: str) -> None:
+    words, change = COMMANDS[name]
+    template = Path(shutil.copytree(long, tmp_path / "template"))
+    if change is not None:
+        change(template / "long" / "project.db")
+    kills = killer(template)
+    words = [word.format(folder=kills.folder) for word in words]
+    for _ in kills.kills(*words, "--projects", kills.folder):
+        offered = {path.name for path in kills.folder.iterdir() if not path.name.startswith(".")}
+        assert offered <= {"long", "new"}
+        # what is salvaged stays as it was
+        for each in offered - ({"long"} if name == "salvage" else set()):
+            with open_project(kills.folder / each) as project:
+                assert project.statistics().labels.total == LABELS
+            require_sound(kills.folder / each)
+        for backup in (kills.folder / ".backups" / "long").glob("*.zip"):
+            assert read_manifest(backup).labels == LABELS
+
+
+def test_a_killed_upgrade_changes_all_or_nothing(
+    killer: Callable[[Path], Killer], long: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_next(monkeypatch)
+    kills = killer(long)
+    kills.migration = NEXT.statements
+    versions = set()
+    for end in kills.kills("stats", "long", "--projects", kills.folder):
+        version = version_of(kills.folder / "long" / "project.db")
         versions.add(version)
-        assert version in (1, MIGRATIONS[-1].version)
-        assert end.was_killed or version == MIGRATIONS[-1].version
-        assert count == OLD_FRAMES
-        require_rebuilt(kills.folder / "old")
+        assert version in (NOW, NEXT.version)
+        assert end.was_killed or version == NEXT.version
+        with open_project(kills.folder / "long") as project:
+            assert project.statistics().labels.total == LABELS
+        require_sound(kills.folder / "long")
+        for backup in (kills.folder / ".backups" / "long").glob("*.zip"):
+            assert read_manifest(backup).labels == LABELS
     assert len(versions) == 2, "no kill came before the end of the migration, or none after it"
 
 
-def require_rebuilt(path: Path) -> None:
-    """The project opens with all its events (version 1 had no table of labels, which a rebuild fills)."""
-    with open_project(path) as project:
-        assert project.log.rebuild() == OLD_FRAMES
-    require_sound(path)
-    assert sum(map(len, labels_in(path).values())) == OLD_FRAMES
+# --- `kill -9` of the server while operators save and a job writes a dataset ------------------------------------------
+
+EDITORS = 2
+LONGEST_S = 6.0
+
+
+def test_a_killed_server_loses_no_acknowledged_save_and_offers_no_half_export(
+    web_settings: ServerSettings, times: int, chance: random.Random
+) -> None:
+    room = web_settings.projects_root / "room"
+    for number in range(times):
+        with server(web_settings.projects_root) as (url, process):
+            _require_whole_downloads(url)
+            editors = [
+                Editor(url, 1 + (number + other) % 5, 100 * number + other, f"ann {number} {other}")
+                for other in range(EDITORS)
+            ]
+            threads = [threading.Thread(target=editor.run) for editor in editors]
+            for thread in threads:
+                thread.start()
+            wait_until(lambda editors=editors: all(each.acknowledged > EDITS_BEFORE_KILL for each in editors))  # type: ignore[misc]
+            headers = {"Origin": url}
+            with httpx.Client(base_url=url, headers=headers, timeout=PATIENCE_S) as client:
+                client.post("/api/session", json={"operator": "ann"})
+                job = client.post("/api/projects/room/jobs", json={"kind": "export", "format": "kitti"})
+                assert job.status_code == 201, job.text
+            time.sleep(chance.uniform(0.0, LONGEST_S))
+            process.kill()
+            process.wait()
+            for thread in threads:
+                thread.join(PATIENCE_S)
+        require_sound(room)
+        with open_project(room) as project:
+            for editor in editors:
+                editor.require_kept(project)
+
+
+def _require_whole_downloads(url: str) -> None:
+    """Every job of the last server has ended, and what it offers can be downloaded as a whole."""
+    with httpx.Client(base_url=url, headers={"Origin": url}, timeout=PATIENCE_S) as client:
+        client.post("/api/session", json={"operator": "ann"})
+        for job in client.get("/api/jobs").json()["jobs"]:
+            assert job["state"] not in ("queued", "running"), job
+            if job["state"] == "done":
+                file = client.get(f"/api/jobs/{job['id']}/download")
+                assert file.status_code in (200, 404), file.text
+                if file.status_code == 200:
+                    assert file.content[:2] == b"PK"
+                    _require_zip(file.content)
+
+
+def _require_zip(content: bytes) -> None:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.testzip() is None
+        assert archive.namelist()

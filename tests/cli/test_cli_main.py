@@ -19,7 +19,7 @@ from annotator.cli import main as cli
 from annotator.cli.completion import Shell
 from annotator.cli.main import main
 from annotator.cli.reader_options import ReadAs
-from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
+from annotator.cli.table import COMMANDS, GROUPS, Command
 from annotator.types.errors import FormatError
 
 HEAVY = ("torch", "torchvision", "ultralytics", "open3d", "viser", "av", "ray")
@@ -91,21 +91,6 @@ def test_help_is_also_a_command(capsys: pytest.CaptureFixture[str]) -> None:
         assert f"usage: annotator {name}" in capsys.readouterr().out
     assert main(["help", "stat"]) == 2
     assert "did you mean 'stats'?" in capsys.readouterr().err
-
-
-def test_old_names_are_errors_that_give_the_new_name(capsys: pytest.CaptureFixture[str]) -> None:
-    for old, new in RENAMED_COMMANDS.items():
-        assert main([old, "x"]) == 2
-        assert f"`annotator {old}` is now `annotator {new}`" in capsys.readouterr().err
-    options = {(name, "--root", "--projects") for name in COMMANDS}
-    options |= {(name, *pair) for name, renamed in RENAMED_OPTIONS.items() for pair in renamed.items()}
-    for name, old, new in options:
-        for words in ([old, "x"], [f"{old}=x"]):
-            assert main([*name.split(), "a", *words]) == 2
-            assert f"error: {old} is now {new}" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main(["stats", "--", "--root", "x"])
-    assert "is now" not in capsys.readouterr().err
 
 
 def test_an_option_that_is_given_twice_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

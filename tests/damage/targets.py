@@ -1,4 +1,10 @@
-"""What is damaged: a small recording or dataset for each reader, each kind of file, and each parser of labels."""
+"""What is damaged: a small recording or dataset for each reader, each kind of file, and each parser of labels.
+
+This folder is the one place of tests of damage. `test_damaged_files.py` damages each target in the same ways (bytes
+cut, changed and exchanged; fields removed and made wild) and demands a frame, labels, or an error that names the file,
+in bounded time and memory. It fails when a reader of `annotator.recordings.table`, a format of 3D boxes or one of 2D
+boxes has no target here, so a format needs no test of damage of its own: a new parser gets a row in `TARGETS`.
+"""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ from time_limit import time_limit
 from annotator.recordings import detect_format
 from annotator.recordings.table import READERS
 from annotator.types.errors import RecordingError
+from annotator.workflows.importing.picture_labels import FlatFormat
 from annotator.workflows.importing.table import BoxFormat
 
 FEW = 4
@@ -43,4 +44,5 @@ def test_every_reader_and_format_is_tried(tmp_path: Path):
             with suppress(RecordingError):
                 found.add(detect_format(place))
     assert found >= READERS.keys()
-    assert {target.name for target in TARGETS} >= {f"export_{format.replace('-', '_')}" for format in BoxFormat}
+    names = {target.name for target in TARGETS}
+    assert names >= {f"export_{format.replace('-', '_')}" for format in BoxFormat} | set(FlatFormat)

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import shutil
+import sqlite3
 import uuid
 from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from sqlalchemy import text
 
-from annotator.project import FramePart, NewLabel, Project, ProjectConfig, StoredFrame, WriteContext
+from annotator.project import FramePart, NewLabel, Project, ProjectConfig, StoredFrame, WriteContext, open_project
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
 from annotator.project.classes.edit import ClassEdit
-from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project.database import migrations
+from annotator.project.database.migrations import MIGRATIONS, Migration, newest_version
+from annotator.project.log.event_types import LabelAccepted, LabelDeleted, LabelProposed, LabelTracked
+from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.project.overview import read_page
-from annotator.project.records import BoxRecord, ProposalRecord
 from annotator.types import (
     Box2D,
     BoxKind,
@@ -309,3 +316,67 @@ def give_attributes(project: Project) -> None:
     """Gives the project the attributes `ATTRIBUTES`."""
     for attribute in ATTRIBUTES:
         project.change_classes(lambda config, attribute=attribute: edit.put_attribute(config, attribute), "ann")
+
+
+# --- what a project holds, and ways to damage it ----------------------------------------------------------------------
+
+
+def stored_state(project: Path) -> dict[str, list[tuple[object, ...]]]:
+    with open_project(project) as opened:
+        return state_of(opened)
+
+
+def files(folder: Path) -> set[str]:
+    """The files below a folder, without SQLite's temporary ones."""
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+    return {name for name in found if not name.endswith(("-wal", "-shm"))}
+
+
+def damage(statement: str) -> Callable[[Path], None]:
+    def change(project: Path) -> None:
+        with closing(sqlite3.connect(project / "project.db", isolation_level=None)) as connection:
+            connection.execute("PRAGMA writable_schema = ON")
+            for each in statement.split(";;"):
+                connection.execute(each)
+
+    return change
+
+
+# --- ways to put a backup in the place of a project -------------------------------------------------------------------
+
+
+def replace_folder(folder: Path, backup: Path) -> None:
+    # as `rm -rf`: a server may remove its own files meanwhile
+    while folder.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(backup, folder)
+
+
+def replace_database(folder: Path, backup: Path) -> None:
+    """The database alone, next to what SQLite has beside the old one."""
+    (folder / "project.db").unlink()
+    with (
+        closing(sqlite3.connect(backup / "project.db")) as source,
+        closing(sqlite3.connect(folder / "new.db")) as target,
+    ):
+        source.backup(target)
+    (folder / "new.db").rename(folder / "project.db")
+
+
+# --- an example of a migration: the database of the next release ------------------------------------------------------
+
+NOW = newest_version()
+NEXT = Migration(
+    NOW + 1, ("ALTER TABLE runs ADD COLUMN note TEXT", "CREATE INDEX labels_by_author ON labels (author, time_ns)")
+)
+
+
+def use_next(patch: pytest.MonkeyPatch, next_one: Migration = NEXT) -> None:
+    """From now on, this process has the annotator of the next release."""
+    patch.setattr(migrations, "MIGRATIONS", (*MIGRATIONS, next_one))
+
+
+def version_of(database: Path) -> int:
+    """The version of a database."""
+    with closing(sqlite3.connect(database)) as connection:
+        return int(connection.execute("PRAGMA user_version").fetchone()[0])

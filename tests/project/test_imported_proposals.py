@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from functools import partial
 
@@ -13,15 +12,15 @@ from store_samples import box_at, by_hand, by_machine, proposal_at, state_of
 from annotator.project import NewLabel, Origin, Project, ProjectConfig, StoredRecording, new_action
 from annotator.project.backup.verify import verify
 from annotator.project.classes import edit
+from annotator.project.classes.applying import ClassCounts
 from annotator.project.classes.attributes import Attribute, AttributeKind, AttributeOf
-from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
-from annotator.project.event_types import LabelProposed
+from annotator.project.database.schema import labels
 from annotator.project.labels import StoredLabel
-from annotator.project.records import BoxRecord
-from annotator.project.review.waiting import By
-from annotator.project.schema import labels
-from annotator.project.sources.bring import Brought
+from annotator.project.log.event_types import LabelProposed
+from annotator.project.log.records import BoxRecord
+from annotator.project.review import By
+from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
 from annotator.workflows.workbench.review_priority import FORMULA
@@ -60,10 +59,8 @@ def test_a_source_replaces_what_it_said_before_and_nothing_else(project: Project
     assert (stored.label.source, stored.label.author) == (Source.IMPORTED, "one")
 
 
-@pytest.mark.parametrize("order", list(itertools.permutations("abc")))
-def test_one_object_is_one_proposal_and_the_surest_box_is_shown(
-    project: Project, frame: int, order: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("order", ["abc", "cba"])
+def test_one_object_is_one_proposal_and_the_surest_box_is_shown(project: Project, frame: int, order: str) -> None:
     said = {"a": box(0.0, 0.2), "b": box(0.02, 0.9, label="person"), "c": box(0.04, 0.5)}
     for source in order:
         bring(project, frame, source, said[source], box({"a": 10.0, "b": 20.0, "c": 30.0}[source], 0.5))
@@ -395,13 +392,6 @@ def test_our_proposal_with_a_lent_value_is_not_kept(project: Project, frame: int
         )
     project.proposals.replace(frame, [], by_machine(project.frames.get(frame).revision))
     assert shown(project) == [("two", 0.02, [])]
-
-
-def test_values_follow_where_only_the_attributes_change(project: Project, frame: int) -> None:
-    with_colour(project, frame)
-    project.change_classes(lambda config: edit.rename_attribute(config, "colour", "paint"), "ann")
-    assert [each.attributes for each in project.labels.select()[0].said] == [{"paint": "red"}, {"paint": "blue"}]
-    assert verify(project.path, deep=True).problems == ()
 
 
 def test_where_the_class_of_the_shown_box_is_removed_another_source_is_shown(

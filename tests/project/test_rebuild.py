@@ -24,8 +24,8 @@ from store_samples import (
 )
 
 from annotator.project import Project, create_project
-from annotator.project.event_types import LinkedLabel, TracksLinked
-from annotator.project.records import BoxRecord
+from annotator.project.log.event_types import LinkedLabel, TracksLinked
+from annotator.project.log.records import BoxRecord
 from annotator.types import BoxKind, Label, ReviewState
 from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError
 
@@ -65,7 +65,7 @@ def _take(project: Project, views: list[str], step: Step) -> None:
         assert not labels or not known, f"only changes of missing labels may be refused, not {what}: {error}"
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(STEPS)
 def test_rebuilt_and_maintained_state_agree(steps: list[Step]) -> None:
     with tempfile.TemporaryDirectory() as folder, create_project(Path(folder), "p", ("hand", "person")) as project:
@@ -106,9 +106,9 @@ def test_a_rebuild_repairs_corrupted_tables(project: Project, frame: int) -> Non
 
 
 def test_a_long_log_is_replayed_in_batches(project: Project, frame: int) -> None:
-    for revision in range(120):
+    for revision in range(60):
         project.boxes.set_on_image(frame, some_boxes(revision % 3), BoxKind.BOX, by_hand(revision))
-    assert [event.revision for event in project.log.since()] == list(range(1, 121))
+    assert [event.revision for event in project.log.since()] == list(range(1, 61))
     before = state_of(project)
-    assert project.log.rebuild() == 120
+    assert project.log.rebuild() == 60
     assert state_of(project) == before

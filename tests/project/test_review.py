@@ -10,8 +10,8 @@ import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box
 
 from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredRecording, WriteContext
-from annotator.project.event_types import LabelEdited
-from annotator.project.records import BoxRecord
+from annotator.project.log.event_types import LabelEdited
+from annotator.project.log.records import BoxRecord
 from annotator.types import BoxKind, Label, OrientedBox, ReviewState, Source, Suggestion
 from annotator.types.errors import ProjectError
 
@@ -171,16 +171,10 @@ def test_labels_are_selected_by_state_class_and_recording(
     assert frames == sorted(frames)
 
 
-def test_signals_are_the_selected_labels_without_their_boxes(project: Project, recording: StoredRecording) -> None:
+def test_frames_with_labels_and_with_boxes_are_named(project: Project, recording: StoredRecording) -> None:
     one, two = (frame.id for frame in project.frames.of()[:2])
     project.proposals.replace(two, [proposal_at(0.0, score=0.6), proposal_at(5.0)], by_machine())
     project.labels.create(one, [NewLabel("person", box_at(1.0))], by_hand())
-    for options in ({}, {"states": REVIEWED}, {"classes": ["hand"]}, {"recordings": [recording.id + 1]}):
-        labels = project.labels.select(**options)
-        signals = project.labels.signals(**options)
-        assert [(s.frame_id, s.uid, s.label, s.score, repr(s.quality)) for s in signals] == [
-            (w.frame_id, w.label.uid, w.label.label, w.label.score, repr(w.quality)) for w in labels
-        ]
     assert project.labels.frames(states=REVIEWED) == {one}
     assert project.labels.frames() == {one, two}
     assert project.boxes.frames_with_images() == frozenset()

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import pytest
 from store_samples import box_at, by_hand, by_machine, proposal_at, same_box, state_of
 
-from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording, writing
-from annotator.project.event_types import (
+from annotator.project import Effort, FramePart, NewLabel, Project, StoredRecording
+from annotator.project.log import writing
+from annotator.project.log.event_types import (
     LabelAccepted,
     LabelCreated,
     LabelDeleted,
@@ -17,10 +18,9 @@ from annotator.project.event_types import (
     LabelTracked,
     LinkedLabel,
     Payload,
-    ProposedObject,
     TracksLinked,
 )
-from annotator.project.records import BoxRecord, ProposalRecord
+from annotator.project.log.records import BoxRecord, ProposalRecord
 from annotator.types import ReviewState, Source
 from annotator.types.errors import (
     FinalisedFrameError,
@@ -77,13 +77,6 @@ def test_a_proposal_does_not_get_the_track_of_a_reviewed_box_in_its_frame(projec
     found = [proposal_at(6.0), proposal_at(9.0)]
     again = project.proposals.replace(frame, found, by_machine(3), track_ids=[4, 5]).uids
     assert [_track(project, uid) for uid in again if uid] == [(None, False), (5, True)]
-
-
-def test_an_old_proposal_event_without_a_track_is_read() -> None:
-    new = ProposedObject(uid="u", proposal=ProposalRecord.of(proposal_at()))
-    old = new.model_dump(mode="json", exclude={"track_id"})
-    assert ProposedObject.model_validate_json(new.model_dump_json(exclude={"track_id"})) == new
-    assert "track_id" not in old
 
 
 def _span(project: Project, recording: StoredRecording, uids: list[str]) -> list[FramePart]:
@@ -185,11 +178,11 @@ def test_boxes_can_change_their_tracks_with_each_other(
     assert [_track(project, uid)[0] for uid in three] == [2, 1, 1]
 
 
-def test_two_boxes_of_a_track_from_an_older_version_can_be_worked_on(
+def test_two_boxes_of_a_track_in_a_repaired_project_can_be_worked_on(
     project: Project, frame: int, three: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with monkeypatch.context() as older:
-        older.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
+    with monkeypatch.context() as repaired:
+        repaired.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
         project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(6))
     project.labels.edit(frame, three[1], by_hand(7), label="hand", box=box_at(4.0), track_id=1)
     assert project.log.rebuild() > 0
@@ -198,38 +191,6 @@ def test_two_boxes_of_a_track_from_an_older_version_can_be_worked_on(
     project.log.append(frame, [LabelTracked(uid=three[1], track_id=None)], by_hand(8))
     with pytest.raises(TrackTakenError):
         project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(9))
-
-
-@pytest.mark.parametrize("since", ["nothing", "other deleted and back", "replaced", "another one linked"])
-def test_the_deletion_of_one_of_two_boxes_of_an_older_version_can_be_undone_unless_the_other_is_new(
-    project: Project, frame: int, three: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch, since: str
-) -> None:
-    with monkeypatch.context() as older:
-        older.setattr(writing, "_tracks_with_several_boxes", lambda *_: {})
-        project.log.append(frame, [LabelTracked(uid=three[1], track_id=1)], by_hand(6))
-    before = [label.uid for label in project.labels.of_frame(frame) if label.track_id == 1]
-    project.log.append(frame, [LabelDeleted(uid=three[0])], by_hand(7))
-    if since == "other deleted and back":
-        project.log.append(frame, [LabelDeleted(uid=three[1])], by_hand(8, "bob"))
-        project.history.undo("bob")
-    elif since == "replaced":
-        new = LabelCreated(uid="new", label="hand", box=BOX, track_id=1)
-        project.log.append(frame, [LabelDeleted(uid=three[1]), new], by_hand(8, "bob"))
-    elif since == "another one linked":
-        other = LabelCreated(uid="other", label="hand", box=BOX)
-        project.log.append(frame, [LabelDeleted(uid=three[1]), other], by_hand(8, "bob"))
-        project.log.append(frame, [TracksLinked(labels=(LinkedLabel(uid="other", track_id=1),))], by_machine(10))
-    if since in ("nothing", "other deleted and back"):
-        assert project.history.undo("ann").words == "delete hand (frame 2)"
-        assert sorted(label.uid for label in project.labels.of_frame(frame) if label.track_id == 1) == sorted(before)
-        project.history.redo("ann")
-        project.history.undo("ann")
-        assert project.log.rebuild() > 0
-    else:
-        state = state_of(project)
-        with pytest.raises(HistoryError, match="track 1 has a box in this frame already"):
-            project.history.undo("ann")
-        assert state_of(project) == state
 
 
 def test_an_undo_that_would_give_a_track_a_second_box_is_refused_and_can_be_skipped(

@@ -7,11 +7,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from replacing import replace_folder
+from store_samples import replace_folder
 
 from annotator.project import WriteContext, create_project
-from annotator.project.backup.automatic import FOLDER, Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.take_in import restore
+from annotator.project.config import BACKUPS
 from annotator.types import BoxKind
 from annotator.web.background.automatic_backups import PAUSE_S, AutomaticBackups
 from annotator.web.context import Context
@@ -49,7 +50,7 @@ def test_an_open_project_is_backed_up_once_for_its_changes(changed: Path) -> Non
 def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
     changed: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    in_the_way, now = changed.parent / FOLDER, [0.0]
+    in_the_way, now = changed.parent / BACKUPS, [0.0]
     in_the_way.write_text("in the way")
     context = Context(ServerSettings(changed.parent))
     try:
@@ -73,7 +74,7 @@ def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
 def test_neither_a_backup_nor_a_failure_of_a_replaced_project_counts_for_the_new_one(
     changed: Path, tmp_path: Path, has_failed: bool
 ) -> None:
-    backup, made = shutil.copytree(changed, tmp_path / "copies" / "room"), changed.parent / FOLDER
+    backup, made = shutil.copytree(changed, tmp_path / "copies" / "room"), changed.parent / BACKUPS
     if has_failed:
         made.write_text("in the way")
     context = Context(ServerSettings(changed.parent))
@@ -98,7 +99,7 @@ def test_neither_a_backup_nor_a_failure_of_a_replaced_project_counts_for_the_new
 
 def test_what_a_killed_backup_has_left_is_removed_at_the_next_start(changed: Path) -> None:
     back_up_automatically(changed, Reason.CHANGES)
-    left = changed.parent / FOLDER / "room" / f".room-backup.{'0' * 32}.unfinished"
+    left = changed.parent / BACKUPS / "room" / f".room-backup.{'0' * 32}.unfinished"
     left.mkdir()
     clear_leftovers(changed.parent)
     assert not left.exists()

@@ -19,7 +19,7 @@ from live_server import PATIENCE_S, ended, look
 from room_api import ROOM
 
 from annotator.project import Project, StoredFrame, WriteContext
-from annotator.project.event_types import ImageBoxesSet
+from annotator.project.log.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, NotFoundError

@@ -10,7 +10,7 @@ from live_server import PATIENCE_S
 from room_api import BOX, ROOM, change, propose, state
 
 from annotator.project import Project, open_project
-from annotator.project.backup.automatic import Reason, automatic_backups
+from annotator.project.backup.make import Reason, automatic_backups
 from annotator.project.classes.edit import rename_class
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import pytest
 from live_server import ended, running
 from sqlalchemy import select
 
-from annotator.project.schema import moves
+from annotator.project.database.schema import moves
 from annotator.types.errors import NotFoundError
 from annotator.web.folders import Folders
 

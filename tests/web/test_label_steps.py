@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from drawing import Scene
 
-from annotator.project.views import png
+from annotator.project.boxes import png
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.workbench import open_frame
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector

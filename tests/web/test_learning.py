@@ -16,7 +16,7 @@ from test_web_jobs import JOBS, begin, fake, until  # noqa: F401  (`fake` is a f
 
 from annotator.project import Project, create_project
 from annotator.project.labels import Labels
-from annotator.project.log import ChangedFrame, Log
+from annotator.project.log.writing import ChangedFrame, Log
 from annotator.project.models import Models
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError

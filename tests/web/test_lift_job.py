@@ -15,7 +15,7 @@ from room_api import ROOM
 from annotator.detection import base_detector
 from annotator.detection.base_detector import TITLE
 from annotator.project import WriteContext
-from annotator.project.event_types import ImageBoxesSet
+from annotator.project.log.event_types import ImageBoxesSet
 from annotator.rcv.config import AGNOSTIC_LABELS
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import ConfigError

@@ -18,11 +18,11 @@ import pytest
 from fastapi import FastAPI
 from in_process import HERE, ask
 from live_server import PATIENCE_S, wait_until
-from replacing import replace_folder
 from room_api import BOX, ROOM
+from store_samples import replace_folder
 
 from annotator.project import create_project
-from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.snapshot import unfinished_folder
 from annotator.project.labels import Labels
 from annotator.types.errors import NotFoundError
 from annotator.web import fairness, projects
@@ -154,14 +154,13 @@ def _as_a_table(folder: Path) -> None:
 
 
 NONSENSE = (
-    "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, event_id, track_linked, box_kind) "
-    "VALUES ('u', 1, 'person', '{', 'manual', 'bogus', 'Ada', 0, 1, 0, 'box')"
+    "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, event_id, track_linked, box_kind, "
+    "attributes) VALUES ('u', 1, 'person', '{', 'manual', 'bogus', 'Ada', 0, 1, 0, 'box', '{}')"
 )
 ODD: dict[str, Callable[[Path], object]] = {
     "dropped": _run("DROP TABLE labels"),
     "a-view": _as_a_table,
     "version-0": _run("PRAGMA user_version = 0"),
-    "version-1": _run("PRAGMA user_version = 1"),
     "version-minus": _run("PRAGMA user_version = -5"),
     "too-new": _run("PRAGMA user_version = 1000"),
     "not-one": lambda folder: (folder / "project.db").write_bytes(b"no database" * 1000),

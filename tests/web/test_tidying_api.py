@@ -15,7 +15,7 @@ from test_events import listen, next_of
 
 from annotator.cli.main import main
 from annotator.project import open_project
-from annotator.project.tidying.folders import rename_project, set_aside
+from annotator.project.config import rename_project, set_aside
 from annotator.types.errors import InUseError
 from annotator.web.settings import ServerSettings
 

@@ -17,22 +17,28 @@ from sqlalchemy import Connection, func, insert, select
 from sqlalchemy.exc import DBAPIError
 
 from annotator.files import open_file
-from annotator.project.backup.automatic import Reason, automatic_backups, back_up_automatically
-from annotator.project.backup.content import folder_files, is_content, is_regular, stored_files
-from annotator.project.backup.database_check import database_problems, given_id, missing_events
-from annotator.project.backup.generation import has_foreign_wal, wal_of
-from annotator.project.backup.snapshot import reading
+from annotator.project.backup.archive import folder_files, is_content, is_regular, stored_files
+from annotator.project.backup.make import Reason, automatic_backups, back_up_automatically
+from annotator.project.backup.snapshot import database_problems, given_id, missing_events, reading, unfinished_folder
 from annotator.project.backup.take_in import copy_regular, new_project
-from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.config import ProjectConfig, ProjectSettings, new_config, read_config, write_config
-from annotator.project.derived import apply_event, rebuild
-from annotator.project.event_types import LabelRestored
-from annotator.project.events import Event, event_of, insert_event
-from annotator.project.migrations import MIGRATIONS
-from annotator.project.schema import PackedText, events, frame_attributes, frames, image_labels, labels, view_labels
-from annotator.project.store import DATABASE_FILE, Store, create_store, explained, open_store
-from annotator.project.tidying.removed import hide_removed
-from annotator.project.undo_state import FRAME, IMAGE, LABEL, VALUES, VIEW, read_state, restoring
+from annotator.project.database.generation import has_foreign_wal, wal_of
+from annotator.project.database.migrations import UNRELEASED, application_problem
+from annotator.project.database.schema import (
+    PackedText,
+    events,
+    frame_attributes,
+    frames,
+    image_labels,
+    labels,
+    view_labels,
+)
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
+from annotator.project.log.derived import apply_event, rebuild
+from annotator.project.log.event_types import LabelRestored
+from annotator.project.log.events import Event, event_of, insert_event
+from annotator.project.log.undo_state import FRAME, IMAGE, LABEL, VALUES, VIEW, read_state, restoring
+from annotator.project.recordings import hide_removed
 from annotator.types import Source
 from annotator.types.errors import RESTORE, AnnotatorError, ProjectError
 
@@ -129,6 +135,8 @@ def _salvage(project: Path, name: str) -> Repaired:
         try:
             with reading(copy) as source:
                 source.execute("SELECT count(*) FROM sqlite_master").fetchone()
+                if application_problem(source.execute("PRAGMA application_id").fetchone()[0]) == UNRELEASED:
+                    raise ProjectError(f"{project / DATABASE_FILE}: {UNRELEASED}")
                 _copy_plain(source, store, repaired)
                 _replay(source, store, repaired)
                 config = _config(project, name, source)
@@ -228,9 +236,6 @@ def _revision(connection: Connection, values: Row) -> int:
 def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
     """Where events are lost, brings labels and 2D boxes to the state that the damaged database shows, if it does."""
     try:
-        if database_version(copy) != MIGRATIONS[-1].version:
-            _count_lost(repaired, "states")
-            return
         damaged = open_store(copy)
     except (ProjectError, sqlite3.Error):
         _count_lost(repaired, "states")
@@ -245,16 +250,6 @@ def _restore_states(copy: Path, store: Store, repaired: Repaired) -> None:
                     repaired.restored += 1
             except (AnnotatorError, DBAPIError, ValueError):
                 _count_lost(repaired, "states")
-
-
-def database_version(path: Path) -> int:
-    """The version of a database.
-
-    Raises:
-        sqlite3.Error: it cannot be read.
-    """
-    with reading(path) as connection:
-        return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
 def _targets(source: sqlite3.Connection) -> Iterator[tuple[int | None, str]]:
@@ -275,18 +270,9 @@ def _append(connection: Connection, store: Store, frame_id: int | None, target: 
         former = payload.former.model_copy(update={"proposal_event_id": None, "run_id": None})
         payload = payload.model_copy(update={"former": former})
     revision = _revision(connection, {"frame_id": frame_id, "view_id": target.partition(":")[2]}) + 1
+    event = Event(0, frame_id, None, revision, AUTHOR, store.clock(), Source.IMPORTED, payload)
     with connection.begin_nested():
-        event: Event = insert_event(
-            connection,
-            frame_id=frame_id,
-            revision=revision,
-            content=payload.model_dump_json(),
-            payload=payload,
-            author=AUTHOR,
-            time_ns=store.clock(),
-            source=Source.IMPORTED,
-        )
-        apply_event(connection, event)
+        apply_event(connection, insert_event(connection, event, payload.model_dump_json()))
 
 
 def _config(project: Path, name: str, source: sqlite3.Connection) -> ProjectConfig:

@@ -1,16 +1,21 @@
-"""A copy of a database as of one moment, while other processes write to it."""
+"""A copy of a database as of one moment, whether it is sound, and the hidden folder in which it is made."""
 
 from __future__ import annotations
 
+import glob
 import os
+import shutil
 import sqlite3
+import uuid
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from annotator.project.backup.generation import has_foreign_wal
+from annotator.files import lock_folder, locked_folder
 from annotator.project.database.file import database_file
-from annotator.project.store import BUSY_TIMEOUT_S, explained, foreign_wal
+from annotator.project.database.generation import has_foreign_wal
+from annotator.project.database.migrations import application_problem, newest_version, schema_problems
+from annotator.project.database.store import BUSY_TIMEOUT_S, LOCKED, explained, foreign_wal, is_lock
 from annotator.types.errors import RESTORE, ProjectError
 
 
@@ -18,9 +23,6 @@ def write_snapshot(path: Path, out: Path) -> None:
     """Copies the database `path` to the new file `out` by SQLite's online backup: one file, without `-wal`.
 
     Neither readers nor writers of the database wait.
-
-    Raises:
-        ProjectError: it is missing, damaged, locked, or beside a foreign `-wal`; or `out` cannot be written.
     """
     if not path.is_file():
         raise ProjectError(f"{path}: is missing; {RESTORE}")
@@ -38,11 +40,7 @@ def write_snapshot(path: Path, out: Path) -> None:
 
 @contextmanager
 def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """A connection for one transaction that only reads, and that trusts nothing in the database's schema.
-
-    Raises:
-        sqlite3.Error: it cannot be opened or read.
-    """
+    """A connection for one transaction that only reads, and that trusts nothing in the database's schema."""
     with closing(
         sqlite3.connect(database_file(path).address, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
     ) as connection:
@@ -50,3 +48,109 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA cell_size_check = ON")
         yield connection
+
+
+# --- folders that are filled under a hidden name ----------------------------------------------------------------------
+
+
+@contextmanager
+def unfinished_folder(root: Path, name: str) -> Iterator[Path]:
+    """Yields a new hidden folder in `root`, for its owner only; it is removed at the end if still there.
+
+    Also removes folders that killed processes have left for the same name.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    for left in root.glob(f".{glob.escape(name)}.*.unfinished"):
+        remove_abandoned(left)
+
+    def make() -> Path:
+        folder = root / f".{name}.{uuid.uuid4().hex}.unfinished"
+        # no step follows its creation: another process may take it for a leftover until it is locked
+        folder.mkdir(mode=0o700)
+        return folder
+
+    folder, lock = locked_folder(make)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def remove_abandoned(folder: Path) -> bool:
+    """Removes a folder if no process holds its lock; returns whether it is gone.
+
+    Without locks, as on Windows, it stays.
+    """
+    lock = lock_folder(folder)
+    if lock is None:
+        return False
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(lock)
+    return not folder.exists()
+
+
+# --- checking a database ----------------------------------------------------------------------------------------------
+
+_MOST_PROBLEMS = 20
+
+
+def database_problems(path: Path) -> list[str]:
+    """The problems of the database `path`, of any version; empty for a sound one.
+
+    Nothing in the file is trusted: its schema is compared as text before any of its tables is read.
+    """
+    try:
+        with reading(path) as connection:
+            connection.execute("BEGIN")
+            return list(_problems(connection))
+    except sqlite3.Error as error:
+        if is_lock(error):
+            raise ProjectError(f"{path}: {LOCKED}") from error
+        return [f"cannot be read: {error}"]
+
+
+def missing_events(connection: sqlite3.Connection) -> int:
+    """How many events have been deleted: events are never deleted, so their ids have no gaps."""
+    return given_id(connection, "events") - int(connection.execute("SELECT count(*) FROM events").fetchone()[0])
+
+
+def given_id(connection: sqlite3.Connection, table: str) -> int:
+    """The last id that a table has given, whether or not its row is still there; 0 if none is known."""
+    try:
+        row = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = ?", (table,)).fetchone()
+        return int(row[0]) if row is not None else 0
+    except (sqlite3.Error, ValueError, TypeError):
+        return 0
+
+
+def _problems(connection: sqlite3.Connection) -> Iterator[str]:
+    if problem := application_problem(connection.execute("PRAGMA application_id").fetchone()[0]):
+        yield problem
+        return
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if not 1 <= version <= newest_version():
+        yield f"has database version {version}; this annotator knows versions 1 to {newest_version()}"
+        return
+    differences = list(schema_problems(connection, version))
+    yield from differences
+    lines = [str(row[0]) for row in connection.execute(f"PRAGMA integrity_check({_MOST_PROBLEMS})")]
+    yield from (line for line in lines if line != "ok")
+    if differences or lines != ["ok"]:
+        return
+    orphans = connection.execute("PRAGMA foreign_key_check").fetchmany(_MOST_PROBLEMS)
+    yield from (f"table {row[0]}, row {row[1]}: refers to a missing row of {row[2]}" for row in orphans)
+    yield from _event_problems(connection)
+
+
+def _event_problems(connection: sqlite3.Connection) -> Iterator[str]:
+    """Frames that have lost events, as far as revisions tell; `verify --deep` finds the rest."""
+    rows = connection.execute(
+        'SELECT frames."key", frames.revision, max(events.revision) AS last FROM events '
+        "JOIN frames ON frames.id = events.frame_id GROUP BY frames.id HAVING last > frames.revision"
+    )
+    for key, revision, last in rows.fetchmany(_MOST_PROBLEMS):
+        yield f"frame {key}: is at revision {revision}, but has an event of revision {last}"

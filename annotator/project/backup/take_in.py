@@ -1,4 +1,4 @@
-"""Making a new project of a backup, or of the folder of a project that somebody else has sent."""
+"""Making a new project of a backup, of another one, or of the folder that somebody else has sent."""
 
 from __future__ import annotations
 
@@ -6,30 +6,85 @@ import os
 import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
+from sqlalchemy import insert, select, true
+
 from annotator.files import CHUNK_BYTES, sync_folder
-from annotator.project.backup.archive import BackupManifest, Progress, open_backup, sync_files, unpack
-from annotator.project.backup.content import (
+from annotator.project.adjustments import Adjustments
+from annotator.project.backup.archive import (
     MODELS_FOLDER,
     VIEWS_FOLDER,
+    BackupManifest,
     ModelChoice,
+    Progress,
     folder_files,
     is_regular,
     keep_models,
+    open_backup,
     stored_files,
+    sync_files,
+    unpack,
 )
-from annotator.project.backup.database_check import database_problems
-from annotator.project.backup.generation import wal_of
-from annotator.project.backup.snapshot import reading, write_snapshot
-from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.snapshot import database_problems, reading, unfinished_folder, write_snapshot
 from annotator.project.backup.verify import verify
+from annotator.project.classes.applying import CHANGED
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
-from annotator.project.store import DATABASE_FILE, explained
-from annotator.project.tidying.unlabelled import remove_labels
+from annotator.project.database.generation import wal_of
+from annotator.project.database.schema import events, frames, models, recordings
+from annotator.project.database.store import DATABASE_FILE, Store, create_store, explained, open_store
+from annotator.project.log.writing import Writer
+from annotator.project.recordings import KEPT, Recordings
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, ProjectError
+
+# --- a copy without labels --------------------------------------------------------------------------------------------
+
+AUTHOR = "annotator project copy"
+
+
+def remove_labels(database: Path) -> None:
+    """Replaces a copied database, which nobody has open, by one that has no labels, boxes and passes.
+
+    Removed recordings and frames that are no longer there are left out. Ids stay.
+
+    Raises:
+        ProjectError: it is damaged, or the disk is full.
+        OSError: the file cannot be written.
+    """
+    empty = database.with_name(f"{database.name}.unlabelled")
+    with closing(open_store(database)) as old, closing(create_store(empty)) as new:
+        _copy_rows(old, new)
+        _copy_adjustments(old, new)
+    empty.replace(database)
+
+
+def _copy_rows(old: Store, new: Store) -> None:
+    with old.read() as source, new.write() as target:
+        for table, there in (
+            (recordings, recordings.c.removed_ns.is_(None)),
+            (frames, KEPT & frames.c.position.is_not(None)),
+            (models, true()),
+            # detectors that were trained before a class was renamed need them
+            (events, events.c.kind == CHANGED),
+        ):
+            unlabelled = {"revision": 0, "finalised": False} if table is frames else {}
+            rows = [{**row, **unlabelled} for row in source.execute(select(table).where(there)).mappings()]
+            if rows:
+                target.execute(insert(table), rows)
+
+
+def _copy_adjustments(old: Store, new: Store) -> None:
+    """Makes each adjustment anew, as an event without the labels that the first one moved."""
+    adjustments = Adjustments(Writer(new, new.path.parent))
+    for recording in Recordings(old).all():
+        if not recording.adjusted or not recording.frames:
+            continue
+        adjustments.correct(recording.id, recording.correction, AUTHOR)
+        if Recordings(new).get(recording.id).up != recording.up:
+            adjustments.set_up(recording.id, recording.up, AUTHOR)
+
 
 # Bound of a foreign project's settings, bytes.
 _MOST_CONFIG = 2**20

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, Table, select
 
 from annotator.files import sha256_of
-from annotator.project.backup.content import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
-from annotator.project.backup.database_check import database_problems, given_id, missing_events
-from annotator.project.backup.generation import has_foreign_wal
-from annotator.project.backup.snapshot import reading, write_snapshot
-from annotator.project.backup.unfinished import unfinished_folder
+from annotator.project.backup.archive import VIEW_FILE, is_content, is_regular, require_own_files, stored_files
+from annotator.project.backup.snapshot import (
+    database_problems,
+    given_id,
+    missing_events,
+    reading,
+    unfinished_folder,
+    write_snapshot,
+)
 from annotator.project.config import CONFIG_FILE, read_config
-from annotator.project.derived import rebuild
-from annotator.project.schema import (
+from annotator.project.database.generation import has_foreign_wal
+from annotator.project.database.schema import (
     AnyRow,
     adjustments,
     frame_attributes,
@@ -32,7 +34,8 @@ from annotator.project.schema import (
     revertible,
     view_labels,
 )
-from annotator.project.store import DATABASE_FILE, explained, foreign_wal, open_store
+from annotator.project.database.store import DATABASE_FILE, explained, foreign_wal, open_store
+from annotator.project.log.derived import rebuild
 from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
 from annotator.types.names import first_few
@@ -141,7 +144,7 @@ def _state_problems(copy: Path) -> Iterator[str]:
             ("has rows that the events do not give", [key for key in stored if key not in rows]),
             (
                 "has other values than the events give",
-                [key for key in rows if key in stored and not _same(stored[key], rows[key])],
+                [key for key in rows if key in stored and stored[key] != rows[key]],
             ),
         ):
             if keys:
@@ -167,26 +170,6 @@ def _values(table: Table, row: AnyRow) -> tuple[object, ...]:
     return tuple(
         value for column, value in zip(table.c, row, strict=True) if table not in _NUMBERED or column.name != "id"
     )
-
-
-def _same(stored: Sequence[object], rebuilt: Sequence[object]) -> bool:
-    """Equal values; JSON is compared by content, and an older annotator may have written fewer fields."""
-    return all(old == new or _same_json(_json(old), _json(new)) for old, new in zip(stored, rebuilt, strict=True))
-
-
-def _same_json(old: Any, new: Any) -> bool:
-    if isinstance(old, dict) and isinstance(new, dict):
-        return all(key in new and _same_json(value, new[key]) for key, value in old.items())
-    if isinstance(old, list) and isinstance(new, list):
-        return len(old) == len(new) and all(map(_same_json, old, new))
-    return bool(old == new) and type(old) is type(new)
-
-
-def _json(value: object) -> object:
-    try:
-        return json.loads(value) if isinstance(value, str) else value
-    except ValueError:
-        return value
 
 
 def _file_problems(project: Path, copy: Path) -> Iterator[str]:

@@ -1,24 +1,27 @@
-"""Updates of the derived tables by changes of the classes, and by values of frames."""
+"""Changes of the classes in the tables of the present state, values of frames, and counts of both."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, bindparam, delete, insert, select, update
+from sqlalchemy import Connection, bindparam, delete, func, insert, select, update
 
-from annotator.project.classes.attributes import values_json
-from annotator.project.classes.relabelling import Relabelling
-from annotator.project.event_types import (
-    PAYLOAD,
-    ClassesChanged,
-    ImageBoxesState,
-    LabelState,
-    ViewBoxesState,
+from annotator.project.classes.attributes import Attribute, AttributeOf, Relabelling, value_text, values_json
+from annotator.project.database.schema import (
+    AnyRow,
+    events,
+    frame_attributes,
+    frames,
+    image_labels,
+    labels,
+    view_labels,
 )
-from annotator.project.records import (
+from annotator.project.log.event_types import PAYLOAD, ClassesChanged, ImageBoxesState, LabelState, ViewBoxesState
+from annotator.project.log.records import (
     BOXES_2D,
     SaidRecord,
     ViewGeometry,
@@ -28,7 +31,8 @@ from annotator.project.records import (
     said_json,
     said_of,
 )
-from annotator.project.schema import AnyRow, events, frame_attributes, frames, image_labels, labels, view_labels
+from annotator.types.amounts import amount
+from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
 
 CHANGED = "classes_changed"
@@ -269,3 +273,161 @@ def _batches(connection: Connection, query: Any, key: Any) -> Iterator[AnyRow]:
     while rows := connection.execute(query.where(key > after).order_by(key).limit(_BATCH)).all():
         yield from rows
         after = getattr(rows[-1], key.name)
+
+
+# --- counting classes and values --------------------------------------------------------------------------------------
+
+# the shown box is a source's, too
+_SAID = """
+    SELECT json_extract(said.value, '$.label') AS name, count(*) FROM labels, json_each(labels.said) AS said
+    WHERE json_extract(said.value, '$.uid') != labels.uid OR name != labels.label GROUP BY name
+"""
+
+_Stored = tuple[str | None, Mapping[str, AttributeValue], int]
+"""Class (None: of frames), values and how often they occur together."""
+
+
+@dataclass(frozen=True)
+class ClassCounts:
+    """Numbers of boxes of a class.
+
+    Attributes:
+        labels: 3D labels.
+        boxes_2d: 2D boxes on images and views.
+        said: what sources say of objects, apart from the boxes that are shown.
+    """
+
+    labels: int = 0
+    boxes_2d: int = 0
+    said: int = 0
+
+
+def class_counts(connection: Connection) -> dict[str, ClassCounts]:
+    """Numbers of boxes by class name."""
+    count = func.count().label("number")
+    of_labels = connection.execute(select(labels.c.label, count).group_by(labels.c.label))
+    in_3d: dict[str, int] = {row[0]: row[1] for row in of_labels}
+    in_2d: Counter[str] = Counter()
+    for table in ("image_labels", "view_labels"):
+        of_boxes = f"{table}, json_each({table}.boxes) AS box"
+        query = f"SELECT json_extract(box.value, '$.label'), count(*) FROM {of_boxes} GROUP BY 1"
+        in_2d.update({row[0]: row[1] for row in connection.exec_driver_sql(query)})
+    said = {row[0]: row[1] for row in connection.exec_driver_sql(_SAID)}
+    names = sorted({*in_3d, *in_2d, *said})
+    return {name: ClassCounts(in_3d.get(name, 0), in_2d[name], said.get(name, 0)) for name in names}
+
+
+@dataclass(frozen=True)
+class ValueCounts:
+    """How often values of attributes occur, by attribute.
+
+    Attributes:
+        values: by value.
+        without: labels and frames that have no value, but could have one.
+    """
+
+    values: dict[str, dict[str, int]]
+    without: dict[str, int]
+
+
+def value_counts(connection: Connection) -> dict[str, dict[str, int]]:
+    """How often each stored value occurs, by attribute: of labels that are not rejected, and of frames."""
+    return _by_name(_counted(_stored(connection)))
+
+
+def counts_with_defaults(connection: Connection, attributes: Sequence[Attribute]) -> ValueCounts:
+    """As `value_counts`, with the default of a frames' attribute for all frames that have no value.
+
+    These are all frames that the latest scans found, labelled or not, since labels are counted before their review,
+    too. Exports write the default for those of them that they contain.
+
+    Args:
+        attributes: of the project; those without any value have an entry, too.
+    """
+    stored = list(_stored(connection))
+    counts, without = _counted(stored), dict[str, int]()
+    boxes = _boxes_without(connection, stored, attributes)
+    frames_found, frames_with = _frames_found(connection), _frames_with(connection)
+    for each in attributes:
+        missing = boxes[each.name]
+        if each.of is AttributeOf.FRAME:
+            missing = frames_found - frames_with[each.name]
+            if each.default is not None and missing:
+                counts[each.name][value_text(each.default)] += missing
+                missing = 0
+        counts.setdefault(each.name, Counter())
+        without[each.name] = missing
+    return ValueCounts(_by_name(counts), without)
+
+
+def require_fitting(connection: Connection, before: Sequence[Attribute], after: Sequence[Attribute]) -> None:
+    """Refuses a change of attributes that stored values do not fit."""
+    for attribute in after:
+        if any(attribute.has_same_values(each) for each in before):
+            continue
+        wrong = list(_misfits(connection, attribute))
+        if wrong:
+            number, example = sum(number for number, _ in wrong), wrong[0][1]
+            raise ProjectError(
+                f"{amount(number, 'stored value')} of {attribute.name} would not fit, such as {example}; first change "
+                "what does not fit, or have it removed (--drop)"
+            )
+
+
+def _counted(stored: Iterable[_Stored]) -> dict[str, Counter[str]]:
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for _, values, number in stored:
+        for name, value in values.items():
+            counts[name][value_text(value)] += number
+    return counts
+
+
+def _by_name(counts: Mapping[str, Counter[str]]) -> dict[str, dict[str, int]]:
+    return {name: dict(counts[name].most_common()) for name in sorted(counts)}
+
+
+def _boxes_without(connection: Connection, stored: Iterable[_Stored], attributes: Sequence[Attribute]) -> Counter[str]:
+    """Labels of an attribute's classes that have no value of it."""
+    of_classes = select(labels.c.label, func.count()).where(labels.c.state != "rejected").group_by(labels.c.label)
+    without: Counter[str] = Counter()
+    for label, number in connection.execute(of_classes):
+        without.update({each.name: number for each in attributes if each.is_of(label)})
+    for label, values, number in stored:
+        if label is not None:
+            without.subtract({each.name: number for each in attributes if each.is_of(label) and each.name in values})
+    return without
+
+
+def _frames_found(connection: Connection) -> int:
+    return int(connection.execute(select(func.count()).where(frames.c.position.is_not(None))).scalar_one())
+
+
+def _frames_with(connection: Connection) -> Counter[str]:
+    """Frames that the latest scans found and that have a value of their own, by attribute."""
+    query = select(frame_attributes.c.attributes, func.count()).join(frames).where(frames.c.position.is_not(None))
+    counts: Counter[str] = Counter()
+    for text, number in connection.execute(query.group_by(frame_attributes.c.attributes)):
+        counts.update(dict.fromkeys(values_of(text), number))
+    return counts
+
+
+def _misfits(connection: Connection, attribute: Attribute) -> Iterator[tuple[int, str]]:
+    for label, values, number in _stored(connection, rejected=True):
+        if attribute.name not in values or (label is None) != (attribute.of is AttributeOf.FRAME):
+            continue
+        value = values[attribute.name]
+        if label is not None and not attribute.is_of(label):
+            yield number, f"{value!r} of a {label}"
+        elif not attribute.fits(value):
+            yield number, repr(value)
+
+
+def _stored(connection: Connection, rejected: bool = False) -> Iterator[_Stored]:
+    columns = (labels.c.label, labels.c.attributes)
+    query = select(*columns, func.count()).where(labels.c.attributes != "{}").group_by(*columns)
+    if not rejected:
+        query = query.where(labels.c.state != "rejected")
+    for label, content, number in connection.execute(query):
+        yield label, values_of(content), number
+    for row in connection.execute(select(frame_attributes.c.attributes)):
+        yield None, values_of(row.attributes), 1

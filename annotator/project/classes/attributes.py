@@ -1,4 +1,4 @@
-"""The schema of attributes and the looks of classes, as in `project.json`."""
+"""The schema of attributes and the looks of classes, as in `project.json`, and what its changes do to labels."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from enum import StrEnum
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_serializer, model_validator
 
+from annotator.types import Box2D
 from annotator.types.label import MOST_TRACK, AttributeValue
 
 MOST_TEXT = 1000
@@ -134,11 +136,7 @@ class Attribute(_Sparse):
         return other is not None and self == other.model_copy(update={"key": self.key, "required": self.required})
 
     def checked(self, value: AttributeValue) -> AttributeValue:
-        """The value as it is stored.
-
-        Raises:
-            ValueError: it is not one of this attribute; the message says which are.
-        """
+        """The value as it is stored."""
         match self.kind:
             case AttributeKind.CHOICE if value in self.choices:
                 return value
@@ -164,11 +162,7 @@ class Attribute(_Sparse):
         return True
 
     def read(self, value: AttributeValue) -> AttributeValue:
-        """The value of a command line or of a file that has fewer kinds of values: "2", 1.0 or "yes" are read, too.
-
-        Raises:
-            ValueError: as `checked`.
-        """
+        """The value of a command line or of a file that has fewer kinds of values: "2", 1.0 or "yes" are read, too."""
         text = str(value).strip().lower()
         if self.kind is AttributeKind.BOOLEAN and text in YES + NO:
             return text in YES
@@ -217,3 +211,85 @@ def values_json(values: Mapping[str, AttributeValue]) -> str:
 def value_text(value: AttributeValue) -> str:
     """A value for people."""
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+# --- what a change does to stored labels ------------------------------------------------------------------------------
+
+
+class Filled(BaseModel):
+    """A value for the boxes of some classes (none: of all) that have no value of an attribute."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    value: Value
+    classes: tuple[str, ...] = ()
+
+
+class Relabelling(BaseModel):
+    """What happens to stored labels.
+
+    Attributes:
+        classes: old name -> new name; several old ones may get the same.
+        removed: classes whose boxes are removed.
+        attributes: old name -> new name.
+        dropped: attributes whose values are removed.
+        choices: attribute (by its new name) -> old choice -> new choice.
+        filled: values for boxes without one, the classes by their new names.
+        fitted: attributes whose definition is narrower now; values that do not fit are removed.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    classes: dict[str, str] = Field(default_factory=dict)
+    removed: tuple[str, ...] = ()
+    attributes: dict[str, str] = Field(default_factory=dict)
+    dropped: tuple[str, ...] = ()
+    choices: dict[str, dict[str, str]] = Field(default_factory=dict)
+    filled: tuple[Filled, ...] = ()
+    fitted: tuple[Attribute, ...] = ()
+
+    @property
+    def changes_boxes(self) -> bool:
+        """Whether class names of boxes change."""
+        return bool(self.classes or self.removed)
+
+    def label(self, name: str) -> str | None:
+        """A class name after the change; None for a removed class."""
+        return None if name in self.removed else self.classes.get(name, name)
+
+    def values(self, values: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
+        """The values of a label or frame after the change."""
+        kept = {self.attributes.get(name, name): value for name, value in values.items() if name not in self.dropped}
+        new = {name: self._choice(name, value) for name, value in kept.items()}
+        narrow = {attribute.name: attribute for attribute in self.fitted}
+        return {name: value for name, value in new.items() if name not in narrow or narrow[name].fits(value)}
+
+    def values_of(self, label: str, values: Mapping[str, AttributeValue]) -> dict[str, AttributeValue]:
+        """As `values`, of a label of the class `label` (its new name), with values filled in."""
+        lacks = {attribute.name for attribute in self.fitted if not attribute.is_of(label)}
+        new = {name: value for name, value in self.values(values).items() if name not in lacks}
+        for each in self.filled:
+            if not each.classes or label in each.classes:
+                new.setdefault(each.name, each.value)
+        return new
+
+    def boxes(self, boxes: Iterable[Box2D]) -> tuple[Box2D, ...]:
+        """2D boxes after the change."""
+        return tuple(new for new in map(self.box, boxes) if new is not None)
+
+    def box(self, box: Box2D | None) -> Box2D | None:
+        """A 2D box after the change; None for a removed class."""
+        name = None if box is None else self.label(box.label)
+        return None if box is None or name is None else replace(box, label=name)
+
+    def _choice(self, name: str, value: AttributeValue) -> AttributeValue:
+        return self.choices.get(name, {}).get(value, value) if isinstance(value, str) else value
+
+
+def renamed_over(changes: Iterable[Relabelling], names: Iterable[str]) -> dict[str, str | None]:
+    """Class name -> its name after several changes, in order; None for a removed one."""
+    new: dict[str, str | None] = {name: name for name in names}
+    for change in changes:
+        new = {old: None if name is None else change.label(name) for old, name in new.items()}
+    return new

@@ -1,16 +1,19 @@
-"""Completes events with values of attributes that follow from the schema: defaults, and values of the label's track."""
+"""Values of attributes that follow from the schema, a track or other sources: with them, events are complete."""
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import Connection, Select, bindparam, select
 
 from annotator.project.classes.applying import frame_values, values_of
 from annotator.project.classes.attributes import MEASURED, Attribute, AttributeOf, fitting
-from annotator.project.event_types import (
+from annotator.project.database.schema import LABEL_OF_UID, AnyRow, events, frames, labels
+from annotator.project.log.event_types import (
+    PAYLOAD,
     FrameAttributesSet,
     LabelAttributesSet,
     LabelCreated,
@@ -22,10 +25,8 @@ from annotator.project.event_types import (
     ProposalsImported,
     ProposalsReplaced,
 )
-from annotator.project.records import SaidRecord, said_of, track_of
-from annotator.project.schema import LABEL_OF_UID, AnyRow, frames, labels
-from annotator.project.sources.lending import borrowed, lend
-from annotator.types import ReviewState
+from annotator.project.log.records import SaidRecord, parsed, said_of, track_of
+from annotator.types import ReviewState, Source
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
 from annotator.types.names import alternatives
@@ -40,9 +41,6 @@ def completed(
 
     Args:
         attributes: of the project.
-
-    Raises:
-        ProjectError: a value is not one of its attribute, or the label's class does not have the attribute.
     """
     match payload:
         case FrameAttributesSet():
@@ -248,3 +246,134 @@ def labels_of_tracks(frame_id: int | None, tracks: Collection[int]) -> Select[An
         frames.c.recording_id == recording,
         labels.c.state != ReviewState.REJECTED.value,
     ).order_by(labels.c.id)
+
+
+# --- proposals that no automatic pass and no import replaces ----------------------------------------------------------
+
+# Built once, since building a statement takes longer than running it.
+_VALUES_SET = select(events.c.payload, events.c.subject).where(
+    events.c.frame_id == bindparam("frame"),
+    events.c.kind == "label_attributes_set",
+    events.c.source == Source.MANUAL.value,
+)
+
+
+def kept_proposals(connection: Connection, attributes: Sequence[Attribute], frame_id: int) -> frozenset[str]:
+    """Uids of a frame's open proposals that have values which a person has set, and a new proposal would not have.
+
+    Values that follow from those of another label of the track do not count: whoever sets the colour of a car does not
+    keep its boxes in all frames.
+
+    Args:
+        attributes: of the project.
+    """
+    touched = set[str]()
+    for row in connection.execute(_VALUES_SET, {"frame": frame_id}):
+        payload = parsed(PAYLOAD.validate_json, row.payload)
+        if isinstance(payload, LabelAttributesSet) and row.subject in (None, payload.uid):
+            touched.add(payload.uid)
+    if not touched:
+        return frozenset()
+    names = ("uid", "label", "attributes", "source", "said")
+    columns = select(*(labels.c[name] for name in names))
+    is_open = (labels.c.frame_id == frame_id) & (labels.c.state == ReviewState.PROPOSED.value)
+    kept = set[str]()
+    for uid, label, values, source, said in connection.execute(columns.where(is_open, labels.c.uid.in_(touched))):
+        usual = {each.name: each.default for each in attributes if each.is_of(label) and each.default is not None}
+        if source == Source.IMPORTED.value:
+            usual |= said_of(said)[0].attributes
+        else:
+            usual |= {name: each.attributes[name] for each in said_of(said) for name in each.lent}
+        if values_of(values) != usual:
+            kept.add(uid)
+    return frozenset(kept)
+
+
+# --- values that a proposal gets from the hidden boxes of its object --------------------------------------------------
+# The shown box of an object keeps its own values. It lacks those that only another source gave, so these are lent to
+# it, until that source says otherwise. A value that is the default says nothing, whoever has it.
+
+
+@dataclass(frozen=True)
+class Lent:
+    """The values of one object.
+
+    Attributes:
+        values: those of the shown box, and those lent to it.
+        others: the hidden boxes; each knows what it has lent.
+    """
+
+    values: Values
+    others: tuple[SaidRecord, ...]
+
+
+def lend(of_label: Sequence[Attribute], own: Mapping[str, AttributeValue], others: Sequence[SaidRecord]) -> Lent:
+    """Returns the values of an object; what surer boxes say comes first.
+
+    Args:
+        of_label: attributes of the shown box's class.
+        own: values of the shown box.
+        others: the hidden boxes, the surest first.
+    """
+    values = fitting(of_label, own)
+    said = set(_told(of_label, own))
+    lenders = list[SaidRecord]()
+    for each in others:
+        new = {name: value for name, value in _told(of_label, each.attributes).items() if name not in said}
+        values |= new
+        said |= new.keys()
+        lenders.append(each.model_copy(update={"lent": tuple(sorted(new))}))
+    return Lent(values, tuple(lenders))
+
+
+def conflicts(of_label: Sequence[Attribute], said: Sequence[SaidRecord], source: str) -> int:
+    """Number of values that `source` says of an object, and another source says otherwise.
+
+    Args:
+        of_label: attributes of the shown box's class.
+        said: all boxes of the object, each in its own words.
+    """
+    told = [(each.source, _told(of_label, each.attributes)) for each in said]
+    others = [values for of, values in told if of != source]
+    return sum(
+        any(theirs.get(name, value) != value for theirs in others)
+        for of, values in told
+        if of == source
+        for name, value in values.items()
+    )
+
+
+def _told(of_label: Sequence[Attribute], values: Mapping[str, AttributeValue]) -> Values:
+    """The values that are not the defaults, and that attributes can hold."""
+    defaults = {each.name: each.default for each in of_label}
+    return {name: value for name, value in fitting(of_label, values).items() if value != defaults[name]}
+
+
+def given_back(uid: str, said: Sequence[SaidRecord]) -> tuple[SaidRecord, ...]:
+    """What sources say of an object, each in its own words.
+
+    Args:
+        uid: of the shown box; without it in `said` if it is ours.
+    """
+    lent = lent_names(said)
+    return tuple(
+        each.model_copy(
+            update={"lent": (), "attributes": without(each.attributes, lent) if each.uid == uid else each.attributes}
+        )
+        for each in said
+    )
+
+
+def lent_names(said: Sequence[SaidRecord]) -> frozenset[str]:
+    """Names of the values that hidden boxes have lent."""
+    return frozenset(name for each in said for name in each.lent)
+
+
+def borrowed(values: Mapping[str, AttributeValue], said: Sequence[SaidRecord]) -> frozenset[str]:
+    """Names of the values of a shown box that hidden boxes have lent, and that nobody has changed since."""
+    return frozenset(name for each in said for name in each.lent if values.get(name) == each.attributes.get(name))
+
+
+def without(values: Mapping[str, AttributeValue], names: frozenset[str]) -> Values:
+    """The values but those of some names."""
+    return {name: value for name, value in values.items() if name not in names}

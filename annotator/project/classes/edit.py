@@ -7,8 +7,15 @@ from dataclasses import dataclass, field
 
 from pydantic import ValidationError
 
-from annotator.project.classes.attributes import MEASURED, Attribute, AttributeKind, AttributeOf, ClassStyle
-from annotator.project.classes.relabelling import Filled, Relabelling
+from annotator.project.classes.attributes import (
+    MEASURED,
+    Attribute,
+    AttributeKind,
+    AttributeOf,
+    ClassStyle,
+    Filled,
+    Relabelling,
+)
 from annotator.project.config import ProjectConfig
 from annotator.types.errors import ConfigError, NotFoundError
 from annotator.types.names import alternatives
@@ -24,32 +31,20 @@ class ClassEdit:
 
 
 def add_class(config: ProjectConfig, name: str, style: ClassStyle | None = None) -> ClassEdit:
-    """Adds a class at the end.
-
-    Raises:
-        ConfigError: an invalid name, or one that the project has.
-    """
+    """Adds a class at the end."""
     if name in config.classes:
         raise ConfigError(f"project {config.name} has the class {name!r} already")
     return ClassEdit(_with(config, classes=(*config.classes, name), class_styles=_styled(config, name, style)))
 
 
 def style_class(config: ProjectConfig, name: str, style: ClassStyle) -> ClassEdit:
-    """Sets the colour and the key of a class.
-
-    Raises:
-        NotFoundError, ConfigError: no such class, or the key is taken.
-    """
+    """Sets the colour and the key of a class."""
     require_class(config, name)
     return ClassEdit(_with(config, class_styles=_styled(config, name, style)))
 
 
 def with_classes(config: ProjectConfig, names: Sequence[str]) -> ProjectConfig:
-    """The configuration with these classes; what it says of others is left out.
-
-    Raises:
-        ConfigError: invalid names, or an attribute would be left without a class.
-    """
+    """The configuration with these classes; what it says of others is left out."""
     styles = {name: style for name, style in config.class_styles.items() if name in names}
     attributes = []
     for each in config.attributes:
@@ -64,22 +59,14 @@ def with_classes(config: ProjectConfig, names: Sequence[str]) -> ProjectConfig:
 
 
 def order_classes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
-    """Orders the classes.
-
-    Raises:
-        ConfigError: not the project's classes.
-    """
+    """Orders the classes."""
     if sorted(names) != sorted(config.classes):
         raise ConfigError(f"the order must name each class once: {', '.join(config.classes)}")
     return ClassEdit(_with(config, classes=tuple(names)))
 
 
 def order_attributes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
-    """Orders the attributes.
-
-    Raises:
-        ConfigError: not the project's attributes.
-    """
+    """Orders the attributes."""
     known = {each.name: each for each in config.attributes}
     if sorted(names) != sorted(known):
         raise ConfigError(f"the order must name each attribute once: {', '.join(known)}")
@@ -87,11 +74,7 @@ def order_attributes(config: ProjectConfig, names: Sequence[str]) -> ClassEdit:
 
 
 def rename_class(config: ProjectConfig, old: str, new: str) -> ClassEdit:
-    """Renames a class; its boxes follow.
-
-    Raises:
-        NotFoundError, ConfigError: no such class, an invalid name, or one that the project has.
-    """
+    """Renames a class; its boxes follow."""
     require_class(config, old)
     if new in config.classes:
         raise ConfigError(
@@ -105,9 +88,6 @@ def merge_classes(config: ProjectConfig, old: Sequence[str], into: str) -> Class
     """Gives all boxes of some classes to another one, and removes these classes.
 
     A name in `old` need not be a class: labels may have names that somebody has removed from `project.json`.
-
-    Raises:
-        NotFoundError, ConfigError: no class `into`, it is one of `old`, or `old` is empty.
     """
     if not old:
         raise ConfigError(f"name the classes whose boxes {into!r} gets")
@@ -118,11 +98,7 @@ def merge_classes(config: ProjectConfig, old: Sequence[str], into: str) -> Class
 
 
 def remove_class(config: ProjectConfig, name: str) -> ClassEdit:
-    """Removes a class with its boxes.
-
-    Raises:
-        NotFoundError, ConfigError: no such class, or it is the only one.
-    """
+    """Removes a class with its boxes."""
     require_class(config, name)
     new = with_classes(config, [label for label in config.classes if label != name])
     return ClassEdit(new, Relabelling(removed=(name,)))
@@ -135,9 +111,6 @@ def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = F
 
     Args:
         drop: remove stored values that do not fit.
-
-    Raises:
-        ConfigError: an unknown class, a key that is taken, or a default for a value that exports measure.
     """
     known = {each.name: each for each in config.attributes}
     before = known.get(attribute.name)
@@ -160,11 +133,7 @@ def put_attribute(config: ProjectConfig, attribute: Attribute, *, drop: bool = F
 
 
 def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
-    """Renames an attribute; its values follow.
-
-    Raises:
-        NotFoundError, ConfigError: no such attribute, an invalid name, or one that the project has.
-    """
+    """Renames an attribute; its values follow."""
     find_attribute(config, old)
     if any(each.name == new for each in config.attributes):
         raise ConfigError(f"project {config.name} has the attribute {new!r} already")
@@ -173,22 +142,14 @@ def rename_attribute(config: ProjectConfig, old: str, new: str) -> ClassEdit:
 
 
 def remove_attribute(config: ProjectConfig, name: str) -> ClassEdit:
-    """Removes an attribute with its values.
-
-    Raises:
-        NotFoundError: no such attribute.
-    """
+    """Removes an attribute with its values."""
     find_attribute(config, name)
     left = tuple(each for each in config.attributes if each.name != name)
     return ClassEdit(_with(config, attributes=left), Relabelling(dropped=(name,)))
 
 
 def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> ClassEdit:
-    """Renames a choice, or merges it into another one; values follow.
-
-    Raises:
-        NotFoundError, ConfigError: no such attribute or choice.
-    """
+    """Renames a choice, or merges it into another one; values follow."""
     attribute = find_attribute(config, name)
     if attribute.kind is not AttributeKind.CHOICE or old not in attribute.choices:
         raise NotFoundError(f"attribute {name} has no choice {old!r}; it takes {attribute.values_text()}")
@@ -200,11 +161,7 @@ def rename_choice(config: ProjectConfig, name: str, old: str, new: str) -> Class
 
 
 def find_attribute(config: ProjectConfig, name: str) -> Attribute:
-    """The attribute of this name.
-
-    Raises:
-        NotFoundError: the project has none.
-    """
+    """The attribute of this name."""
     found = next((each for each in config.attributes if each.name == name), None)
     if found is None:
         other = alternatives(name, [each.name for each in config.attributes])
@@ -245,10 +202,6 @@ def _with(config: ProjectConfig, **changes: object) -> ProjectConfig:
 
 
 def require_class(config: ProjectConfig, name: str) -> None:
-    """Checks that the project has a class.
-
-    Raises:
-        NotFoundError: it has none of this name; the message says which is probably meant.
-    """
+    """Checks that the project has a class."""
     if name not in config.classes:
         raise NotFoundError(f"project {config.name} has no class {name!r}; {alternatives(name, config.classes)}")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, case, func, select
 
+from annotator.project.database.schema import frame_results, frames, image_labels, labels
 from annotator.project.jobs import Status, latest_results
-from annotator.project.schema import frame_results, frames, image_labels, labels
 from annotator.types import ReviewState
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.project.efforts import UNTOUCHED, box_effort
+from annotator.project.progress.action_log import UNTOUCHED, box_effort
 from annotator.project.progress.reviewed import ReviewedBox
 
 # Points of the curve at most, and boxes of a point at least: fewer say nothing.

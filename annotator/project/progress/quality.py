@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.project.efforts import UNTOUCHED
+from annotator.project.progress.action_log import UNTOUCHED
 from annotator.project.progress.reviewed import ReviewedBox
 
 # Distances from the camera, metres: from a hand in front of a camera to a car before a LiDAR.

@@ -9,16 +9,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import Connection, func, select
 
-from annotator.project.efforts import UNTOUCHED, EffortStatistics, effort_of
-from annotator.project.progress.action_log import read_log
+from annotator.project.database.schema import events, frame_results, frames
+from annotator.project.progress.action_log import UNTOUCHED, EffortStatistics, effort_of, read_log
 from annotator.project.progress.days import WorkOfDay, seconds_at_work, work_by_day
 from annotator.project.progress.forecast import Forecast, forecast
 from annotator.project.progress.frames_left import read_frames
 from annotator.project.progress.pace import Pace, pace_of
 from annotator.project.progress.quality import ProposalQuality, quality_of
 from annotator.project.progress.reviewed import read_reviewed
-from annotator.project.schema import events, frame_results, frames
-from annotator.project.tidying.removed import removed_recordings
+from annotator.project.recordings import removed_recordings
 
 
 class Progress(BaseModel):
@@ -65,11 +64,7 @@ class ReviewReader:
         self._known: tuple[tuple[object, ...], Review] | None = None
 
     def read(self, connection: Connection) -> Review:
-        """The results of the transaction's moment.
-
-        Raises:
-            ProjectError: a row is damaged.
-        """
+        """The results of the transaction's moment."""
         # labels and finalised frames change with events and removed recordings; scans change the frames, passes the
         # results
         present = select(func.group_concat(frames.c.id)).where(frames.c.position.is_not(None))

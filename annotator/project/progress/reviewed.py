@@ -17,11 +17,20 @@ from sqlalchemy import Connection, func, select
 
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import SAME_BOX
-from annotator.project.efforts import COPIED, CORRECTED, FROM_NOTHING, IMPORT_EDITED, PLACED, UNTOUCHED
-from annotator.project.event_types import Origin
-from annotator.project.progress.action_log import KEPT, REJECTED, ActionLog
-from annotator.project.records import parsed
-from annotator.project.schema import AnyRow, labels
+from annotator.project.database.schema import AnyRow, labels
+from annotator.project.log.event_types import Origin
+from annotator.project.log.records import parsed
+from annotator.project.progress.action_log import (
+    COPIED,
+    CORRECTED,
+    FROM_NOTHING,
+    IMPORT_EDITED,
+    KEPT,
+    PLACED,
+    REJECTED,
+    UNTOUCHED,
+    ActionLog,
+)
 from annotator.types import ReviewState, Source
 
 _MANUAL = {Origin.DRAWN: FROM_NOTHING, Origin.PLACED: PLACED, Origin.COPIED: COPIED, None: FROM_NOTHING}
@@ -53,11 +62,7 @@ class ReviewedBox(NamedTuple):
 
 
 def read_reviewed(connection: Connection, log: ActionLog) -> list[ReviewedBox]:
-    """All reviewed labels, in the order of their creation.
-
-    Raises:
-        ProjectError: a row is damaged.
-    """
+    """All reviewed labels, in the order of their creation."""
     columns = ("uid", "frame_id", "label", "box", "source", "state", "origin", "proposal_event_id")
     centers = [func.json_extract(labels.c.box, f"$.center_m[{axis}]") for axis in range(3)]
     query = select(*(labels.c[name] for name in columns), *centers)

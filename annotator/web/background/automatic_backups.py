@@ -8,7 +8,7 @@ from collections.abc import Callable
 from weakref import WeakKeyDictionary
 
 from annotator.project import Project
-from annotator.project.backup.automatic import BackupClock, Reason, back_up_automatically
+from annotator.project.backup.make import BackupClock, Reason, back_up_automatically
 from annotator.types.errors import AnnotatorError
 from annotator.web.background.periodic import Periodic
 from annotator.web.context import Context

@@ -6,7 +6,7 @@ import logging
 from weakref import WeakKeyDictionary
 
 from annotator.project import Project
-from annotator.project.database.patience import waiting_at_most
+from annotator.project.database.store import waiting_at_most
 from annotator.types.errors import AnnotatorError
 from annotator.web.background.learning import Learner
 from annotator.web.background.periodic import Periodic

@@ -11,9 +11,9 @@ from pydantic import Field, ValidationError
 from annotator.project import ProjectConfig, Receipt, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, ClassStyle, Value
-from annotator.project.classes.changing import change_classes
 from annotator.project.classes.edit import ClassEdit
-from annotator.project.classes.listing import ClassList, list_classes
+from annotator.project.overview import ClassList, list_classes
+from annotator.project.project import change_classes
 from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.validation import first_problem
 from annotator.web.context import Ctx, Operator

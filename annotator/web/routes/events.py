@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, WebSocket, WebSocketDisconnect
 from pydantic import Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from annotator.project.database.patience import waiting_at_most
+from annotator.project.database.store import waiting_at_most
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.hub import Client
 from annotator.web.schemas import ClassName, RowId, Schema

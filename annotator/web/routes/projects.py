@@ -9,7 +9,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.project import BoxRotation, ProjectSettings, create_project, list_projects
-from annotator.project.tidying.folders import rename_project, set_aside
+from annotator.project.config import rename_project, set_aside
 from annotator.web.context import Ctx, Operator
 from annotator.web.projects import ProjectInfo, ProjectSummary, project_info, summary, summary_of
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from annotator.project.classes.attributes import AttributeOf
-from annotator.project.review.value_filter import ValueFilter
+from annotator.project.review import ValueFilter
 from annotator.web.context import Ctx
 from annotator.web.schemas import ClassName, RowId, Schema
 from annotator.workflows.importing.proposals_3d import MOST_NAME

@@ -9,7 +9,7 @@ from fastapi.responses import JSONResponse
 from pydantic import Field
 
 from annotator.project import WriteContext
-from annotator.project.views import png
+from annotator.project.boxes import png
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError

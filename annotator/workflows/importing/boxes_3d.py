@@ -13,7 +13,7 @@ import numpy as np
 from annotator.file_names import normal
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.completing import ValueReader
-from annotator.project.event_types import FrameAttributesSet
+from annotator.project.log.event_types import FrameAttributesSet
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.types.label import AttributeValue, Said

@@ -15,9 +15,9 @@ from annotator.files import open_file
 from annotator.formats.reading import read_picture
 from annotator.image_bytes import declared_size
 from annotator.project import FramePart, Project, StoredFrame, WriteContext
-from annotator.project.event_types import ImageBoxesSet
+from annotator.project.log.event_types import ImageBoxesSet
+from annotator.project.log.records import storable
 from annotator.project.overview import read_page
-from annotator.project.records import storable
 from annotator.types import Box2D, BoxKind, Camera, Frame, Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource

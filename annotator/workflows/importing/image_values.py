@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from annotator.project import FramePart, Project, WriteContext
 from annotator.project.classes.completing import ValueReader, Values
-from annotator.project.event_types import FrameAttributesSet, LabelAttributesSet, Payload
+from annotator.project.log.event_types import FrameAttributesSet, LabelAttributesSet, Payload
 from annotator.types import ReviewState, Source
 from annotator.types.errors import StaleRevisionError
 from annotator.types.label import AttributeValue

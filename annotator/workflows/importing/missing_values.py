@@ -7,8 +7,8 @@ from contextlib import suppress
 
 from annotator.project import REVIEWED, FramePart, NewLabel, Project, WriteContext
 from annotator.project.classes.completing import Values
-from annotator.project.event_types import LabelAttributesSet, Payload
-from annotator.project.sources.covering import covered_by
+from annotator.project.log.event_types import LabelAttributesSet, Payload
+from annotator.project.sources import covered_by
 from annotator.types import Source
 from annotator.types.errors import StaleRevisionError
 

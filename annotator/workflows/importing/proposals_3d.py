@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 
 from annotator.project import NewLabel, Project, StoredFrame
 from annotator.project.classes.completing import ValueReader
-from annotator.project.records import OWN
-from annotator.project.sources.bring import SourceTracks
+from annotator.project.log.records import OWN
+from annotator.project.sources import SourceTracks
 from annotator.types import Frame, Truth
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from annotator.project import Project
 from annotator.project.config import BoxRotation
+from annotator.project.log.writing import WriteContext
 from annotator.project.proposals import RunShare
-from annotator.project.writing import WriteContext
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.recordings import open_recording
 from annotator.types import Source

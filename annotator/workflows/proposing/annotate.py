@@ -127,8 +127,7 @@ def _description(identity: Identity, config: RcvConfig, rotation: BoxRotation, f
         **config.record(),
         "rotation": rotation.value,
         "method": REVISION,
-        # absent if False, so that frames annotated before this setting existed are not annotated again
-        **({"from_reviewed": True} if from_reviewed else {}),
+        "from_reviewed": from_reviewed,
     }
     return {
         "image_detector": identity.image,

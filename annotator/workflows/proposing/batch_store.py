@@ -8,9 +8,9 @@ from functools import cached_property
 
 from annotator.project.frames import StoredFrame
 from annotator.project.jobs import Run
+from annotator.project.log.writing import WriteContext
 from annotator.project.project import Project
 from annotator.project.proposals import RunShare
-from annotator.project.writing import WriteContext
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError

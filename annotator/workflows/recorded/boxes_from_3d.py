@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from annotator.project import Project, StoredFrame, WriteContext
-from annotator.project.event_types import ImageBoxesSet, Payload, ViewBoxesRemoved, ViewBoxesSet
+from annotator.project.log.event_types import ImageBoxesSet, Payload, ViewBoxesRemoved, ViewBoxesSet
 from annotator.project.overview import FramePage, read_page
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known

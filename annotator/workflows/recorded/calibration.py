@@ -33,7 +33,7 @@ def correct_calibration(
             f"{name}: its frames have no times, so there is nothing to offset; a timestamps.csv beside them gives some"
         )
     project.adjustments.correct(recording_id, correction, author, basis or Basis())
-    return len(project.labels.signals(recordings=[recording_id]))
+    return project.labels.count(recordings=[recording_id])
 
 
 def _has_virtual_images(project: Project, source: FrameSource, recording_id: int) -> bool:

@@ -1,6 +1,6 @@
 """Recognises a recording that the project has under a path that is gone: it has only moved.
 
-A project keeps the fingerprint of a frame of each recording. Without one (projects of older versions), the names of the
+A project keeps the fingerprint of a frame of each recording. Without one (no frame could be read), the names of the
 frames must do, which other recordings may share; so an operator can add it as a new one.
 """
 

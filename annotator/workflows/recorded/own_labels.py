@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from annotator.project import NewLabel, Project, StoredFrame
 from annotator.project.classes.completing import ValueReader
-from annotator.project.sources.covering import covered_by
+from annotator.project.sources import covered_by
 from annotator.recordings.look_around import LookAround
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource

@@ -14,7 +14,7 @@ import numpy as np
 from annotator.geometry.common_axis import common_axis
 from annotator.geometry.up_direction import UpEstimate, estimate_up
 from annotator.project import BoxRotation, Project, StoredFrame, StoredRecording
-from annotator.project.adjusting.adjustment import Up
+from annotator.project.adjusting import Up
 from annotator.project.labels import ReviewedBox
 from annotator.types import Frame
 from annotator.types.amounts import amount

@@ -8,9 +8,9 @@ import numpy as np
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame, StoredLabel
-from annotator.project.event_types import Payload
+from annotator.project.log.event_types import Payload
 from annotator.project.overview import read_page
-from annotator.project.sources.covering import covered_by
+from annotator.project.sources import covered_by
 from annotator.rcv.axes import with_axes_like
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError

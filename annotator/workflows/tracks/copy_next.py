@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, Receipt, StoredFrame, StoredLabel
-from annotator.project.event_types import LabelProposed, LabelTracked
+from annotator.project.log.event_types import LabelProposed, LabelTracked
 from annotator.project.overview import neighbours, read_page
 from annotator.rcv.follow_object import Look, follow_object
 from annotator.tracking.config import TrackingConfig

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Receipt, StoredFrame, StoredLabel, new_action
-from annotator.project.event_types import LabelDeleted, LabelProposed, LabelTracked, Payload
+from annotator.project.log.event_types import LabelDeleted, LabelProposed, LabelTracked, Payload
 from annotator.project.overview import read_page
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import FollowConfig

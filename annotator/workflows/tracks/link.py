@@ -15,8 +15,8 @@ import numpy as np
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.classes.attributes import AttributeOf
-from annotator.project.event_types import LinkedLabel, TracksLinked
-from annotator.project.records import BoxRecord
+from annotator.project.log.event_types import LinkedLabel, TracksLinked
+from annotator.project.log.records import BoxRecord
 from annotator.recordings.kitti.folder import KittiFolder
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, Track, link

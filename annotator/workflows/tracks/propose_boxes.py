@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, StoredFrame, StoredLabel, WriteContext
-from annotator.project.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
+from annotator.project.log.event_types import LabelAttributesSet, LabelDeleted, LabelProposed, Payload
+from annotator.project.log.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.overview import read_page
-from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
-from annotator.project.sources.covering import covered_by
+from annotator.project.sources import covered_by
 from annotator.tracking.same_place import overlap_at_place
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.label import AttributeValue

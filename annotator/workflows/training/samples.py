@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
-from annotator.project.sources.covering import covered_by
+from annotator.project.sources import covered_by
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction

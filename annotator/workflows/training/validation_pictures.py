@@ -55,7 +55,7 @@ def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector
 
 
 def validation_pictures(model: Path) -> list[Path]:
-    """Returns the validation images beside a model, in order; older models have none."""
+    """Returns the validation images beside a model, in order; a model that was not trained here has none."""
     pictures = (path for path in (model / FOLDER).glob("*.jpg") if path.stem.isdecimal() and not path.is_symlink())
     return sorted(pictures, key=lambda path: int(path.stem))
 

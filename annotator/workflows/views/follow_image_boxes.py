@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from annotator.project.event_types import (
+from annotator.project.log.event_types import (
     ImageBoxesSet,
     LabelAccepted,
     LabelDeleted,

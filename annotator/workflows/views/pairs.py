@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from annotator.project import ViewBoxes
-from annotator.project.records import Rotation3
+from annotator.project.log.records import Rotation3
 from annotator.rcv.pseudo_view import side_axes
 from annotator.types import Box2D
 

@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from annotator.geometry.thinning import thin
 from annotator.project import Project, StoredRecording
-from annotator.project.adjusting.adjustment import Up
+from annotator.project.adjusting import Up
 from annotator.recordings.clouds.virtual_image import has_virtual_image
 from annotator.recordings.times import has_times, recorded_times
 from annotator.types import Frame
@@ -68,7 +68,7 @@ def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
         None if up is None else _vector(up),
         "unknown" if up is None else "files" if recording.up is None else "project",
         _images(project, cache, stored.recording_id, stored.key),
-        len(project.labels.signals(recordings=[stored.recording_id])),
+        project.labels.count(recordings=[stored.recording_id]),
         len(project.boxes.on_images([stored.recording_id])),
         has_virtual_image(frame),
     )

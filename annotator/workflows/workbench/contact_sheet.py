@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.thinning import thin
 from annotator.project import Effort, FramePart, Project, Receipt, WriteContext
-from annotator.project.event_types import LabelAccepted
+from annotator.project.log.event_types import LabelAccepted
 from annotator.types import Frame, OrientedBox, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.workbench.ortho_views import shown_volume, views_of_points

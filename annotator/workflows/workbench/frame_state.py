@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from annotator.geometry.edges import visible_edges
 from annotator.project import Project, StoredLabel, ViewBoxes
 from annotator.project.overview import FramePage, read_page
-from annotator.project.sources.covering import covered_by
+from annotator.project.sources import covered_by
 from annotator.types import Box2D, ReviewState
 from annotator.workflows.rigs import OtherLabel
 from annotator.workflows.views.outlines import outlines

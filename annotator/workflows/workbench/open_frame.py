@@ -14,8 +14,8 @@ from jaxtyping import Bool
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.point_index import PointIndex
+from annotator.project.boxes import png
 from annotator.project.overview import FramePage
-from annotator.project.views import png
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError
 

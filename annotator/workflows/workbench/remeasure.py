@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from annotator.geometry.oriented_box import same_box
-from annotator.project.event_types import ImageBoxesSet, LabelEdited
+from annotator.project.log.event_types import ImageBoxesSet, LabelEdited
+from annotator.project.log.records import BoxRecord
 from annotator.project.overview import FramePage
-from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, OrientedBox
 from annotator.workflows.views.follow_image_boxes import changes_kind

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 
-from annotator.project.review.waiting import Formula, Signal
+from annotator.project.review import Formula, Signal
 from annotator.types import Quality
 
 MAX_DOUBT = 0.7

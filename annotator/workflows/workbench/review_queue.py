@@ -10,8 +10,7 @@ from enum import StrEnum
 from itertools import zip_longest
 
 from annotator.project import REVIEWED, Project, StoredFrame
-from annotator.project.review.value_filter import ValueFilter
-from annotator.project.review.waiting import By
+from annotator.project.review import By, ValueFilter
 from annotator.workflows.workbench.review_priority import FORMULA
 
 

@@ -8,16 +8,10 @@ from dataclasses import dataclass, replace
 
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, Receipt, StoredLabel, ViewBoxes, WriteContext
-from annotator.project.efforts import draft_id
-from annotator.project.event_types import (
-    ImageBoxesSet,
-    LabelCreated,
-    LabelEdited,
-    Payload,
-    ViewBoxesSet,
-)
+from annotator.project.log.event_types import ImageBoxesSet, LabelCreated, LabelEdited, Payload, ViewBoxesSet
+from annotator.project.log.records import BoxRecord
 from annotator.project.overview import FramePage
-from annotator.project.records import BoxRecord
+from annotator.project.progress.action_log import draft_id
 from annotator.types import Box2D, BoxKind, Suggestion
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.views.follow_image_boxes import changes_kind, view_followers

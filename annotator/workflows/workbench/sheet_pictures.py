@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from annotator.project import Project, StoredFrame
-from annotator.project.views import png
+from annotator.project.boxes import png
 from annotator.types import Frame, Label, OrientedBox, ReviewState
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.workbench.contact_sheet import picture

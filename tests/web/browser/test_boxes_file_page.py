@@ -13,7 +13,7 @@ from coco_sample import coco
 from annotator.detection import base_detector
 from annotator.detection.base_detector import TITLE
 from annotator.project import WriteContext
-from annotator.project.event_types import ImageBoxesSet
+from annotator.project.log.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, ReviewState
 from annotator.web.jobs.records import WORK

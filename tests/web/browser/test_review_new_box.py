@@ -15,8 +15,8 @@ from drawing import Scene
 from review_desk import FRAMES, Desk, middle
 
 from annotator.project import WriteContext
-from annotator.project.classes.changing import change_classes
 from annotator.project.classes.edit import add_class
+from annotator.project.project import change_classes
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 

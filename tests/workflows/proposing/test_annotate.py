@@ -332,7 +332,7 @@ def test_frames_start_from_the_previous_frames_reviewed_boxes_on_request(people:
         assert done.skipped == (2 if len(people.jobs.all()) == 3 else 0), "processed again once, and then skipped"
     assert told[False] == [0, 0]
     assert told[True][0] == 0 and told[True][1] > 0
-    assert ["from_reviewed" in run.config for run in people.jobs.all()] == [False, True, True]
+    assert [json.loads(run.config)["from_reviewed"] for run in people.jobs.all()] == [False, True, True]
 
 
 def test_a_concurrent_write_is_retried(people: Project, knowing: Knowing, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from annotator.detection.base_detector import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Project, WriteContext
-from annotator.project.event_types import FrameFinalised, ImageBoxesSet
+from annotator.project.log.event_types import FrameFinalised, ImageBoxesSet
 from annotator.rcv.config import AGNOSTIC_LABELS
 from annotator.types import Box2D, BoxKind, Detector, Image, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, DetectionError, FormatError

@@ -14,7 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.attributes import Attribute, AttributeKind
 from annotator.project.classes.edit import put_attribute
-from annotator.project.schema import recordings
+from annotator.project.database.schema import recordings
 from annotator.rcv.config import RcvConfig
 from annotator.tracking.relabel import relabelled
 from annotator.tracking.smooth import FLIP

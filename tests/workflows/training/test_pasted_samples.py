@@ -15,8 +15,8 @@ from annotator.detection.manifest import read_manifest
 from annotator.detection.progress import TrainingStoppedError
 from annotator.geometry.iou import iou_3d
 from annotator.project import Project, StoredFrame, WriteContext
-from annotator.project.event_types import LabelEdited
-from annotator.project.records import BoxRecord
+from annotator.project.log.event_types import LabelEdited
+from annotator.project.log.records import BoxRecord
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import FrameError

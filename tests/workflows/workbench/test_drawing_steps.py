@@ -13,8 +13,8 @@ import pytest
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import same_box
 from annotator.project import Origin, Project, WriteContext
-from annotator.project.efforts import draft_id
-from annotator.project.events import Effort
+from annotator.project.log.events import Effort
+from annotator.project.progress.action_log import draft_id
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.operator import Span, draw_object
 from annotator.rcv.teach import TaughtObject

@@ -1,1 +1,0 @@
-"""Adjustments of a recording (its up direction, its calibration), and how they move what is stored."""

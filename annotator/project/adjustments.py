@@ -1,0 +1,112 @@
+"""Setting the up direction of a recording, and the correction of its calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from sqlalchemy import Connection, bindparam, select
+
+from annotator.project.adjusting import Adjustment, Moves, between, read_adjustment, unit_up
+from annotator.project.database.schema import adjustments, events, frames
+from annotator.project.log.event_types import RecordingAdjusted
+from annotator.project.log.events import Effort
+from annotator.project.log.writing import Receipt, WriteContext, Writer
+from annotator.types import Correction
+from annotator.types.errors import ProjectError, StaleRevisionError
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What a change is based on.
+
+    Attributes:
+        adjusted: the recording's `adjusted` when the change was made; None = the present one.
+        frame_id: the frame on screen; None = the recording's first one.
+        effort: of the operator, if counted.
+    """
+
+    adjusted: int | None = None
+    frame_id: int | None = None
+    effort: Effort | None = None
+
+
+NO_BASIS = Basis()
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustments:
+    """Adjusts recordings. Each change is an event and an action, which undo reverts."""
+
+    writer: Writer
+
+    def newest(self, recording_id: int) -> int:
+        """Id of the event that adjusted a recording last; 0 if none did."""
+        with self.writer.store.read() as connection:
+            return _newest(connection, recording_id)
+
+    def since(self, event_id: int) -> tuple[tuple[int, int, str], ...]:
+        """Recordings that were adjusted after an event: id, id of the latest such event, and its author."""
+        query = select(adjustments.c.recording_id, adjustments.c.event_id, events.c.author)
+        query = query.join(events, events.c.id == adjustments.c.event_id).where(adjustments.c.event_id > event_id)
+        with self.writer.store.read() as connection:
+            return tuple((row[0], row[1], row[2]) for row in connection.execute(query.order_by(adjustments.c.event_id)))
+
+    def corrected(self) -> frozenset[int]:
+        """Recordings whose calibration has been corrected, present or not."""
+        with self.writer.store.read() as connection:
+            return Moves(connection).corrected
+
+    def set_up(
+        self, recording_id: int, up: Sequence[float] | np.ndarray | None, author: str, basis: Basis = NO_BASIS
+    ) -> Receipt:
+        """Sets the up direction: a vector in the camera frame (3,) of any length; None = as the files give it."""
+        unit = None if up is None else unit_up(up)
+        return self._set(recording_id, author, lambda present: Adjustment(unit, present.correction), basis)
+
+    def correct(self, recording_id: int, correction: Correction, author: str, basis: Basis = NO_BASIS) -> Receipt:
+        """Corrects the calibration. Boxes and views stay where they are in the clouds, and so does a set up direction.
+
+        Raises:
+            StaleRevisionError: someone else has adjusted the recording since.
+            ProjectError: the recording has no frames.
+        """
+
+        def corrected(present: Adjustment) -> Adjustment:
+            T = between(present.correction, correction)
+            up = present.up
+            return Adjustment(up if up is None or T is None else unit_up(T.rotation.apply(up)), correction)
+
+        return self._set(recording_id, author, corrected, basis)
+
+    def _set(
+        self,
+        recording_id: int,
+        author: str,
+        change: Callable[[Adjustment], Adjustment],
+        basis: Basis,
+    ) -> Receipt:
+        with self.writer.store.write() as connection:
+            present = _newest(connection, recording_id)
+            if basis.adjusted is not None and basis.adjusted != present:
+                raise StaleRevisionError(f"the calibration of recording {recording_id}", basis.adjusted, present)
+            of_recording = frames.c.recording_id == recording_id
+            if basis.frame_id is not None:
+                of_recording &= frames.c.id == basis.frame_id
+            first = select(frames.c.id, frames.c.revision).where(of_recording)
+            frame = connection.execute(first.order_by(frames.c.position.nulls_last(), frames.c.id).limit(1)).first()
+            if frame is None:
+                raise ProjectError(f"recording {recording_id} has no such frame; nothing was changed")
+            new = change(read_adjustment(connection, recording_id))
+            payload = RecordingAdjusted(recording=recording_id, up=new.up, correction=new.correction)
+            context = WriteContext(frame.revision, author, effort=basis.effort)
+            return self.writer.to_frame_in(connection, frame.id, (payload,), context)
+
+
+# Built once, since building this frequent query takes longer than running it.
+_NEWEST = select(adjustments.c.event_id).where(adjustments.c.recording_id == bindparam("recording"))
+
+
+def _newest(connection: Connection, recording_id: int) -> int:
+    return connection.execute(_NEWEST, {"recording": recording_id}).scalar() or 0

@@ -1,0 +1,407 @@
+"""The schema of a project's database, as numbered migrations: each upgrades a database by one version.
+
+A released migration is never changed, since databases of its version exist. The version is SQLite's `user_version`; it
+changes in the same transaction as the tables.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from sqlalchemy import Connection
+
+from annotator.types.errors import RESTORE, ProjectError
+
+APPLICATION_ID = 0x416E6E74  # "Annt": distinguishes project databases from other SQLite files
+# "Anno": databases from before the first release.
+_UNRELEASED_ID = 0x416E6E6F
+
+UNRELEASED = (
+    "belongs to a project from before the first release of annotator, which this version cannot read; export its "
+    "labels with the version that made it, and import them into a new project"
+)
+
+
+@dataclass(frozen=True)
+class Migration:
+    """One migration.
+
+    Attributes:
+        version: the version after it, from 1 without gaps.
+        statements: SQL, run in order.
+    """
+
+    version: int
+    statements: tuple[str, ...]
+
+
+def application_problem(application_id: int) -> str | None:
+    """Why a database with this SQLite `application_id` is not that of a project; None if it is one."""
+    if application_id == APPLICATION_ID:
+        return None
+    if application_id == _UNRELEASED_ID:
+        return UNRELEASED
+    return f"is an SQLite database, but not a project database; {RESTORE}"
+
+
+def newest_version() -> int:
+    """The version of new databases."""
+    return MIGRATIONS[-1].version
+
+
+def require_known(version: int, path: Path) -> None:
+    """Refuses a database of an impossible or a newer version; `path` is for messages."""
+    if version < 1:
+        raise ProjectError(f"{path}: is damaged: its version is {version}; {RESTORE}")
+    if version > newest_version():
+        raise ProjectError(
+            f"{path}: was written by a newer annotator (database version {version}, this one supports up to "
+            f"{newest_version()}); update annotator"
+        )
+
+
+def upgrade(connection: Connection) -> None:
+    """Runs the missing migrations, within the caller's write transaction."""
+    # without SQLAlchemy, which takes longer for a statement than SQLite
+    driver = connection.connection.driver_connection
+    assert isinstance(driver, sqlite3.Connection)
+    (version,) = driver.execute("PRAGMA user_version").fetchone()
+    for migration in MIGRATIONS:
+        if migration.version > version:
+            for statement in migration.statements:
+                driver.execute(statement)
+            driver.execute(f"PRAGMA user_version = {migration.version}")
+
+
+# --- comparing a schema, as text --------------------------------------------------------------------------------------
+
+Schema = dict[tuple[str, str], tuple[str, str]]
+"""(type, name) -> (table, normalised SQL)"""
+
+# Tables that SQLite's ANALYZE makes.
+_STATISTICS = ("sqlite_stat1", "sqlite_stat4")
+
+
+def schema_problems(connection: sqlite3.Connection, version: int, *, serious: bool = False) -> Iterator[str]:
+    """How the schema of a database differs from that of its version, in words.
+
+    Nothing in a database is trusted: a trigger or a view of a stranger would run with each change.
+
+    Args:
+        serious: only what prevents that the database is used; not a lacking index or trigger, or a further table.
+    """
+    found, expected = _read_schema(connection), _schema_of(MIGRATIONS[:version])
+    for kind, name in sorted(expected.keys() - found.keys()):
+        if kind == "table" or not serious:
+            yield f"lacks the {kind} {name}"
+    for kind, name in sorted(found.keys() - expected.keys()):
+        if kind in ("trigger", "view") or not (serious or name in _STATISTICS):
+            yield f"has the {kind} {name!r}, which does not belong to a project"
+    for kind, name in sorted(found.keys() & expected.keys()):
+        if found[kind, name] != expected[kind, name]:
+            yield f"the {kind} {name} is not that of a project"
+
+
+def _read_schema(connection: sqlite3.Connection) -> Schema:
+    rows = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
+    return {(kind, name): (table, " ".join((sql or "").split())) for kind, name, table, sql in rows}
+
+
+@lru_cache(maxsize=8)
+def _schema_of(migrations: tuple[Migration, ...]) -> Schema:
+    with in_memory(migrations) as connection:
+        return _read_schema(connection)
+
+
+@contextmanager
+def in_memory(migrations: Sequence[Migration]) -> Iterator[sqlite3.Connection]:
+    """A new database that these migrations have made."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        connection.execute("BEGIN")
+        for migration in migrations:
+            for statement in migration.statements:
+                connection.execute(statement)
+        yield connection
+
+
+# --- version 1 --------------------------------------------------------------------------------------------------------
+
+
+def _append_only(table: str, is_taken: str) -> tuple[str, ...]:
+    """Triggers that protect the rows of a table; `is_taken`: the condition of a row that NEW would replace."""
+    abort = f"BEGIN SELECT RAISE (ABORT, '{table} are append-only'); END"
+    return (
+        f"CREATE TRIGGER {table}_are_not_updated BEFORE UPDATE ON {table} {abort}",
+        f"CREATE TRIGGER {table}_are_not_deleted BEFORE DELETE ON {table} {abort}",
+        # REPLACE deletes a conflicting row without firing the trigger above (unless recursive_triggers is on)
+        f"CREATE TRIGGER {table}_are_not_replaced BEFORE INSERT ON {table} "
+        f"WHEN EXISTS (SELECT 1 FROM {table} WHERE {is_taken}) {abort}",
+    )
+
+
+# up: three numbers, as JSON. options: of the reader, as JSON; '' = none. removed_ns, removed_by: when and by whom;
+# NULL = in the project. fingerprint: SHA-256 (hex) of a frame that could be read, `:`, and its key; NULL = not known.
+_RECORDINGS = """
+CREATE TABLE recordings (
+    id INTEGER PRIMARY KEY,
+    path TEXT NOT NULL,
+    format TEXT NOT NULL,
+    name TEXT NOT NULL UNIQUE,
+    is_sequence BOOLEAN NOT NULL CHECK (is_sequence IN (0, 1)),
+    up TEXT,
+    added_ns INTEGER NOT NULL,
+    options TEXT NOT NULL,
+    removed_ns INTEGER,
+    removed_by TEXT,
+    fingerprint TEXT,
+    UNIQUE (path, options)
+)
+"""
+# A log of the moves of recording folders.
+_MOVES = """
+CREATE TABLE moves (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    recording_id INTEGER NOT NULL REFERENCES recordings (id),
+    path_before TEXT NOT NULL,
+    path_after TEXT NOT NULL,
+    author TEXT NOT NULL CHECK (author <> ''),
+    time_ns INTEGER NOT NULL
+)
+"""
+# position: index in the latest scan; NULL if that scan did not find the frame
+_FRAMES = """
+CREATE TABLE frames (
+    id INTEGER PRIMARY KEY,
+    recording_id INTEGER NOT NULL REFERENCES recordings (id),
+    "key" TEXT NOT NULL,
+    position INTEGER,
+    revision INTEGER NOT NULL,
+    finalised BOOLEAN NOT NULL CHECK (finalised IN (0, 1)),
+    UNIQUE (recording_id, "key")
+)
+"""
+# An event belongs to a frame, to a pseudo-view without a frame, or to the classes (`view_id` is `classes`); `revision`
+# counts within that. payload: JSON; long ones are packed (`PackedText` in schema.py). action: id of the operator's step
+# that it is a part of. undoes: the action that it reverts; for a redo, the action of the undo. subject: the label or
+# draft that the effort was for: actions (drags, clicks, keys) and seconds.
+_EVENTS = """
+CREATE TABLE events (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    frame_id INTEGER REFERENCES frames (id),
+    view_id TEXT,
+    revision INTEGER NOT NULL CHECK (revision > 0),
+    kind TEXT NOT NULL,
+    payload PACKED_TEXT NOT NULL,
+    author TEXT NOT NULL CHECK (author <> ''),
+    time_ns INTEGER NOT NULL,
+    source TEXT NOT NULL CHECK (source IN ('manual', 'auto', 'imported')),
+    action TEXT,
+    undoes TEXT,
+    subject TEXT,
+    actions INTEGER,
+    seconds REAL,
+    CHECK (frame_id IS NOT NULL OR view_id IS NOT NULL)
+)
+"""
+# track_linked: whether linking assigned the track id. run_id: of the batch run that proposed the label. suggestion: the
+# detector that suggested its boxes. said: what each source of boxes says of the object. The last three columns with
+# text, the box and the image box are JSON.
+_LABELS = """
+CREATE TABLE labels (
+    id INTEGER PRIMARY KEY,
+    uid TEXT NOT NULL UNIQUE,
+    frame_id INTEGER NOT NULL REFERENCES frames (id),
+    label TEXT NOT NULL,
+    box TEXT NOT NULL,
+    score REAL,
+    source TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN ('proposed', 'accepted', 'edited', 'rejected')),
+    author TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    track_id INTEGER,
+    view_disagreement REAL,
+    kept_share REAL,
+    last_change REAL,
+    proposal_event_id INTEGER REFERENCES events (id),
+    event_id INTEGER NOT NULL REFERENCES events (id),
+    run_id INTEGER REFERENCES runs (id),
+    origin TEXT,
+    image_box TEXT,
+    image_agreement REAL,
+    track_linked BOOLEAN NOT NULL CHECK (track_linked IN (0, 1)),
+    expected_iou_loss REAL,
+    box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
+    suggestion TEXT,
+    attributes TEXT NOT NULL,
+    said TEXT
+)
+"""
+_FRAME_ATTRIBUTES = """
+CREATE TABLE frame_attributes (
+    frame_id INTEGER PRIMARY KEY REFERENCES frames (id),
+    attributes TEXT NOT NULL,
+    event_id INTEGER NOT NULL REFERENCES events (id)
+)
+"""
+_IMAGE_LABELS = """
+CREATE TABLE image_labels (
+    frame_id INTEGER PRIMARY KEY REFERENCES frames (id),
+    box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
+    boxes TEXT NOT NULL,
+    count INTEGER NOT NULL,
+    author TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    source TEXT NOT NULL,
+    event_id INTEGER NOT NULL REFERENCES events (id)
+)
+"""
+_VIEW_LABELS = """
+CREATE TABLE view_labels (
+    id INTEGER PRIMARY KEY,
+    view_id TEXT NOT NULL,
+    frame_id INTEGER REFERENCES frames (id),
+    revision INTEGER NOT NULL,
+    box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
+    boxes TEXT NOT NULL,
+    count INTEGER NOT NULL,
+    step INTEGER,
+    geometry TEXT,
+    author TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    source TEXT NOT NULL,
+    event_id INTEGER NOT NULL REFERENCES events (id)
+)
+"""
+# For each event of an action, the state of its subject (the label, boxes or frame that it changes) before and after it,
+# so that undo needs no replay. NULL = absent.
+_REVERTIBLE = """
+CREATE TABLE revertible (
+    event_id INTEGER PRIMARY KEY REFERENCES events (id),
+    subject TEXT NOT NULL,
+    "before" TEXT,
+    "after" TEXT
+)
+"""
+# The up direction and the correction of the calibration that events set for a recording.
+_ADJUSTMENTS = """
+CREATE TABLE adjustments (
+    recording_id INTEGER PRIMARY KEY REFERENCES recordings (id),
+    up TEXT,
+    correction TEXT NOT NULL,
+    event_id INTEGER NOT NULL REFERENCES events (id)
+)
+"""
+# Rows of the derived tables (`name`) of removed recordings, as JSON, with the ids of labels.
+_REMOVED_ROWS = """
+CREATE TABLE removed_rows (
+    id INTEGER PRIMARY KEY,
+    recording_id INTEGER NOT NULL REFERENCES recordings (id),
+    name TEXT NOT NULL,
+    label_id INTEGER,
+    content TEXT NOT NULL
+)
+"""
+_RUNS = """
+CREATE TABLE runs (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    "key" TEXT NOT NULL,
+    image_detector TEXT NOT NULL,
+    view_detector TEXT NOT NULL,
+    config TEXT NOT NULL,
+    started_ns INTEGER NOT NULL,
+    finished_ns INTEGER
+)
+"""
+# The newest row of a frame has the highest id: processing it again under a key replaces its row.
+_FRAME_RESULTS = """
+CREATE TABLE frame_results (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    frame_id INTEGER NOT NULL REFERENCES frames (id),
+    "key" TEXT NOT NULL,
+    run_id INTEGER NOT NULL REFERENCES runs (id),
+    status TEXT NOT NULL CHECK (status IN ('done', 'failed')),
+    reason TEXT,
+    seconds REAL NOT NULL,
+    proposals INTEGER NOT NULL,
+    time_ns INTEGER NOT NULL,
+    UNIQUE (frame_id, "key"),
+    CHECK ((status = 'failed') = (reason IS NOT NULL))
+)
+"""
+# sha256: of the weights, in hexadecimal digits, so that a verification finds damaged ones
+_MODELS = """
+CREATE TABLE models (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    role TEXT NOT NULL CHECK (role IN ('image', 'view')),
+    path TEXT NOT NULL,
+    created_ns INTEGER NOT NULL,
+    labels TEXT NOT NULL,
+    box_kind TEXT NOT NULL CHECK (box_kind IN ('box', 'silhouette')),
+    metrics TEXT NOT NULL,
+    manifest TEXT,
+    fingerprint TEXT NOT NULL,
+    active BOOLEAN NOT NULL CHECK (active IN (0, 1)),
+    sha256 TEXT NOT NULL
+)
+"""
+# The chain of write transactions (`generation.py`). One row of fixed length: a mark, the token of the transaction
+# before the last, and that of the last one.
+_GENERATION = "CREATE TABLE generation (id INTEGER PRIMARY KEY CHECK (id = 1), chain TEXT NOT NULL)"
+_FIRST_TOKEN = f"INSERT INTO generation VALUES (1, 'annotator-generation {'0' * 32} {'0' * 32}')"
+
+_INDEXES = (
+    "CREATE INDEX frames_in_order ON frames (recording_id, position)",
+    "CREATE UNIQUE INDEX events_of_frame ON events (frame_id, revision) WHERE frame_id IS NOT NULL",
+    "CREATE UNIQUE INDEX events_of_view ON events (view_id, revision) WHERE frame_id IS NULL",
+    "CREATE INDEX events_of_action ON events (action) WHERE action IS NOT NULL",
+    "CREATE INDEX actions_of_author ON events (author, id) WHERE action IS NOT NULL",
+    "CREATE INDEX adjusting_events ON events (id) WHERE kind = 'recording_adjusted'",
+    "CREATE INDEX class_events ON events (id) WHERE kind = 'classes_changed'",
+    "CREATE INDEX labels_of_frame ON labels (frame_id, state)",
+    "CREATE INDEX labels_by_class ON labels (label, state)",
+    "CREATE INDEX labels_of_track ON labels (track_id) WHERE track_id IS NOT NULL",
+    "CREATE UNIQUE INDEX one_label_a_view ON view_labels (view_id, ifnull(frame_id, 0))",
+    "CREATE INDEX view_labels_of_frame ON view_labels (frame_id)",
+    "CREATE INDEX revertible_by_subject ON revertible (subject, event_id)",
+    "CREATE INDEX removed_rows_of_recording ON removed_rows (recording_id, name)",
+    "CREATE INDEX removed_labels ON removed_rows (label_id) WHERE label_id IS NOT NULL",
+    "CREATE INDEX frame_results_of_run ON frame_results (run_id)",
+    "CREATE UNIQUE INDEX one_active_model_a_role ON models (role) WHERE active = 1",
+)
+
+_SAME_EVENT = (
+    "id = NEW.id OR (frame_id = NEW.frame_id AND revision = NEW.revision) "
+    "OR (frame_id IS NULL AND NEW.frame_id IS NULL AND view_id = NEW.view_id AND revision = NEW.revision)"
+)
+
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration(
+        1,
+        (
+            _RECORDINGS,
+            _MOVES,
+            _FRAMES,
+            _EVENTS,
+            _LABELS,
+            _FRAME_ATTRIBUTES,
+            _IMAGE_LABELS,
+            _VIEW_LABELS,
+            _REVERTIBLE,
+            _ADJUSTMENTS,
+            _REMOVED_ROWS,
+            _RUNS,
+            _FRAME_RESULTS,
+            _MODELS,
+            _GENERATION,
+            _FIRST_TOKEN,
+            *_append_only("events", _SAME_EVENT),
+            *_append_only("moves", "id = NEW.id"),
+            *_INDEXES,
+        ),
+    ),
+)

@@ -1,0 +1,1 @@
+"""The event log: its payloads and rows, what is derived from them, and undo."""

@@ -1,0 +1,279 @@
+"""Lossless JSON records of the shared value types, for the payloads of events.
+
+pydantic serialises dataclasses of plain numbers (`Box2D`, `StepTrace`, `LostObject` ...) directly. An `OrientedBox` is
+stored as centre, rotation matrix and size, bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic_core import PydanticSerializationError
+
+from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, PseudoView, Quality, StepTrace, Suggestion
+from annotator.types.errors import RESTORE, ProjectError
+from annotator.types.label import Said
+from annotator.types.proposal import Matrix3
+
+ROTATION_TOLERANCE = 1e-6
+
+# NaN and infinity (a signal without a value) are written as strings, since JSON has no such numbers
+EXACT = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+
+Stored = TypeVar("Stored")
+
+
+def parsed(read: Callable[[str], Stored], text: str) -> Stored:
+    """Parses the JSON of a database column with `read`."""
+    try:
+        return read(text)
+    except (ValueError, LookupError, TypeError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise ProjectError(f"a row of the project's database is damaged ({reason}); {RESTORE}") from error
+
+
+def _rotation(matrix: Matrix3) -> Matrix3:
+    # without numpy, which takes several times as long for so few numbers
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    lengths = (a * a + d * d + g * g, b * b + e * e + h * h, c * c + f * f + i * i)
+    angles = (a * b + d * e + g * h, a * c + d * f + g * i, b * c + e * f + h * i)
+    is_unit = all(abs(length - 1) <= ROTATION_TOLERANCE for length in lengths)
+    is_square = all(abs(angle) <= ROTATION_TOLERANCE for angle in angles)
+    if not (is_unit and is_square and a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0):
+        raise ValueError("not a rotation matrix (orthonormal, determinant +1)")
+    return matrix
+
+
+Rotation3 = Annotated[Matrix3, AfterValidator(_rotation)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class BoxRecord(BaseModel):
+    """An `OrientedBox`: centre and size in metres, columns of `rotation` = box axes, camera frame."""
+
+    model_config = EXACT
+
+    center_m: tuple[Finite, Finite, Finite]
+    rotation: Rotation3
+    size_m: tuple[Positive, Positive, Positive]
+
+    @classmethod
+    def of(cls, box: OrientedBox) -> BoxRecord:
+        """The record of a box."""
+        matrix = box.pose
+        return cls.model_validate(
+            {"center_m": matrix[:3, 3].tolist(), "rotation": matrix[:3, :3].tolist(), "size_m": box.size_m.tolist()}
+        )
+
+    def box(self) -> OrientedBox:
+        """The box, bit for bit."""
+        pose = np.eye(4)
+        pose[:3, :3] = self.rotation
+        pose[:3, 3] = self.center_m
+        return OrientedBox(pose, np.array(self.size_m))
+
+
+class ProposalRecord(BaseModel):
+    """A `Proposal` with its whole trace."""
+
+    model_config = EXACT
+
+    label: str
+    score: Finite
+    box: BoxRecord
+    image_box: Box2D
+    trace: tuple[StepTrace, ...]
+    quality: Quality
+
+    @classmethod
+    def of(cls, proposal: Proposal) -> ProposalRecord:
+        """The record of a proposal."""
+        return cls(
+            label=proposal.label,
+            score=proposal.score,
+            box=BoxRecord.of(proposal.box),
+            image_box=proposal.image_box,
+            trace=proposal.trace,
+            quality=proposal.quality,
+        )
+
+    def proposal(self) -> Proposal:
+        """The proposal, bit for bit."""
+        return Proposal(self.label, self.score, self.box.box(), self.image_box, self.trace, self.quality)
+
+
+# The source of our own proposals beside those of other software.
+OWN = "annotator"
+
+
+class OwnColumns(BaseModel):
+    """Columns of a proposal of ours that other software hides, for when it is shown again.
+
+    Attributes:
+        author: who made the pass, or asked for the proposal.
+        origin: of a copy.
+    """
+
+    model_config = EXACT
+
+    author: str
+    view_disagreement: float | None = None
+    kept_share: float | None = None
+    last_change: float | None = None
+    image_agreement: float | None = None
+    expected_iou_loss: float | None = None
+    proposal_event_id: int | None = None
+    run_id: int | None = None
+    track_linked: bool = False
+    origin: str | None = None
+
+
+class SaidRecord(BaseModel):
+    """What one source says of an object.
+
+    Attributes:
+        uid: of the label, if this is the box that is shown.
+        source: name of the detector, person or file; `OWN` for annotator's own proposals.
+        score: certainty in 0..1, if known.
+        track_id: the object's id over the recording, if known.
+        file_track_id: its id in the source's file, if other labels of the recording use that one.
+        box_kind: what the box encloses.
+        attributes: values by name.
+        own: further columns of a hidden proposal of ours.
+        lent: names of the attributes whose values a hidden box lends to the shown one.
+    """
+
+    model_config = EXACT
+
+    uid: Annotated[str, Field(min_length=1, max_length=64)]
+    source: Annotated[str, Field(min_length=1, max_length=200)]
+    label: Annotated[str, Field(min_length=1)]
+    score: Annotated[float, Field(ge=0, le=1)] | None
+    box: BoxRecord
+    track_id: int | None
+    box_kind: BoxKind
+    attributes: dict[str, bool | int | Finite | str] = Field(default_factory=dict)
+    own: OwnColumns | None = None
+    file_track_id: int | None = None
+    lent: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, said: Said) -> SaidRecord:
+        """The record of what a source said, with a new uid."""
+        return cls(
+            uid=uuid.uuid4().hex,
+            source=said.source,
+            label=said.label,
+            score=said.score,
+            box=BoxRecord.of(said.box),
+            track_id=said.track_id,
+            box_kind=said.box_kind,
+        )
+
+    def said(self) -> Said:
+        """What the source said."""
+        return Said(self.source, self.label, self.box.box(), self.score, self.track_id, self.box_kind)
+
+
+def track_of(group: Sequence[SaidRecord]) -> int | None:
+    """The track id of an object: that of the first source that knows it."""
+    return next((each.track_id for each in group if each.track_id is not None), None)
+
+
+class ViewGeometry(BaseModel):
+    """Pose and scale of a pseudo-view, as in `PseudoView`.
+
+    Attributes:
+        axes: rows = the view's x, y, z axes as unit vectors in the camera frame.
+        metres_per_px: one uniform scale.
+        origin_m: view coordinates, metres, of the centre of pixel (0, 0).
+        image_box: the box on the camera image whose frustum the view shows, if known; views with the same image box
+            belong to the same object.
+        look_px: as in `PseudoView`.
+    """
+
+    model_config = EXACT
+
+    axes: Rotation3
+    metres_per_px: Positive
+    origin_m: tuple[Finite, Finite]
+    image_box: Box2D | None = None
+    look_px: int = Field(0, ge=0)
+
+    @classmethod
+    def of(cls, view: PseudoView) -> ViewGeometry:
+        """The geometry of a pseudo-view."""
+        values = {"axes": view.axes.tolist(), "metres_per_px": view.metres_per_px, "origin_m": view.origin_m.tolist()}
+        return cls.model_validate(values | {"look_px": view.look_px})
+
+    def view(self, rgb: UInt8[np.ndarray, "h w 3"]) -> PseudoView:
+        """The pseudo-view with this picture; its points are not known."""
+        points = np.zeros((0, 3), np.float32)
+        return PseudoView(rgb, np.array(self.axes), self.metres_per_px, np.array(self.origin_m), points, self.look_px)
+
+
+_BOX_2D: TypeAdapter[Box2D] = TypeAdapter(Box2D)
+_SUGGESTION: TypeAdapter[Suggestion] = TypeAdapter(Suggestion)
+_SAID: TypeAdapter[tuple[SaidRecord, ...]] = TypeAdapter(tuple[SaidRecord, ...])
+BOXES_2D: TypeAdapter[tuple[Box2D, ...]] = TypeAdapter(tuple[Box2D, ...], config=ConfigDict(extra="forbid"))
+
+
+def box_2d_json(box: Box2D | None) -> str | None:
+    """A 2D box as JSON for a database column, or None."""
+    return None if box is None else _BOX_2D.dump_json(box).decode()
+
+
+def box_2d_of(content: str | None) -> Box2D | None:
+    """The 2D box of a database column, or None."""
+    return None if content is None else _BOX_2D.validate_json(content)
+
+
+def suggestion_json(suggestion: Suggestion | None) -> str | None:
+    """A suggestion as JSON for a database column, or None."""
+    return None if suggestion is None else _SUGGESTION.dump_json(suggestion).decode()
+
+
+def suggestion_of(content: str | None) -> Suggestion | None:
+    """The suggestion of a database column, or None."""
+    return None if content is None else parsed(_SUGGESTION.validate_json, content)
+
+
+def said_json(said: tuple[SaidRecord, ...]) -> str | None:
+    """What the sources say of an object as JSON for a database column; None if they say nothing."""
+    return _SAID.dump_json(said).decode() if said else None
+
+
+def said_of(content: str | None) -> tuple[SaidRecord, ...]:
+    """What the sources say of an object, from a database column."""
+    return () if content is None else parsed(_SAID.validate_json, content)
+
+
+def sources_of(content: str | None) -> tuple[str, ...]:
+    """The names of the sources in a database column that `said_of` reads; their boxes are not parsed."""
+    return () if content is None else parsed(lambda text: tuple(each["source"] for each in json.loads(text)), content)
+
+
+@contextmanager
+def storable(what: str) -> Iterator[None]:
+    """Converts pydantic's errors into errors for the user.
+
+    Args:
+        what: names the value in the message.
+    """
+    try:
+        yield
+    except ValidationError as error:
+        detail = error.errors(include_url=False)[0]
+        where = ".".join(map(str, detail["loc"]))
+        raise ProjectError(f"{what} cannot be stored: {where}: {detail['msg']}") from error
+    except PydanticSerializationError as error:
+        raise ProjectError(f"{what} cannot be stored: {error}") from error

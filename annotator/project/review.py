@@ -1,0 +1,221 @@
+"""What waits for a review, in the order in which it is to be shown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from sqlalchemy import ColumnElement, Float, Integer, Select, Text, and_, case, cast, func, literal, null, select, true
+
+from annotator.project.classes.attributes import Value, value_text
+from annotator.project.database.schema import AnyRow, frame_attributes, frames, labels
+from annotator.project.database.store import Store
+from annotator.project.frames import StoredFrame, frame_of
+from annotator.project.log.records import OWN, sources_of
+from annotator.types import ReviewState, Source
+
+
+@dataclass(frozen=True)
+class ValueFilter:
+    """What the value of an attribute must be. Without any condition: there is no value.
+
+    Attributes:
+        name: the attribute.
+        of_frame: it is one of frames, not of boxes and tracks.
+        usual: of frames that have no value of their own.
+        known: any value will do.
+        text: the value as text.
+        contains: part of the value as text; small and capital letters (a to z) count as equal.
+        low, high: least and greatest value of a number.
+    """
+
+    name: str
+    of_frame: bool = False
+    usual: Value | None = None
+    known: bool = False
+    text: str | None = None
+    contains: str | None = None
+    low: float | None = None
+    high: float | None = None
+
+    def clause(self) -> ColumnElement[bool]:
+        """The condition of a query of labels joined with their frames."""
+        found = self._value()
+        conditions: list[ColumnElement[bool]] = []
+        if self.text is not None:
+            conditions.append(found == self.text)
+        if self.contains is not None:
+            conditions.append(func.instr(func.lower(found), func.lower(self.contains)) > 0)
+        if self.low is not None:
+            conditions.append(cast(found, Float) >= self.low)
+        if self.high is not None:
+            conditions.append(cast(found, Float) <= self.high)
+        if not conditions:
+            return found.is_not(None) if self.known else found.is_(None)
+        clause = conditions[0]
+        for condition in conditions[1:]:
+            clause &= condition
+        return clause
+
+    def _value(self) -> ColumnElement[str]:
+        """The value as text; NULL without one."""
+        column = frame_attributes.c.attributes if self.of_frame else labels.c.attributes
+        values = func.json_each(column).table_valued("key", "value", "type")
+        known = case((values.c.type.in_(("true", "false")), values.c.type), else_=cast(values.c.value, Text))
+        if not self.of_frame:
+            return select(known).select_from(values).where(values.c.key == self.name).scalar_subquery()
+        own = select(known).select_from(frame_attributes).join(values, true())
+        found = own.where(frame_attributes.c.frame_id == frames.c.id, values.c.key == self.name).scalar_subquery()
+        return found if self.usual is None else func.coalesce(found, literal(value_text(self.usual)))
+
+
+# --- open proposals in order of their doubt ---------------------------------------------------------------------------
+# The database sorts them, since a project may have 100,000 and more.
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal of doubt: a column of `labels` whose doubt grows linearly from its good value to its bad one."""
+
+    name: str
+    good: float
+    bad: float
+
+
+@dataclass(frozen=True)
+class Formula:
+    """doubt = 1 - product of (1 - most * share of the way from good to bad, in 0..1), over the signals with a value."""
+
+    signals: tuple[Signal, ...]
+    most: float
+
+
+class By(StrEnum):
+    """The order of proposals; equal ones are in the order of frames and labels."""
+
+    DOUBT = "doubt"
+    FRAME = "frame"
+    CLASS = "class"
+    TRACK = "track"
+
+
+@dataclass(frozen=True)
+class WaitingProposal:
+    """An open proposal with its frame.
+
+    Attributes:
+        doubt: in 0..1, if any signal has a value.
+        sources: all that see this object, that of the shown box first; `OWN` for annotator itself.
+    """
+
+    frame: StoredFrame
+    uid: str
+    label: str
+    track_id: int | None
+    doubt: float | None
+    sources: tuple[str, ...]
+
+
+def waiting(
+    store: Store,
+    formula: Formula,
+    by: By,
+    recordings: Collection[int] | None,
+    classes: Collection[str] | None,
+    attribute: ValueFilter | None,
+    source: str | None,
+    most: int | None,
+) -> tuple[tuple[WaitingProposal, ...], int]:
+    """Returns the first open proposals on frames that are neither finalised nor gone, and the number of all.
+
+    Args:
+        recordings, classes: only of these; None = all.
+        attribute: only with these values of an attribute.
+        source: only of objects that this source sees; `OWN` for annotator itself.
+        most: number of proposals to return; None = all.
+    """
+    doubt = _doubt(formula)
+    is_open = _is_open(recordings, classes)
+    if attribute is not None:
+        is_open &= attribute.clause()
+    if source is not None:
+        is_open &= _is_said_by(source)
+    order = _order(by, doubt)
+    # the long columns are read of the first ones only
+    first = _of_frames(select(labels.c.id)).where(is_open).order_by(*order).limit(most)
+    columns = (labels.c.uid, labels.c.label, labels.c.track_id, labels.c.source, labels.c.said, doubt.label("doubt"))
+    query = _of_frames(select(*columns, *frames.c)).where(labels.c.id.in_(first)).order_by(*order)
+    with store.read() as connection:
+        found = tuple(
+            WaitingProposal(frame_of(row), row.uid, row.label, row.track_id, row.doubt, _sources(row))
+            for row in connection.execute(query)
+        )
+        total = connection.execute(_of_frames(select(func.count())).where(is_open)).scalar_one()
+    return found, int(total)
+
+
+def waiting_sources(store: Store) -> dict[str, int]:
+    """The number of objects that each source sees among the open proposals of `waiting`, by its name."""
+    said = func.json_each(labels.c.said).table_valued("value")
+    name = func.json_extract(said.c.value, "$.source")
+    is_open = labels.c.state == ReviewState.PROPOSED.value
+    with store.read() as connection:
+        named = connection.execute(select(name).select_from(labels).join(said, true()).where(is_open).distinct())
+        names = [OWN, *sorted(set(named.scalars()) - {OWN})]
+        # one pass for all of them: several times as fast as grouping what json_each finds
+        numbers: Select[Any] = select().add_columns(*(func.sum(cast(_is_said_by(each), Integer)) for each in names))
+        counts = connection.execute(_of_frames(numbers).where(_is_open(None, None))).one()
+    return {each: count for each, count in zip(names, counts, strict=True) if count}
+
+
+def worst_of_frames(store: Store, formula: Formula, recordings: Collection[int] | None) -> dict[int, float]:
+    """The greatest doubt of the open proposals of each frame that has some, by the frame's id; 0 if it is unknown."""
+    worst = func.max(func.coalesce(_doubt(formula), 0.0))
+    query = _of_frames(select(labels.c.frame_id, worst)).where(_is_open(recordings, None)).group_by(labels.c.frame_id)
+    with store.read() as connection:
+        return {row[0]: row[1] for row in connection.execute(query)}
+
+
+def _of_frames(query: Select[Any]) -> Select[Any]:
+    return query.select_from(labels).join(frames, frames.c.id == labels.c.frame_id)
+
+
+def _is_open(recordings: Collection[int] | None, classes: Collection[str] | None) -> ColumnElement[bool]:
+    is_open = (labels.c.state == ReviewState.PROPOSED.value) & frames.c.position.is_not(None) & ~frames.c.finalised
+    if recordings is not None:
+        is_open &= frames.c.recording_id.in_(recordings)
+    return is_open if classes is None else is_open & labels.c.label.in_(classes)
+
+
+def _is_said_by(source: str) -> ColumnElement[bool]:
+    # much faster than json_each; quotes within texts are escaped in JSON, so it is found only as the source
+    is_named = func.instr(func.coalesce(labels.c.said, ""), f'"source":{json.dumps(source, ensure_ascii=False)}') > 0
+    return is_named | (labels.c.source != Source.IMPORTED.value) if source == OWN else is_named
+
+
+def _sources(row: AnyRow) -> tuple[str, ...]:
+    others = sources_of(row.said)
+    return others if row.source == Source.IMPORTED.value else (OWN, *others)
+
+
+def _doubt(formula: Formula) -> ColumnElement[float]:
+    trust: ColumnElement[float] = literal(1.0)
+    for signal in formula.signals:
+        way = (labels.c[signal.name] - signal.good) / (signal.bad - signal.good)
+        trust *= func.coalesce(1.0 - formula.most * func.min(func.max(way, 0.0), 1.0), 1.0)
+    unknown = and_(labels.c.proposal_event_id.is_(None), labels.c.score.is_(None))
+    return case((unknown, null()), else_=cast(1.0 - trust, Float))
+
+
+def _order(by: By, doubt: ColumnElement[float]) -> Sequence[ColumnElement[Any]]:
+    worst = func.coalesce(doubt, 0.0).desc()
+    first: dict[By, list[ColumnElement[Any]]] = {
+        By.DOUBT: [worst],
+        By.FRAME: [],
+        By.CLASS: [labels.c.label, worst],
+        By.TRACK: [frames.c.recording_id, labels.c.track_id.is_(None), func.coalesce(labels.c.track_id, 0)],
+    }
+    return [*first[by], frames.c.recording_id, frames.c.position, frames.c.id, labels.c.id]

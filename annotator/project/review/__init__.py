@@ -1,1 +1,0 @@
-"""What waits for a review, in the order in which it is to be shown."""

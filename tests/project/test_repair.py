@@ -1,0 +1,206 @@
+"""A repair makes the state anew, or saves what is readable in a new project."""
+
+from __future__ import annotations
+
+import sqlite3
+import tempfile
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from store_samples import box_at, by_hand, damage, stored_state
+
+from annotator.project import NewLabel, Project, StoredRecording
+from annotator.project.backup.make import Reason, automatic_backups, back_up
+from annotator.project.backup.repair import repair
+from annotator.project.backup.take_in import copy_project
+from annotator.project.backup.verify import verify
+from annotator.types.errors import ProjectError
+
+# --- A verification finds damaged databases, and with `deep` what differs from the events; neither is copied ----------
+
+
+def overwritten(project: Path) -> None:
+    """Zeroes a page in the middle of the database."""
+    database = project / "project.db"
+    with database.open("r+b") as file:
+        file.seek(4096 * (database.stat().st_size // 4096 // 2))
+        file.write(b"\0" * 4096)
+
+
+def view_changed(how: Callable[[Path], object]) -> Callable[[Path], None]:
+    def change(project: Path) -> None:
+        (view,) = (project / "views").iterdir()
+        how(view)
+
+    return change
+
+
+SHALLOW: list[tuple[str, Callable[[Path], None], str]] = [
+    ("a dropped table", damage("DROP TABLE labels"), "lacks the table labels"),
+    ("a renamed table of events", damage("ALTER TABLE events RENAME TO other"), "has the table 'other'"),
+    ("a dropped trigger", damage("DROP TRIGGER events_are_not_deleted"), "lacks the trigger events_are_not_deleted"),
+    (
+        "a foreign trigger",
+        damage("CREATE TRIGGER evil AFTER INSERT ON events BEGIN DELETE FROM labels; END"),
+        "has the trigger 'evil', which does not belong to a project",
+    ),
+    ("a foreign table", damage("CREATE TABLE evil_ (a)"), "has the table 'evil_'"),
+    ("a changed table", damage("ALTER TABLE frames ADD COLUMN more TEXT"), "the table frames is not that of a project"),
+    ("a negative version", damage("PRAGMA user_version = -5"), "has database version -5"),
+    ("a missing row", damage("DELETE FROM runs;;DELETE FROM recordings"), "refers to a missing row of recordings"),
+    ("an overwritten page", overwritten, "project.db: "),
+]
+DEEP: list[tuple[str, Callable[[Path], None], str]] = [
+    ("a changed label", damage("UPDATE labels SET state = 'rejected'"), "labels has other values than the events give"),
+    ("a removed label", damage("DELETE FROM labels"), "labels lacks rows that the events give"),
+    (
+        "an added label",
+        damage(
+            "INSERT INTO labels (uid, frame_id, label, box, source, state, author, time_ns, event_id, track_linked, "
+            "box_kind, attributes) VALUES ('x', 1, 'hand', '{}', 'manual', 'accepted', 'a', 1, 1, 0, 'box', '{}')"
+        ),
+        "labels has rows that the events do not give: x",
+    ),
+    ("a missing view", view_changed(Path.unlink), "are missing"),
+    ("a damaged view", view_changed(lambda view: view.write_bytes(b"")), "are damaged"),
+    (
+        "a view that is a link",
+        view_changed(lambda view: view.symlink_to(view.rename(view.parent.parent / "x"))),
+        "no regular files",
+    ),
+    (
+        "a missing detector",
+        lambda path: (path / "models/image/one/detector.safetensors").unlink(),
+        "files of detectors are missing",
+    ),
+    (
+        "a damaged detector",
+        lambda path: (path / "models/image/one/detector.safetensors").write_bytes(b"eno"),
+        "weights of detectors are damaged: models/image/one/detector.safetensors",
+    ),
+    (
+        "a detector elsewhere",
+        damage("UPDATE models SET path = '../../x.pt' WHERE active"),
+        "files of detectors are outside the project: ../../x.pt",
+    ),
+]
+
+
+def test_what_a_killed_verification_left_is_removed(
+    full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scratch = tmp_path / "scratch"
+    (scratch / ".annotator-verify.0123.unfinished").mkdir(parents=True)
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    assert verify(full, deep=True).problems == ()
+    assert list(scratch.iterdir()) == []
+
+
+@pytest.mark.parametrize(("change", "says"), [pytest.param(*row[1:], id=row[0]) for row in SHALLOW])
+def test_verify_finds_a_damaged_database(full: Path, change: Callable[[Path], None], says: str) -> None:
+    change(full)
+    for deep in (False, True):
+        assert says in " ".join(verify(full, deep=deep).problems)
+    with pytest.raises(ProjectError):
+        back_up(full, full.parent / "copy.zip")
+    with pytest.raises(ProjectError):
+        copy_project(full, full.parent, "taken")
+    assert {path.name for path in full.parent.iterdir()} == {"hands"}
+
+
+@pytest.mark.parametrize(("change", "says"), [pytest.param(*row[1:], id=row[0]) for row in DEEP])
+def test_a_deep_verification_finds_what_differs_from_the_events(
+    full: Path, change: Callable[[Path], None], says: str
+) -> None:
+    change(full)
+    assert verify(full).problems == ()
+    assert says in " ".join(verify(full, deep=True).problems)
+    with pytest.raises(ProjectError, match="nothing was copied"):
+        copy_project(full, full.parent, "taken")
+    assert {path.name for path in full.parent.iterdir()} == {"hands"}
+
+
+def test_repair_makes_the_state_anew_after_a_backup(full: Path) -> None:
+    before = stored_state(full)
+    damage("UPDATE labels SET state = 'rejected'")(full)
+    repaired = repair(full)
+    assert (repaired.path, repaired.is_new) == (full, False)
+    assert stored_state(full) == before
+    assert verify(full, deep=True).problems == ()
+    assert automatic_backups(full, Reason.REPAIR) == [repaired.backup]
+
+
+def test_repair_saves_what_is_readable_of_a_damaged_database(project: Project, recording: StoredRecording) -> None:
+    for frame in project.frames.of():
+        for revision in range(20):
+            project.labels.create(frame.id, [NewLabel("hand", box_at(1.0 * revision))], by_hand(revision))
+    project.close()
+    database = project.path / "project.db"
+    with closing(sqlite3.connect(database)) as connection:
+        tables = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'events'").fetchall()
+        pages = connection.execute("PRAGMA page_count").fetchone()[0]
+    before, whole = database.read_bytes(), stored_state(project.path)
+    leaves = [page for page in range(1, pages) if b"label_created" in before[page * 4096 : page * 4096 + 4096]]
+    assert tables and len(leaves) > 3
+    with database.open("r+b") as file:  # one page of events, not the labels
+        file.seek(leaves[len(leaves) // 2] * 4096)
+        file.write(b"\0" * 4096)
+    damaged = database.read_bytes()
+    repaired = repair(project.path, "saved")
+    assert repaired.is_new and repaired.lost and repaired.restored
+    assert database.read_bytes() == damaged
+    assert verify(repaired.path, deep=True).problems == ()
+    saved = stored_state(repaired.path)
+    boxes = [sorted(str(row[3]) for row in state["labels"]) for state in (saved, whole)]
+    assert boxes[0] == boxes[1]
+
+
+def test_repair_of_something_that_is_no_database_says_so(full: Path) -> None:
+    (full / "project.db").write_bytes(b"nothing" * 1000)
+    with pytest.raises(ProjectError, match="nothing can be read"):
+        repair(full)
+    assert {path.name for path in full.parent.iterdir()} == {"hands"}
+
+
+DELETED = {"all events": "1", "every third": "id % 3 = 0", "the last ones": "id > (SELECT max(id) - 3 FROM events)"}
+
+
+@pytest.mark.parametrize("which", DELETED)
+def test_labels_whose_events_were_deleted_are_taken_from_the_tables(full: Path, which: str) -> None:
+    def columns(state: dict[str, list[tuple[object, ...]]], table: str, first: int) -> list[str]:
+        return sorted(str(row[first]) for row in state[table])
+
+    whole = stored_state(full)
+    assert whole["labels"]
+    with closing(sqlite3.connect(full / "project.db")) as connection:
+        triggers = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
+        for name, _ in triggers:
+            connection.execute(f"DROP TRIGGER {name}")
+        count = connection.execute(f"DELETE FROM events WHERE {DELETED[which]}").rowcount
+        for _, sql in triggers:
+            connection.execute(sql)
+        connection.commit()
+    assert count
+    assert verify(full, deep=True).problems[0].endswith(f"{count} of 5 events are missing")
+    repaired = repair(full, "saved")
+    assert repaired.is_new and repaired.lost["events"] >= count and repaired.restored
+    assert verify(repaired.path, deep=True).problems == ()
+    saved = stored_state(repaired.path)
+    assert columns(saved, "labels", 3) == columns(whole, "labels", 3)
+    assert {table: len(rows) for table, rows in saved.items()} == {table: len(rows) for table, rows in whole.items()}
+
+
+def test_a_truncated_database_is_read_as_far_as_it_goes(full: Path) -> None:
+    database = full / "project.db"
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    whole = len(stored_state(full)["labels"])
+    size = database.stat().st_size
+    with database.open("r+b") as file:
+        file.truncate(size - 2 * 4096)
+    repaired = repair(full, "saved")
+    assert repaired.is_new and repaired.events
+    assert len(stored_state(repaired.path)["labels"]) == whole
+    assert database.stat().st_size == size - 2 * 4096
