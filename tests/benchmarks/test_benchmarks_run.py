@@ -16,7 +16,7 @@ import pytest
 
 from annotator.recordings import open_recording
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, Truth
-from benchmarks import axes, batch, columns, forecast, listing, loop, memory, pseudo_view, slow_loris, up
+from benchmarks import axes, batch, columns, listing, loop, memory, pseudo_view, slow_loris, up
 from benchmarks.memory import growth
 from benchmarks.repeating import FOLDERS, lengthen
 from benchmarks.report import guarded
@@ -191,15 +191,6 @@ def test_store_reports_times() -> None:
     assert all(took_ms > 0 for name, took_ms in result.items() if name.endswith("_ms"))
     assert result["open_proposals"] == 30 * 3 + 4 * 2
     assert any("statistics" in line for line in lines)
-
-
-def test_forecast_compares_with_the_true_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forecast, "FRAMES", (100, 200))
-    result = forecast.run(forecast.Arguments(projects=6))
-    half = result["50% done"]
-    assert 0 < half["median_error"] < 1
-    assert half["covered"] > 0.3
-    assert half["median_high_to_low"] > 1.1
 
 
 @pytest.mark.parametrize(
