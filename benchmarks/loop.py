@@ -84,10 +84,6 @@ class Arguments:
     default."""
     views: int = SampleConfig().views
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
-    pasted: float = SampleConfig().pasted
-    """Share of views of pasted objects among these."""
-    pasted_images: float = SampleConfig().pasted_images
-    """Share of camera images with a pasted object."""
     project: Path | None = None
     """Folder in which to keep the project. If it exists, its detectors are used, for example to compare strategies."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -269,7 +265,7 @@ def _label(
 
 def plan(args: Arguments) -> TrainPlan:
     """The settings of both training runs."""
-    samples = SampleConfig(views=args.views, pasted=args.pasted, pasted_images=args.pasted_images)
+    samples = SampleConfig(views=args.views)
     changes = dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model

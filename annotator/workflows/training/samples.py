@@ -47,12 +47,6 @@ class SampleConfig(BaseModel):
     views: int = Field(480, ge=1, description="approximate number of generated pseudo-views in all")
     most_draws: int = Field(20, ge=1, description="maximum number of generated view pairs per object")
     seed: int = Field(0, ge=0, description="seed of the random axes and crops")
-    pasted: float = Field(0.0, ge=0, lt=1, description="share of the generated views that show pasted objects")
-    pasted_images: float = Field(0.0, ge=0, lt=1, description="share of the camera images that show a pasted object")
-
-    def without(self, views: int) -> SampleConfig:
-        """The settings for the remaining views, if so many have been generated."""
-        return self.model_copy(update={"views": max(self.views - views, 1)})
 
 
 @dataclass(frozen=True, eq=False)
