@@ -10,7 +10,7 @@ from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, base_model, load_detector, own_model
-from annotator.workflows.training import held_out, run
+from annotator.workflows.training import held_out, train
 from annotator.workflows.training.agnostic_samples import agnostic_samples
 from annotator.workflows.training.held_out import HeldOut
 from annotator.workflows.training.rounds import choose_start
@@ -49,7 +49,7 @@ def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
 ) -> None:
     install_base()
     model = register(labelled, "a", active=True)
-    manifest = run.Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
+    manifest = train.Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
         agnostic_samples(labelled, gather(labelled), RcvConfig(), PLAN.samples, Fixed(), lambda *_: None)
     )
     assert {e.group for e in manifest.entries if e.split == "train"} & held_out.held_out_groups(labelled)

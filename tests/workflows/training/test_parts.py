@@ -19,8 +19,7 @@ from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, own_model
 from annotator.workflows.training.held_out import Decision, HeldOut
 from annotator.workflows.training.rounds import Choice, part_seconds
-from annotator.workflows.training.run import Ran
-from annotator.workflows.training.train import train
+from annotator.workflows.training.train import Ran, train
 
 
 def test_parts_double_and_none_is_too_short() -> None:

@@ -19,11 +19,10 @@ from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.training import rounds, run
+from annotator.workflows.training import rounds, train
 from annotator.workflows.training import train as workflow
-from annotator.workflows.training.run import run_name
 from annotator.workflows.training.samples import SampleConfig, gather, view_samples
-from annotator.workflows.training.train import TrainPlan, train
+from annotator.workflows.training.train import TrainPlan, run_name, train
 
 SMALL = TrainingConfig(image_size_px=64, epochs=1)
 PLAN = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
@@ -47,8 +46,10 @@ def trainings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path, Path]]:
             image_size_px=config.image_size_px, dataset_sha256=manifest.sha256, config=config,
         )  # fmt: skip
 
-    monkeypatch.setattr(run, "train_detector", train_detector)
-    monkeypatch.setattr(run, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}"))
+    monkeypatch.setattr(train, "train_detector", train_detector)
+    monkeypatch.setattr(
+        train, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}")
+    )
     return calls
 
 
