@@ -27,7 +27,6 @@ from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.training.agnostic_samples import agnostic_samples, with_generated
 from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
 from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
@@ -39,7 +38,15 @@ from annotator.workflows.training.rounds import (
     part_seconds,
     starting_config,
 )
-from annotator.workflows.training.samples import Material, SampleConfig, gather, image_samples, view_samples
+from annotator.workflows.training.samples import (
+    Material,
+    SampleConfig,
+    agnostic_samples,
+    gather,
+    image_samples,
+    view_samples,
+    with_generated,
+)
 from annotator.workflows.training.validation_pictures import write_validation_pictures
 
 # TODO-MERGED docstring of run.py:

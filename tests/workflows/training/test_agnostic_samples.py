@@ -12,8 +12,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.simulate import image_box_of, simulate_recording, visible_objects
-from annotator.workflows.training.agnostic_samples import agnostic_samples, with_generated
-from annotator.workflows.training.samples import SampleConfig, gather
+from annotator.workflows.training.samples import SampleConfig, agnostic_samples, gather, with_generated
 
 
 def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:

@@ -11,10 +11,9 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, base_model, load_detector, own_model
 from annotator.workflows.training import held_out, train
-from annotator.workflows.training.agnostic_samples import agnostic_samples
 from annotator.workflows.training.held_out import HeldOut
 from annotator.workflows.training.rounds import choose_start
-from annotator.workflows.training.samples import gather
+from annotator.workflows.training.samples import agnostic_samples, gather
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
