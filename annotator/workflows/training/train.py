@@ -28,6 +28,7 @@ from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
+from annotator.workflows.training.model_report import write_validation_pictures
 from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
     FIRST_PART_S,
@@ -47,7 +48,6 @@ from annotator.workflows.training.samples import (
     view_samples,
     with_generated,
 )
-from annotator.workflows.training.validation_pictures import write_validation_pictures
 
 # TODO-MERGED docstring of run.py:
 # One run of a training: its dataset, its network, and the registered model.

@@ -12,8 +12,7 @@ from view_detectors import Fixed
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import DetectionError
-from annotator.workflows.training.model_report import _curves
-from annotator.workflows.training.validation_pictures import PICTURES, validation_pictures, write_validation_pictures
+from annotator.workflows.training.model_report import PICTURES, _curves, validation_pictures, write_validation_pictures
 
 # with a low score, too
 DETECTOR = Fixed(
