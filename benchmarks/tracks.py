@@ -25,9 +25,7 @@ from scipy.spatial.transform import Rotation
 from annotator.geometry.iou import iou_3d_pairs
 from annotator.recordings import open_recording
 from annotator.recordings.kitti.folder import KittiFolder
-from annotator.tracking.config import TrackingConfig
-from annotator.tracking.link import Seen, link
-from annotator.tracking.motion import frame_times
+from annotator.tracking.link import Seen, TrackingConfig, frame_times, link
 from annotator.tracking.relabel import relabelled
 from annotator.tracking.smooth import FLIP, TrackBox, smoothed
 from annotator.types import OrientedBox, Truth

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 from scipy.spatial.transform import Rotation
 
-from annotator.tracking.config import TrackingConfig
+from annotator.tracking.link import TrackingConfig
 from annotator.tracking.relabel import are_upright, nearest_change, relabelled, relabellings
 from annotator.types import OrientedBox
 

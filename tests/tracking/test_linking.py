@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from annotator.tracking.config import TrackingConfig
-from annotator.tracking.link import Seen, Track, link
-from annotator.tracking.motion import frame_times, predicted
-from annotator.tracking.track_ids import numbered
+from annotator.tracking.link import Seen, Track, TrackingConfig, frame_times, link, numbered, predicted
 from annotator.types import OrientedBox
 
 CONFIG = TrackingConfig()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.tracking.same_place import overlap_at_place
+from annotator.tracking.link import overlap_at_place
 from annotator.types import OrientedBox
 
 CAR = (4.0, 1.0, 1.5)

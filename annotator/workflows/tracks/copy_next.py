@@ -11,8 +11,7 @@ from annotator.project import REVIEWED, Effort, FramePart, Origin, Project, Rece
 from annotator.project.event_types import LabelProposed, LabelTracked
 from annotator.project.overview import neighbours, read_page
 from annotator.rcv.follow_object import Look, follow_object
-from annotator.tracking.config import TrackingConfig
-from annotator.tracking.motion import predicted
+from annotator.tracking.link import TrackingConfig, predicted
 from annotator.types import Frame, Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource

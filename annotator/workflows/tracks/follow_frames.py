@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import FollowConfig, Followed, Look, follow_object
-from annotator.tracking.motion import predicted
+from annotator.tracking.link import predicted
 from annotator.types import Detector, Frame, OrientedBox
 
 # Number of last boxes from which the motion is estimated.

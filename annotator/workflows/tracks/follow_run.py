@@ -14,7 +14,7 @@ from annotator.project.event_types import LabelDeleted, LabelProposed, LabelTrac
 from annotator.project.overview import read_page
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.follow_object import FollowConfig
-from annotator.tracking.same_place import overlap_at_place
+from annotator.tracking.link import overlap_at_place
 from annotator.types import Frame, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import FrameError, NotFoundError, StaleRevisionError, TrackTakenError
 from annotator.workflows.tracks.follow_frames import DEFAULTS, Follower

@@ -18,10 +18,8 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.project.event_types import LinkedLabel, TracksLinked
 from annotator.project.records import BoxRecord
 from annotator.recordings.kitti.folder import KittiFolder
-from annotator.tracking.config import TrackingConfig
-from annotator.tracking.link import Seen, Track, link
+from annotator.tracking.link import Seen, Track, TrackingConfig, link, numbered
 from annotator.tracking.smooth import TrackBox, smoothed
-from annotator.tracking.track_ids import numbered
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.types.label import AttributeValue

@@ -13,7 +13,7 @@ from annotator.project.event_types import LabelAttributesSet, LabelDeleted, Labe
 from annotator.project.overview import read_page
 from annotator.project.records import BoxRecord, ProposalRecord, SaidRecord
 from annotator.project.sources.covering import covered_by
-from annotator.tracking.same_place import overlap_at_place
+from annotator.tracking.link import overlap_at_place
 from annotator.types import BoxKind, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.label import AttributeValue
 

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from annotator.project import StoredFrame
 from annotator.recordings import Recording
 from annotator.recordings.times import recorded_times
-from annotator.tracking.motion import frame_times
+from annotator.tracking.link import frame_times
 
 
 def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:

@@ -23,7 +23,7 @@ from moving import ANN, FRAMES, Walking, box_of, proposal_of, tracks_of
 
 from annotator.project import NewLabel, Project, WriteContext, open_project
 from annotator.project.event_types import LabelAccepted, LabelDeleted, LabelRejected, LabelTracked
-from annotator.tracking.same_place import overlap_at_place
+from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import AnnotatorError, HistoryError, TrackTakenError
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tracks_once
