@@ -26,8 +26,7 @@ from annotator.geometry.iou import iou_3d_pairs
 from annotator.recordings import open_recording
 from annotator.recordings.kitti.folder import KittiFolder
 from annotator.tracking.link import Seen, TrackingConfig, frame_times, link
-from annotator.tracking.relabel import relabelled
-from annotator.tracking.smooth import FLIP, TrackBox, smoothed
+from annotator.tracking.smooth import FLIP, TrackBox, relabelled, smoothed
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.recorded.reading import load_truth

@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.tracking.interpolate import between
 from annotator.tracking.link import TrackingConfig
-from annotator.tracking.relabel import are_upright, relabelled, relabellings
-from annotator.tracking.smooth import FLIP, TrackBox, smoothed
+from annotator.tracking.smooth import FLIP, TrackBox, are_upright, between, relabelled, relabellings, smoothed
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 

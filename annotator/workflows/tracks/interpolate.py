@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame
-from annotator.tracking.interpolate import between
+from annotator.tracking.smooth import between
 from annotator.types import Label
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.types.label import MOST_TRACK

@@ -16,8 +16,7 @@ from annotator.project.classes.attributes import Attribute, AttributeKind
 from annotator.project.classes.edit import put_attribute
 from annotator.project.schema import recordings
 from annotator.rcv.config import RcvConfig
-from annotator.tracking.relabel import relabelled
-from annotator.tracking.smooth import FLIP
+from annotator.tracking.smooth import FLIP, relabelled
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, ReviewState, Source, Truth
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
