@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from annotator.workflows.proposing.engines.runner import TaskRunner
-from annotator.workflows.proposing.engines.sources import DetectorSource
-from annotator.workflows.proposing.engines.storage import Storage
 from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+from annotator.workflows.proposing.sources import DetectorSource, Storage
 
 
 class InlineEngine:

@@ -13,9 +13,8 @@ from pathlib import Path
 
 from annotator.workflows.proposing.engines.messages import Died, Done, Fault, Ready, Refused, Report, Start
 from annotator.workflows.proposing.engines.pool import WorkerPool
-from annotator.workflows.proposing.engines.sources import DetectorSource
-from annotator.workflows.proposing.engines.storage import Storage
 from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+from annotator.workflows.proposing.sources import DetectorSource, Storage
 
 # Workers get the driver's module path. -P excludes the current folder, whose files might shadow modules.
 PROGRAM = (

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from annotator.types.errors import AnnotatorError
-from annotator.workflows.proposing.engines.sources import DetectorSource
-from annotator.workflows.proposing.engines.storage import Storage
 from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+from annotator.workflows.proposing.sources import DetectorSource, Storage
 
 
 @dataclass(frozen=True, eq=False)

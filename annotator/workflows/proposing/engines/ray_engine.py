@@ -17,9 +17,8 @@ from annotator.workflows.proposing.engines.local import cuda_devices, environmen
 from annotator.workflows.proposing.engines.messages import Died, Done, Fault, Ready, Refused, Report, fault_of
 from annotator.workflows.proposing.engines.pool import TASKS_PER_WORKER, WorkerPool
 from annotator.workflows.proposing.engines.runner import TaskRunner
-from annotator.workflows.proposing.engines.sources import DetectorSource, PackedDetectors, TrainedDetectors
-from annotator.workflows.proposing.engines.storage import Storage
 from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+from annotator.workflows.proposing.sources import DetectorSource, PackedDetectors, Storage, TrainedDetectors
 
 # Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU
 # keep the machine's CUDA_VISIBLE_DEVICES.

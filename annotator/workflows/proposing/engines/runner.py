@@ -17,7 +17,6 @@ from annotator.types import Frame
 from annotator.types.errors import AnnotatorError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import OpenedRecording, orientation_for
-from annotator.workflows.proposing.engines.storage import MAX_OPEN, Storage
 from annotator.workflows.proposing.engines.tasks import (
     Answer,
     FrameAnswer,
@@ -27,6 +26,7 @@ from annotator.workflows.proposing.engines.tasks import (
     Task,
     pickle_exactly,
 )
+from annotator.workflows.proposing.sources import MAX_OPEN, Storage
 
 
 @dataclass(frozen=True, eq=False)

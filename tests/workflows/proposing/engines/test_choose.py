@@ -15,8 +15,13 @@ from annotator.workflows.proposing.engines.choose import MIN_FRAMES, EngineName,
 from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.engines.local import cuda_devices
 from annotator.workflows.proposing.engines.pool import TASKS_PER_WORKER, WorkerPool
-from annotator.workflows.proposing.engines.sources import PackedDetectors, TrainedDetectors
-from annotator.workflows.proposing.engines.storage import Storage, parse_elsewhere, scratch_folder
+from annotator.workflows.proposing.sources import (
+    PackedDetectors,
+    Storage,
+    TrainedDetectors,
+    parse_elsewhere,
+    scratch_folder,
+)
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,7 @@ from annotator.workflows.proposing.engines.ray_engine import (
     RayWorker,
     max_workers,
 )
-from annotator.workflows.proposing.engines.sources import GivenDetectors
-from annotator.workflows.proposing.engines.storage import Storage
+from annotator.workflows.proposing.sources import GivenDetectors, Storage
 
 LISTENS = "0A"
 LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F")
