@@ -11,9 +11,8 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-from annotator.workflows.proposing.engines.messages import Died, Done, Fault, Ready, Refused, Report, Start
-from annotator.workflows.proposing.engines.pool import WorkerPool
 from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+from annotator.workflows.proposing.pool import Died, Done, Fault, Ready, Refused, Report, Start, WorkerPool
 from annotator.workflows.proposing.sources import DetectorSource, Storage
 
 # Workers get the driver's module path. -P excludes the current folder, whose files might shadow modules.

@@ -14,10 +14,19 @@ from annotator.detection.backends.cores import usable_cores
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
 from annotator.workflows.proposing.engines.local import cuda_devices, environment
-from annotator.workflows.proposing.engines.messages import Died, Done, Fault, Ready, Refused, Report, fault_of
-from annotator.workflows.proposing.engines.pool import TASKS_PER_WORKER, WorkerPool
 from annotator.workflows.proposing.engines.runner import TaskRunner
 from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+from annotator.workflows.proposing.pool import (
+    TASKS_PER_WORKER,
+    Died,
+    Done,
+    Fault,
+    Ready,
+    Refused,
+    Report,
+    WorkerPool,
+    fault_of,
+)
 from annotator.workflows.proposing.sources import DetectorSource, PackedDetectors, Storage, TrainedDetectors
 
 # Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU

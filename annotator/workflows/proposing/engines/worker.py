@@ -15,9 +15,9 @@ import threading
 import traceback
 from typing import BinaryIO
 
-from annotator.workflows.proposing.engines.messages import Start, fault_of
 from annotator.workflows.proposing.engines.runner import TaskRunner
 from annotator.workflows.proposing.engines.tasks import Task
+from annotator.workflows.proposing.pool import Start, fault_of
 
 # One thread proposes while the other one reads frames.
 THREADS = 2

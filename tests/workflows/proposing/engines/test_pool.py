@@ -13,10 +13,18 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind
 from annotator.types.errors import WorkerError
-from annotator.workflows.proposing.engines import pool
-from annotator.workflows.proposing.engines.messages import Died, Done, Ready, Refused, Report
-from annotator.workflows.proposing.engines.pool import MAX_FAILED_STARTS, TASKS_PER_WORKER, WorkerPool
+from annotator.workflows.proposing import pool
 from annotator.workflows.proposing.engines.tasks import Answer, FrameAnswer, FrameSpec, Identity, RecordingSpec, Task
+from annotator.workflows.proposing.pool import (
+    MAX_FAILED_STARTS,
+    TASKS_PER_WORKER,
+    Died,
+    Done,
+    Ready,
+    Refused,
+    Report,
+    WorkerPool,
+)
 
 SAME = Identity("image", "view", ("torch", "torch"), BoxKind.BOX)
 ROOM = RecordingSpec(Path("room"), "room", "project", None)

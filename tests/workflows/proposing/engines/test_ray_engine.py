@@ -18,7 +18,6 @@ from annotator.project import Project
 from annotator.types.errors import MissingExtraError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.engines.messages import Died, Event, Refused
 from annotator.workflows.proposing.engines.ray_engine import (
     LOCAL_SWITCHES,
     SWITCHES,
@@ -26,6 +25,7 @@ from annotator.workflows.proposing.engines.ray_engine import (
     RayWorker,
     max_workers,
 )
+from annotator.workflows.proposing.pool import Died, Event, Refused
 from annotator.workflows.proposing.sources import GivenDetectors, Storage
 
 LISTENS = "0A"
