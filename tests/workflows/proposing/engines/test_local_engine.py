@@ -22,7 +22,7 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine
-from annotator.workflows.proposing.engines.local import local_engine
+from annotator.workflows.proposing.local import local_engine
 from annotator.workflows.proposing.sources import DetectorSource, GivenDetectors, Storage
 
 Knowing = Callable[..., Detectors]
@@ -37,7 +37,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine
-from annotator.workflows.proposing.engines.local import local_engine
+from annotator.workflows.proposing.local import local_engine
 from annotator.workflows.proposing.sources import Storage
 with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:
     annotate_with(project, local_engine(pickle.load(file), 1, 1, Storage()), RcvConfig(max_steps=1))
