@@ -66,7 +66,7 @@ def make_engine(
             workers = workers or len(gpus) or cores
             return local_engine(source, workers, threads or max(cores // workers, 1), storage, gpus)
         case EngineName.RAY:
-            from annotator.workflows.proposing.engines.ray_engine import RayEngine
+            from annotator.workflows.proposing.ray_engine import RayEngine
 
             return RayEngine(source, workers, threads or 1, storage, address)
         case _:

@@ -18,14 +18,8 @@ from annotator.project import Project
 from annotator.types.errors import MissingExtraError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.engines.ray_engine import (
-    LOCAL_SWITCHES,
-    SWITCHES,
-    RayEngine,
-    RayWorker,
-    max_workers,
-)
 from annotator.workflows.proposing.pool import Died, Event, Refused
+from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
 from annotator.workflows.proposing.sources import GivenDetectors, Storage
 
 LISTENS = "0A"
@@ -73,7 +67,7 @@ def test_without_ray_the_error_says_what_to_install(
 
 
 def test_importing_the_module_does_not_import_ray() -> None:
-    code = "import sys, annotator.workflows.proposing.engines.ray_engine; sys.exit('ray' in sys.modules)"
+    code = "import sys, annotator.workflows.proposing.ray_engine; sys.exit('ray' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=400).returncode == 0
 
 
