@@ -35,7 +35,7 @@ from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate_with
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.pool import WorkerPool
-from annotator.workflows.proposing.sources import DetectorSource, GivenDetectors, trained_detectors
+from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, trained_detectors
 from benchmarks.repeating import LABEL, generate, lengthen, perfect_detector
 from benchmarks.report import Table, finish, guarded
 

@@ -39,7 +39,7 @@ from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.propose_frames import propose_image_boxes
-from annotator.workflows.proposing.sources import DetectorSource, GivenDetectors, trained_detectors
+from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, trained_detectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 

@@ -48,7 +48,7 @@ from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
-from annotator.workflows.proposing.sources import trained_detectors
+from annotator.workflows.proposing.tasks import trained_detectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.rounds import FIRST_PART_S

@@ -20,9 +20,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from annotator.workflows.proposing.engines.runner import TaskRunner
-from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
 from annotator.workflows.proposing.pool import Died, Done, Fault, Ready, Refused, Report, Start, WorkerPool, fault_of
-from annotator.workflows.proposing.sources import DetectorSource, Storage
+from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, Storage, Task
 
 # One thread proposes while the other one reads frames.
 THREADS = 2

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 from annotator.types.errors import AnnotatorError, WorkerError
-from annotator.workflows.proposing.engines.tasks import Answer, FrameAnswer, Identity, Task
-from annotator.workflows.proposing.sources import DetectorSource, Storage
+from annotator.workflows.proposing.tasks import Answer, DetectorSource, FrameAnswer, Identity, Storage, Task
 
 
 @dataclass(frozen=True, eq=False)

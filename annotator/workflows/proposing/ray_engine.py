@@ -14,7 +14,6 @@ from annotator.detection.backends.cores import usable_cores
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
 from annotator.workflows.proposing.engines.runner import TaskRunner
-from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
 from annotator.workflows.proposing.local import cuda_devices, environment
 from annotator.workflows.proposing.pool import (
     TASKS_PER_WORKER,
@@ -27,7 +26,15 @@ from annotator.workflows.proposing.pool import (
     WorkerPool,
     fault_of,
 )
-from annotator.workflows.proposing.sources import DetectorSource, PackedDetectors, Storage, TrainedDetectors
+from annotator.workflows.proposing.tasks import (
+    Answer,
+    DetectorSource,
+    Identity,
+    PackedDetectors,
+    Storage,
+    Task,
+    TrainedDetectors,
+)
 
 # Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU
 # keep the machine's CUDA_VISIBLE_DEVICES.

@@ -21,7 +21,7 @@ from annotator.workflows.proposing import batch_store as batch_book
 from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate, annotate_with
 from annotator.workflows.proposing.batch_store import WRITE_ATTEMPTS
 from annotator.workflows.proposing.engines.inline import InlineEngine
-from annotator.workflows.proposing.sources import GivenDetectors
+from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
 
 CONFIG = RcvConfig()

@@ -9,7 +9,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.local import cuda_devices, local_engine
-from annotator.workflows.proposing.sources import DetectorSource, Storage
+from annotator.workflows.proposing.tasks import DetectorSource, Storage
 
 # With fewer frames, this process finishes before workers would have loaded the detectors.
 MIN_FRAMES = 16

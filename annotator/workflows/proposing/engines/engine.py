@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
+from annotator.workflows.proposing.tasks import Answer, Identity, Task
 
 
 @runtime_checkable

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from annotator.workflows.proposing.engines.runner import TaskRunner
-from annotator.workflows.proposing.engines.tasks import Answer, Identity, Task
-from annotator.workflows.proposing.sources import DetectorSource, Storage
+from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, Storage, Task
 
 
 class InlineEngine:

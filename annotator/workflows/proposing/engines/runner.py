@@ -17,16 +17,17 @@ from annotator.types import Frame
 from annotator.types.errors import AnnotatorError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import OpenedRecording, orientation_for
-from annotator.workflows.proposing.engines.tasks import (
+from annotator.workflows.proposing.tasks import (
+    MAX_OPEN,
     Answer,
     FrameAnswer,
     FrameSpec,
     Identity,
     RecordingSpec,
+    Storage,
     Task,
     pickle_exactly,
 )
-from annotator.workflows.proposing.sources import MAX_OPEN, Storage
 
 
 @dataclass(frozen=True, eq=False)

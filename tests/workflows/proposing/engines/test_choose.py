@@ -15,7 +15,7 @@ from annotator.workflows.proposing.engines.choose import MIN_FRAMES, EngineName,
 from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.local import cuda_devices
 from annotator.workflows.proposing.pool import TASKS_PER_WORKER, WorkerPool
-from annotator.workflows.proposing.sources import (
+from annotator.workflows.proposing.tasks import (
     PackedDetectors,
     Storage,
     TrainedDetectors,

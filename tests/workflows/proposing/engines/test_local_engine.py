@@ -23,7 +23,7 @@ from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.local import local_engine
-from annotator.workflows.proposing.sources import DetectorSource, GivenDetectors, Storage
+from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, Storage
 
 Knowing = Callable[..., Detectors]
 NewPeople = Callable[[str], Project]
@@ -38,7 +38,7 @@ from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.local import local_engine
-from annotator.workflows.proposing.sources import Storage
+from annotator.workflows.proposing.tasks import Storage
 with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:
     annotate_with(project, local_engine(pickle.load(file), 1, 1, Storage()), RcvConfig(max_steps=1))
 """

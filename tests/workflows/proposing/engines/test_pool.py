@@ -14,7 +14,6 @@ from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind
 from annotator.types.errors import WorkerError
 from annotator.workflows.proposing import pool
-from annotator.workflows.proposing.engines.tasks import Answer, FrameAnswer, FrameSpec, Identity, RecordingSpec, Task
 from annotator.workflows.proposing.pool import (
     MAX_FAILED_STARTS,
     TASKS_PER_WORKER,
@@ -25,6 +24,7 @@ from annotator.workflows.proposing.pool import (
     Report,
     WorkerPool,
 )
+from annotator.workflows.proposing.tasks import Answer, FrameAnswer, FrameSpec, Identity, RecordingSpec, Task
 
 SAME = Identity("image", "view", ("torch", "torch"), BoxKind.BOX)
 ROOM = RecordingSpec(Path("room"), "room", "project", None)

@@ -20,7 +20,7 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.pool import Died, Event, Refused
 from annotator.workflows.proposing.ray_engine import LOCAL_SWITCHES, SWITCHES, RayEngine, RayWorker, max_workers
-from annotator.workflows.proposing.sources import GivenDetectors, Storage
+from annotator.workflows.proposing.tasks import GivenDetectors, Storage
 
 LISTENS = "0A"
 LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F")

@@ -1,11 +1,8 @@
-"""Where workers read recordings: at the project's path, or at another path or URL.
-
-On a worker's machine, the driver's `/data/room` may be `/mnt/data/room`, or `s3://bucket/room` in an object storage.
-URLs are read through fsspec (`annotator.recordings.mirror`).
-"""
+"""Tasks and answers: picklable values that describe frames instead of containing them."""
 
 from __future__ import annotations
 
+import copyreg
 import hashlib
 import os
 import stat
@@ -13,18 +10,144 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform
 
 from annotator.detection.config import Backend
 from annotator.detection.trained import MODEL_NAME
 from annotator.files import NETWORK_BYTES, read_file, write_atomic
+from annotator.project.config import BoxRotation
 from annotator.project.project import Project
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.warm_start import WarmStart
 from annotator.recordings import stored_options
-from annotator.types import BoxKind
+from annotator.types import NO_CORRECTION, BoxKind, Correction
 from annotator.types.errors import ConfigError, DetectionError, WorkerError
 from annotator.workflows.detectors import Detectors, Names, image_model, load_detector, view_model
 from annotator.workflows.frame_source import OpenedRecording, open_stored
-from annotator.workflows.proposing.engines.tasks import RecordingSpec
+
+
+@dataclass(frozen=True)
+class RecordingSpec:
+    """A recording as a worker needs it.
+
+    Attributes:
+        path: on the driver; workers may read it elsewhere (`Storage`).
+        name: in the project.
+        project: the project's name, for messages.
+        up: unit vector against gravity in the camera frame, if the project sets one.
+        options, correction: as in `StoredRecording`.
+    """
+
+    path: Path
+    name: str
+    project: str
+    up: tuple[float, float, float] | None
+    options: str = ""
+    correction: Correction = NO_CORRECTION
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSpec:
+    """A frame to process.
+
+    Attributes:
+        key: its name in the recording, which identifies it.
+        seeds: boxes of the previous frame, in this frame's camera frame.
+    """
+
+    recording: RecordingSpec
+    key: str
+    seeds: tuple[WarmStart, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A few frames that go through the recursion together.
+
+    Every engine gets the same groups, since the other images of a batch may change a detector's results in their last
+    bits.
+
+    Attributes:
+        number: of the task in its engine.
+        frames: one or more.
+        config: settings; the orientation is replaced for each frame.
+        rotation: gives the orientation.
+    """
+
+    number: int
+    frames: tuple[FrameSpec, ...]
+    config: RcvConfig
+    rotation: BoxRotation
+
+
+@dataclass(frozen=True, eq=False)
+class FrameAnswer:
+    """The `result` of a frame, or the `reason` of its failure.
+
+    Attributes:
+        seconds: processing time, without waiting.
+    """
+
+    result: FrameProposals | None
+    reason: str | None
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The answer to a task: one answer per frame, in the task's order."""
+
+    number: int
+    frames: tuple[FrameAnswer, ...]
+
+
+@dataclass(frozen=True)
+class Identity:
+    """The identity of a worker's detectors; workers with the same identity give the same results.
+
+    Attributes:
+        image, view: fingerprints of the detectors.
+        backends: their backends, e.g. ("openvino", "openvino").
+        box_kind: what the boxes of the view detector measure.
+        class_agnostic: whether it measures objects of any class.
+        image_kind: what the boxes of the image detector enclose.
+        trained: whether the view detector was trained on objects of the project.
+    """
+
+    image: str
+    view: str
+    backends: tuple[str, str]
+    box_kind: BoxKind
+    class_agnostic: bool = False
+    image_kind: BoxKind = BoxKind.BOX
+    trained: bool = False
+
+
+def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:
+    """Returns the transform with exactly this matrix."""
+    return RigidTransform(matrix, normalize=False)
+
+
+def _reduced(transform: RigidTransform) -> tuple[Any, ...]:
+    return transform_of, (np.asarray(transform.as_matrix(), np.float64),)
+
+
+def pickle_exactly() -> None:
+    """Makes pickling of poses exact in this process: scipy's own pickle recomputes rotations inexactly."""
+    copyreg.pickle(RigidTransform, _reduced)
+
+
+# TODO-MERGED docstring of sources.py:
+# Where workers read recordings: at the project's path, or at another path or URL.
+#
+# On a worker's machine, the driver's `/data/room` may be `/mnt/data/room`, or `s3://bucket/room` in an object storage.
+# URLs are read through fsspec (`annotator.recordings.mirror`).
+
 
 CACHE_MB = 4000
 # Maximum number of open recordings of a worker: each holds its frame names and a share of the cache.
