@@ -33,8 +33,8 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, load_detector
 from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate_with
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
-from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.pool import WorkerPool
+from annotator.workflows.proposing.runner import Engine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, trained_detectors
 from benchmarks.repeating import LABEL, generate, lengthen, perfect_detector
 from benchmarks.report import Table, finish, guarded

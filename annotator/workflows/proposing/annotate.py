@@ -20,8 +20,7 @@ from annotator.rcv.config import REVISION, RcvConfig
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.batch_store import AnnotateSummary, Batch
-from annotator.workflows.proposing.engines.engine import Engine
-from annotator.workflows.proposing.engines.inline import InlineEngine
+from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import FrameAnswer, FrameSpec, GivenDetectors, Identity, Task, pickle_exactly
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.tracks.previous_boxes import seeds_of

@@ -14,7 +14,7 @@ from annotator.project.writing import WriteContext
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
-from annotator.workflows.proposing.engines.runner import failure
+from annotator.workflows.proposing.runner import failure
 from annotator.workflows.proposing.tasks import FrameAnswer, RecordingSpec
 from annotator.workflows.rigs import Rigs
 from annotator.workflows.tracks.previous_boxes import followed_tracks

@@ -19,8 +19,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from annotator.workflows.proposing.engines.runner import TaskRunner
 from annotator.workflows.proposing.pool import Died, Done, Fault, Ready, Refused, Report, Start, WorkerPool, fault_of
+from annotator.workflows.proposing.runner import TaskRunner
 from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, Storage, Task
 
 # One thread proposes while the other one reads frames.

@@ -13,7 +13,6 @@ from typing import Any
 from annotator.detection.backends.cores import usable_cores
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
-from annotator.workflows.proposing.engines.runner import TaskRunner
 from annotator.workflows.proposing.local import cuda_devices, environment
 from annotator.workflows.proposing.pool import (
     TASKS_PER_WORKER,
@@ -26,6 +25,7 @@ from annotator.workflows.proposing.pool import (
     WorkerPool,
     fault_of,
 )
+from annotator.workflows.proposing.runner import TaskRunner
 from annotator.workflows.proposing.tasks import (
     Answer,
     DetectorSource,

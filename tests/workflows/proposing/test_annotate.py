@@ -20,7 +20,7 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing import batch_store as batch_book
 from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate, annotate_with
 from annotator.workflows.proposing.batch_store import WRITE_ATTEMPTS
-from annotator.workflows.proposing.engines.inline import InlineEngine
+from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
 

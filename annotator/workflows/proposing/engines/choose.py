@@ -6,9 +6,8 @@ from enum import StrEnum
 
 from annotator.detection.backends.cores import usable_cores
 from annotator.types.errors import ConfigError
-from annotator.workflows.proposing.engines.engine import Engine
-from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.local import cuda_devices, local_engine
+from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import DetectorSource, Storage
 
 # With fewer frames, this process finishes before workers would have loaded the detectors.

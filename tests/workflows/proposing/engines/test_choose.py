@@ -12,9 +12,9 @@ from annotator.types import BoxKind
 from annotator.types.errors import ConfigError, DetectionError, WorkerError
 from annotator.workflows.proposing.engines import choose
 from annotator.workflows.proposing.engines.choose import MIN_FRAMES, EngineName, make_engine
-from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.local import cuda_devices
 from annotator.workflows.proposing.pool import TASKS_PER_WORKER, WorkerPool
+from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.tasks import (
     PackedDetectors,
     Storage,

@@ -20,9 +20,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.types.errors import WorkerError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.engines.engine import Engine
-from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.local import local_engine
+from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, Storage
 
 Knowing = Callable[..., Detectors]
@@ -35,8 +34,8 @@ sys.path.insert(0, sys.argv[1])
 from annotator.project import open_project
 from annotator.rcv.config import RcvConfig
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.engines.engine import Engine
-from annotator.workflows.proposing.engines.inline import InlineEngine
+from annotator.workflows.proposing.runner import Engine
+from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.local import local_engine
 from annotator.workflows.proposing.tasks import Storage
 with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:

@@ -1,14 +1,15 @@
-"""Runs a task: reads its frames and proposes boxes. Every engine uses it."""
+"""The interface of engines."""
 
 from __future__ import annotations
 
 import threading
 import time
 import traceback
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
@@ -20,6 +21,7 @@ from annotator.workflows.frame_source import OpenedRecording, orientation_for
 from annotator.workflows.proposing.tasks import (
     MAX_OPEN,
     Answer,
+    DetectorSource,
     FrameAnswer,
     FrameSpec,
     Identity,
@@ -28,6 +30,48 @@ from annotator.workflows.proposing.tasks import (
     Task,
     pickle_exactly,
 )
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Takes tasks, and returns their answers in any order. Used by one thread.
+
+    Must be closed after use, also after an exception; tasks without an answer are lost.
+
+    Attributes:
+        window: maximum number of tasks in flight; enough to keep all workers busy.
+    """
+
+    @property
+    def window(self) -> int: ...
+
+    def start(self) -> Identity:
+        """Starts the workers, unless they run already. Returns when the first is ready.
+
+        Raises:
+            AnnotatorError: a worker cannot load the detectors, or none can be started.
+        """
+        ...
+
+    def submit(self, task: Task) -> None:
+        """Adds a task."""
+        ...
+
+    def wait(self, timeout_s: float) -> Answer | None:
+        """Waits for the next answer; returns None after `timeout_s` seconds.
+
+        Raises:
+            WorkerError: the workers keep dying.
+        """
+        ...
+
+    def close(self) -> None:
+        """Ends all workers at once. Can be called again."""
+        ...
+
+
+# TODO-MERGED docstring of runner.py:
+# Runs a task: reads its frames and proposes boxes. Every engine uses it.
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,3 +174,52 @@ def failure(error: Exception, seconds: float) -> FrameAnswer:
         place = traceback.extract_tb(error.__traceback__)[-1]
         reason = f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
     return FrameAnswer(None, reason, seconds)
+
+
+# TODO-MERGED docstring of inline.py:
+# The engine without worker processes: `wait` runs the next task.
+
+
+class InlineEngine:
+    """Runs tasks in this process, one at a time."""
+
+    def __init__(self, source: DetectorSource, threads: int | None = None, storage: Storage | None = None) -> None:
+        """
+        Args:
+            source: of the detectors.
+            threads: processor threads of each detector; None = all cores.
+            storage: where recordings are read.
+        """
+        self._source, self._threads, self._storage = source, threads, storage or Storage()
+        self._runner: TaskRunner | None = None
+        self._tasks: deque[Task] = deque()
+
+    @property
+    def window(self) -> int:
+        return 1
+
+    def start(self) -> Identity:
+        """Loads the detectors.
+
+        Raises:
+            AnnotatorError: they cannot be loaded.
+        """
+        return self._ready().identity
+
+    def submit(self, task: Task) -> None:
+        """Adds a task."""
+        self._tasks.append(task)
+
+    def wait(self, timeout_s: float) -> Answer | None:
+        """Runs the oldest task, regardless of `timeout_s`; returns None if there is none."""
+        return self._ready().do(self._tasks.popleft()) if self._tasks else None
+
+    def close(self) -> None:
+        """Drops the detectors and all tasks."""
+        self._runner = None
+        self._tasks.clear()
+
+    def _ready(self) -> TaskRunner:
+        if self._runner is None:
+            self._runner = TaskRunner(self._source.load(self._threads), self._storage)
+        return self._runner
