@@ -32,7 +32,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, load_detector
 from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate_with
-from annotator.workflows.proposing.engines.choose import EngineName, make_engine
+from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.pool import WorkerPool
 from annotator.workflows.proposing.runner import Engine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, trained_detectors

@@ -64,7 +64,7 @@ def annotate_and_measure(source: Path, folder: Path, args: Arguments) -> Peaks:
     from annotator.workflows.add_recordings import register_recording
     from annotator.workflows.detectors import Detectors
     from annotator.workflows.proposing.annotate import annotate_with
-    from annotator.workflows.proposing.engines.choose import EngineName, make_engine
+    from annotator.workflows.proposing.engines import EngineName, make_engine
     from annotator.workflows.proposing.tasks import GivenDetectors
 
     detector = perfect_detector(source, args.different)

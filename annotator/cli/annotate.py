@@ -20,7 +20,7 @@ from annotator.types.amounts import amount
 from annotator.workflows.detectors import stand_in
 from annotator.workflows.proposing.annotate import annotate_with, require_limit
 from annotator.workflows.proposing.batch_store import AnnotateSummary
-from annotator.workflows.proposing.engines.choose import EngineName, make_engine
+from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.tasks import CACHE_MB, Storage, parse_elsewhere, trained_detectors
 from annotator.workflows.settings import editable, rcv_config
 

@@ -13,7 +13,7 @@ from typing import Any
 from annotator.detection.backends.cores import usable_cores
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
-from annotator.workflows.proposing.local import cuda_devices, environment
+from annotator.workflows.proposing.engines import cuda_devices, environment
 from annotator.workflows.proposing.pool import (
     TASKS_PER_WORKER,
     Died,

@@ -10,9 +10,8 @@ from engine_samples import Unloadable
 
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError, DetectionError, WorkerError
-from annotator.workflows.proposing.engines import choose
-from annotator.workflows.proposing.engines.choose import MIN_FRAMES, EngineName, make_engine
-from annotator.workflows.proposing.local import cuda_devices
+from annotator.workflows.proposing import engines
+from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, cuda_devices, make_engine
 from annotator.workflows.proposing.pool import TASKS_PER_WORKER, WorkerPool
 from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.tasks import (
@@ -46,8 +45,8 @@ def test_the_number_of_workers_depends_on_cores_gpus_and_frames(
     workers: int | None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(choose, "usable_cores", lambda: cores)
-    monkeypatch.setattr(choose, "cuda_devices", lambda: gpus)
+    monkeypatch.setattr(engines, "usable_cores", lambda: cores)
+    monkeypatch.setattr(engines, "cuda_devices", lambda: gpus)
     engine = make_engine(EngineName(name), Unloadable(), **{"frames": 1000, **options})
     assert isinstance(engine, InlineEngine if workers is None else WorkerPool)
     assert engine.window == (1 if workers is None else workers * (TASKS_PER_WORKER + 1))

@@ -20,7 +20,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.types.errors import WorkerError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.local import local_engine
+from annotator.workflows.proposing.engines import local_engine
 from annotator.workflows.proposing.runner import Engine, InlineEngine
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, Storage
 
@@ -36,7 +36,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.runner import Engine
 from annotator.workflows.proposing.runner import InlineEngine
-from annotator.workflows.proposing.local import local_engine
+from annotator.workflows.proposing.engines import local_engine
 from annotator.workflows.proposing.tasks import Storage
 with open_project(Path(sys.argv[2])) as project, open(sys.argv[3], "rb") as file:
     annotate_with(project, local_engine(pickle.load(file), 1, 1, Storage()), RcvConfig(max_steps=1))

@@ -16,11 +16,14 @@ import sys
 import threading
 import traceback
 from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path
 from typing import BinaryIO
 
+from annotator.detection.backends.cores import usable_cores
+from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.pool import Died, Done, Fault, Ready, Refused, Report, Start, WorkerPool, fault_of
-from annotator.workflows.proposing.runner import TaskRunner
+from annotator.workflows.proposing.runner import Engine, InlineEngine, TaskRunner
 from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, Storage, Task
 
 # One thread proposes while the other one reads frames.
@@ -90,7 +93,7 @@ def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], output: _Output) -
 # Workers get the driver's module path. -P excludes the current folder, whose files might shadow modules.
 PROGRAM = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from annotator.workflows.proposing.local import main; sys.exit(main())"
+    "from annotator.workflows.proposing.engines import main; sys.exit(main())"
 )
 # Read by the libraries when they are loaded. Without them, each worker would use all cores.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -209,3 +212,69 @@ def cuda_devices(devices: Path = Path("/dev")) -> tuple[str, ...]:
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     names = [str(number) for number in range(count)] if visible is None else [n.strip() for n in visible.split(",")]
     return tuple(names[:count])
+
+
+# TODO-MERGED docstring of choose.py:
+# Makes an engine by name, with a number of workers that suits the machine or cluster.
+
+
+# With fewer frames, this process finishes before workers would have loaded the detectors.
+MIN_FRAMES = 16
+
+
+class EngineName(StrEnum):
+    """The engines. AUTO: worker processes if the machine has several cores or a GPU and there are enough frames, else
+    this process."""
+
+    AUTO = "auto"
+    INLINE = "inline"
+    LOCAL = "local"
+    RAY = "ray"
+
+
+def make_engine(
+    name: EngineName,
+    source: DetectorSource,
+    *,
+    frames: int,
+    workers: int | None = None,
+    threads: int | None = None,
+    address: str | None = None,
+    storage: Storage | None = None,
+) -> Engine:
+    """Makes an engine. Detectors are loaded when it is started; a Ray cluster is connected now.
+
+    Args:
+        source: of the detectors.
+        frames: maximum number of frames to do.
+        workers: number of workers; None = one per GPU, or one per core without GPUs (of the cluster, with Ray).
+        threads: processor threads of each worker; None = its share of the machine's cores (Ray: one thread).
+        address: of a Ray cluster; None = one on this machine.
+        storage: where workers read recordings.
+
+    Raises:
+        ConfigError: numbers below 1, or contradicting options.
+        MissingExtraError, WorkerError: Ray is not installed, or the cluster cannot be reached.
+    """
+    storage = storage or Storage()
+    for option, value in (("workers", workers), ("threads", threads)):
+        if value is not None and value < 1:
+            raise ConfigError(f"--{option} {value} is too small; give 1 or more")
+    if address is not None and name is not EngineName.RAY:
+        raise ConfigError("--address names a Ray cluster; add --engine ray, or omit it")
+    gpus, cores = cuda_devices(), usable_cores()
+    if name is EngineName.AUTO:
+        use_workers = workers != 1 and (workers is not None or cores > 1 or bool(gpus))
+        name = EngineName.LOCAL if use_workers and frames >= MIN_FRAMES else EngineName.INLINE
+    elif name is EngineName.INLINE and workers not in (None, 1):
+        raise ConfigError("--engine inline has no workers; omit --workers, or use --engine local")
+    match name:
+        case EngineName.LOCAL:
+            workers = workers or len(gpus) or cores
+            return local_engine(source, workers, threads or max(cores // workers, 1), storage, gpus)
+        case EngineName.RAY:
+            from annotator.workflows.proposing.ray_engine import RayEngine
+
+            return RayEngine(source, workers, threads or 1, storage, address)
+        case _:
+            return InlineEngine(source, threads, storage)
