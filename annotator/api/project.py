@@ -35,8 +35,7 @@ from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportRepo
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import ImportedLabels, import_labels
 from annotator.workflows.live.detection import Detected
-from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.batch_store import AnnotateSummary
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.propose_frames import propose_image_boxes
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, trained_detectors

@@ -18,8 +18,7 @@ from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy
 from annotator.types.amounts import amount
 from annotator.workflows.detectors import stand_in
-from annotator.workflows.proposing.annotate import annotate_with, require_limit
-from annotator.workflows.proposing.batch_store import AnnotateSummary
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with, require_limit
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.tasks import CACHE_MB, Storage, parse_elsewhere, trained_detectors
 from annotator.workflows.settings import editable, rcv_config

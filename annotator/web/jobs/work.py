@@ -44,8 +44,7 @@ from annotator.workflows.importing import (
     read_labels,
 )
 from annotator.workflows.importing.new_attributes import values_of_labels, values_of_pictures
-from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.batch_store import AnnotateSummary
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
 from annotator.workflows.proposing.tasks import trained_detectors

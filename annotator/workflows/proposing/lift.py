@@ -23,7 +23,7 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import checked_images
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
-from annotator.workflows.proposing.batch_store import AnnotateSummary, Batch
+from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.propose_frames import propose_image_boxes
 from annotator.workflows.proposing.runner import failure
 from annotator.workflows.proposing.tasks import FrameAnswer

@@ -17,9 +17,8 @@ from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Im
 from annotator.types.errors import ConfigError, ProjectError
 from annotator.workflows.add_recordings import add_recordings, register_recording
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing import batch_store as batch_book
-from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate, annotate_with
-from annotator.workflows.proposing.batch_store import WRITE_ATTEMPTS
+from annotator.workflows.proposing import annotate as batch_book
+from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
 from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
