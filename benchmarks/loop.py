@@ -32,7 +32,7 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, active_detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES
-from annotator.workflows.proposing.propose_frames import propose_frames
+from annotator.workflows.proposing.lift import propose_frames
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import require_boxes_for, simulate_recording

@@ -37,7 +37,7 @@ from annotator.workflows.importing.boxes_3d import ImportedLabels, import_labels
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, trained_detectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config

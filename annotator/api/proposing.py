@@ -17,7 +17,7 @@ from annotator.types.errors import ArgumentError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.source import Taken
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.settings import checked_config
 
 ImageDetector = Detector | Callable[[Frame], Sequence[Box2D]]

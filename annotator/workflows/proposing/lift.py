@@ -9,25 +9,66 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.project import Project, StoredFrame
-from annotator.rcv.config import REVISION, RcvConfig
-from annotator.types import Box2D, BoxKind, Detector, Image
+from annotator.project.config import BoxRotation
+from annotator.rcv.config import REVISION, Orientation, RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.propose import propose_from_boxes
+from annotator.types import Box2D, BoxKind, Detector, Frame, Image
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.names import MOST_LISTED, first_few
-from annotator.workflows.detectors import LIFTED_FROM
-from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.detectors import LIFTED_FROM, Detectors
+from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import checked_images
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
 from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
 from annotator.workflows.proposing.runner import failure
 from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+
+# TODO-MERGED docstring of propose_frames.py:
+# Runs Recursive Cross-View on frames in memory, each with the orientation it allows.
+
+
+def propose_frames(
+    frames: Sequence[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
+) -> list[FrameProposals]:
+    """Returns the proposals of each frame, in the given order.
+
+    Args:
+        config: its orientation and box kind are set here.
+        rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
+    """
+    image_boxes = detectors.image.detect(frames) if frames else []
+    config = detectors.settings(config)
+    return propose_image_boxes(frames, image_boxes, detectors.view, config, rotation)
+
+
+def propose_image_boxes(
+    frames: Sequence[Frame],
+    image_boxes: Sequence[Sequence[Box2D]],
+    view_detector: Detector,
+    config: RcvConfig,
+    rotation: BoxRotation,
+) -> list[FrameProposals]:
+    """As `propose_frames`, but with given image boxes, one list per frame; sets only the orientation of `config`."""
+    groups: dict[Orientation, list[int]] = defaultdict(list)
+    for index, frame in enumerate(frames):
+        groups[orientation_for(rotation, frame)].append(index)
+    results: dict[int, FrameProposals] = {}
+    for orientation, indices in groups.items():
+        settings = config.model_copy(update={"orientation": orientation})
+        chosen, boxes = [frames[i] for i in indices], [image_boxes[i] for i in indices]
+        done = propose_from_boxes(chosen, boxes, view_detector, settings)
+        results.update(zip(indices, done, strict=True))
+    return [results[index] for index in range(len(frames))]
+
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames)."""

@@ -29,7 +29,7 @@ from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, Label, Orie
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.detectors import UsedModel, load_detector
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import frame_group
 

@@ -16,8 +16,8 @@ from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, Frame
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing import propose_frames as module
-from annotator.workflows.proposing.propose_frames import propose_frames
+from annotator.workflows.proposing import lift as module
+from annotator.workflows.proposing.lift import propose_frames
 
 UP = np.array([0.0, -1.0, 0.0])
 
