@@ -29,10 +29,7 @@ from annotator.types.errors import DetectionError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.rigs import Rigs
 from annotator.workflows.training.base_detector import generated_views
-from annotator.workflows.views.outlines import outlines, undrawn
-from annotator.workflows.views.pairs import front_and_side, views_by_object
-from annotator.workflows.views.places import spans_m
-from annotator.workflows.views.redrawn import redrawn
+from annotator.workflows.views.pairs import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
 
 DRAWN, TAUGHT, PROJECTED = "drawn", "taught", "projected"
 

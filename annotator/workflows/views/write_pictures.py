@@ -25,8 +25,14 @@ from annotator.rcv.operator import first_views, next_views
 from annotator.types import Box2D, Frame, PseudoView
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.views.pairs import front_and_side, views_by_object
-from annotator.workflows.views.places import ViewPlace, geometry_of, spans_m, write_places
+from annotator.workflows.views.pairs import (
+    ViewPlace,
+    front_and_side,
+    geometry_of,
+    spans_m,
+    views_by_object,
+    write_places,
+)
 
 COCO = "coco.json"
 
