@@ -10,7 +10,7 @@ from annotator.project.overview import FramePage
 from annotator.project.records import BoxRecord
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, OrientedBox
-from annotator.workflows.views.follow_image_boxes import changes_kind
+from annotator.workflows.views.write_pictures import changes_kind
 from annotator.workflows.workbench.drawing_steps import MAX_BOXES, VIEWS_PER_STEP, label_steps
 from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
 from annotator.workflows.workbench.open_frame import OpenFrame

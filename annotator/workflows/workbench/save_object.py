@@ -20,8 +20,8 @@ from annotator.project.overview import FramePage
 from annotator.project.records import BoxRecord
 from annotator.types import Box2D, BoxKind, Suggestion
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
-from annotator.workflows.views.follow_image_boxes import changes_kind, view_followers
 from annotator.workflows.views.pairs import geometry_of
+from annotator.workflows.views.write_pictures import changes_kind, view_followers
 from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Boxes, Labelling, label_config
 from annotator.workflows.workbench.frame_state import present_page
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
