@@ -15,7 +15,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.warm_start import WarmStart
 from annotator.types import Box2D, Camera, Frame, Image, OrientedBox, PointCloud, Region
-from annotator.workflows.live.detection_regions import WHOLE_EVERY, RegionDetection, regions_around
+from annotator.workflows.live.detection import WHOLE_EVERY, RegionDetection, regions_around
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
 CONFIG = RcvConfig()

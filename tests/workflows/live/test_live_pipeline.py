@@ -22,9 +22,8 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.live import detection, detection_regions
-from annotator.workflows.live.detection import MAX_SEED_AGE_S, Detected, LiveDetection
-from annotator.workflows.live.detection_regions import WHOLE_EVERY
+from annotator.workflows.live import detection
+from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection
 from annotator.workflows.live.handover import Slot
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback, Repeat
@@ -460,7 +459,7 @@ class Recorded:
 def test_tracked_objects_are_searched_in_regions_only_with_warm_starts(
     hands: Recording, knowing: Any, warm_start: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detection_regions, "MAX_SHARE", 2.0)  # two hands cover most of this image
+    monkeypatch.setattr(detection, "MAX_SHARE", 2.0)  # two hands cover most of this image
     known = knowing("hands")
     image = Recorded(known.image)
     detectors = replace(known, image=image)
@@ -479,7 +478,7 @@ def test_tracked_objects_are_searched_in_regions_only_with_warm_starts(
 def test_after_a_lost_object_the_next_detection_uses_the_whole_image(
     hands: Recording, knowing: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detection_regions, "MAX_SHARE", 2.0)
+    monkeypatch.setattr(detection, "MAX_SHARE", 2.0)
     known = knowing("hands")
     image, frame = Recorded(known.image), hands.frame(0)
     live = LiveDetection(replace(known, image=image), SHORT, BoxRotation.AUTO, warm_start=True)
