@@ -25,9 +25,8 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.live import detection
 from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection
 from annotator.workflows.live.handover import Slot
-from annotator.workflows.live.pipeline import Pipeline
+from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, summary_line
 from annotator.workflows.live.playback import Playback, Repeat
-from annotator.workflows.live.rates import Drops, Meter, summary_line
 from annotator.workflows.live.source import Taken
 
 NEVER = threading.Event()
@@ -499,7 +498,7 @@ def losing_one(*args: Any) -> list[FrameProposals]:
 
 def test_figures_are_computed_over_their_window_only(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
-    monkeypatch.setattr("annotator.workflows.live.rates.time", clock)
+    monkeypatch.setattr("annotator.workflows.live.pipeline.time", clock)
     clock.now_s = 100.0
     meter = Meter(window_s=0.3)
     assert summary_line(meter.figures(Drops())) == "too few frames for a rate; 0 shown"
