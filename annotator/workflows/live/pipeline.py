@@ -20,7 +20,7 @@ import numpy as np
 
 from annotator.types.errors import ConfigError, DeviceError, FrameError
 from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.handover import Demand, Slot
+from annotator.workflows.live.recorder import Demand, Slot
 from annotator.workflows.live.source import Source, Taken
 
 # TODO-MERGED docstring of rates.py:

@@ -24,9 +24,9 @@ from annotator.types.errors import ConfigError, DeviceError, FrameError, Recordi
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live import detection
 from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection
-from annotator.workflows.live.handover import Slot
 from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, summary_line
 from annotator.workflows.live.playback import Playback, Repeat
+from annotator.workflows.live.recorder import Slot
 from annotator.workflows.live.source import Taken
 
 NEVER = threading.Event()
