@@ -35,8 +35,7 @@ from annotator.workflows.proposing.annotate import TASK_FRAMES
 from annotator.workflows.proposing.lift import propose_frames
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_truth
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.simulate import require_boxes_for, simulate_recording
-from annotator.workflows.simulate_whole import confirm_whole_boxes
+from annotator.workflows.simulate import confirm_whole_boxes, require_boxes_for, simulate_recording
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, image_defaults, train
 from benchmarks.loop_scores import Scores

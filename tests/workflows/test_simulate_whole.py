@@ -16,12 +16,11 @@ from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction
 from annotator.web.caches import Caches
-from annotator.workflows import simulate_whole
+from annotator.workflows import simulate
 from annotator.workflows.add_recordings import move_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.simulate_whole import FITS_IOU, confirm_whole_boxes
+from annotator.workflows.simulate import FITS_IOU, confirm_whole_boxes, simulate_recording
 from annotator.workflows.training.samples import gather
 from annotator.workflows.workbench import whole_boxes as workbench
 from annotator.workflows.workbench.whole_boxes import WholeBoxes
@@ -30,7 +29,7 @@ from annotator.workflows.workbench.whole_boxes import WholeBoxes
 @pytest.fixture
 def drawn(people: Project, monkeypatch: pytest.MonkeyPatch) -> Project:
     """People drawn as they are seen, in a project without a detector."""
-    monkeypatch.setattr(simulate_whole, "ready_view", lambda project: None)
+    monkeypatch.setattr(simulate, "ready_view", lambda project: None)
     simulate_recording(people, people.recordings.all()[0].id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
     return people
 
