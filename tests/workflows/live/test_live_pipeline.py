@@ -24,8 +24,8 @@ from annotator.types.errors import ConfigError, DeviceError, FrameError, Recordi
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live import detection
 from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection
+from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, summary_line
-from annotator.workflows.live.playback import Playback, Repeat
 from annotator.workflows.live.recorder import Slot
 from annotator.workflows.live.source import Taken
 
@@ -137,7 +137,7 @@ def test_the_playback_rate_is_given_or_the_formats_default(frame: Frame) -> None
 
 def test_a_late_reader_misses_frames_as_with_a_camera(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
-    monkeypatch.setattr("annotator.workflows.live.playback.time", clock)
+    monkeypatch.setattr("annotator.workflows.live.open_source.time", clock)
     playback = Playback(FakeRecording(frame, (None,) * 60), rate=100.0)
     first = playback.read(clock)
     clock.now_s += 0.1
@@ -184,7 +184,7 @@ def test_a_reader_waits_for_a_frame_that_is_due_soon(
     frame: Frame, monkeypatch: pytest.MonkeyPatch, rate: float, asked_s: float, index: int, waited_s: float
 ) -> None:
     clock = Clock()
-    monkeypatch.setattr("annotator.workflows.live.playback.time", clock)
+    monkeypatch.setattr("annotator.workflows.live.open_source.time", clock)
     playback = Playback(FakeRecording(frame, (None,) * 9), rate=rate)
     first = playback.read(clock)
     assert first is not None
