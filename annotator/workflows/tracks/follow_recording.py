@@ -14,7 +14,7 @@ from annotator.workflows.tracks.follow_frames import DEFAULTS
 from annotator.workflows.tracks.follow_objects import Stretch
 from annotator.workflows.tracks.follow_run import Following, FollowRun
 from annotator.workflows.tracks.interpolate import KeyFrame, key_frames
-from annotator.workflows.tracks.timeline import Timeline
+from annotator.workflows.tracks.link import Timeline
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 

@@ -20,6 +20,7 @@ from annotator.types.errors import FrameError, NotFoundError, StaleRevisionError
 from annotator.workflows.tracks.follow_frames import DEFAULTS, Follower
 from annotator.workflows.tracks.follow_objects import FollowedObject, FollowedTrack, Part, StoppedAt, Stretch, Walk
 from annotator.workflows.tracks.interpolate import KeyFrame
+from annotator.workflows.tracks.link import Timeline
 from annotator.workflows.tracks.propose_boxes import (
     NewProposal,
     blocking,
@@ -27,7 +28,6 @@ from annotator.workflows.tracks.propose_boxes import (
     part_of,
     proposal_events,
 )
-from annotator.workflows.tracks.timeline import Timeline
 from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 

@@ -13,8 +13,8 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.types.label import MOST_TRACK
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.fit_boxes import FitBox
+from annotator.workflows.tracks.link import times_of
 from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
-from annotator.workflows.tracks.times import times_of
 
 
 @dataclass(frozen=True)
