@@ -32,7 +32,7 @@ from annotator.project.records import BoxRecord
 from annotator.project.views import png
 from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError
-from annotator.workflows.tracks.carry_correction import carry_correction
+from annotator.workflows.tracks.copy_next import carry_correction
 from annotator.workflows.tracks.follow_recording import follow_from_frame
 from annotator.workflows.workbench.contact_sheet import picture
 from annotator.workflows.workbench.loaded_detectors import view_with_classes

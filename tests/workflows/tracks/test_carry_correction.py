@@ -12,7 +12,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import Effort, NewLabel, WriteContext
 from annotator.project.project import create_project
 from annotator.types import Box2D, OrientedBox, Proposal, Quality, ReviewState
-from annotator.workflows.tracks.carry_correction import carry_correction, corrected_alike
+from annotator.workflows.tracks.copy_next import carry_correction, corrected_alike
 from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
 
 
