@@ -33,7 +33,7 @@ from annotator.project.views import png
 from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError
 from annotator.workflows.tracks.copy_next import carry_correction
-from annotator.workflows.tracks.follow_recording import follow_from_frame
+from annotator.workflows.tracks.follow_run import follow_from_frame
 from annotator.workflows.workbench.contact_sheet import picture
 from annotator.workflows.workbench.loaded_detectors import view_with_classes
 from benchmarks.keystrokes import CHORD_S, CLICK_S, KEY_S, SHIFT_CLICK_S, Bill, M

@@ -12,8 +12,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.event_types import LabelTracked
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
-from annotator.workflows.tracks.follow_run import Following
+from annotator.workflows.tracks.follow_run import Following, follow_from_frame, follow_recording
 from annotator.workflows.workbench.copy_boxes import copy_boxes
 
 

@@ -28,7 +28,7 @@ from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import AnnotatorError, HistoryError, TrackTakenError
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tracks_once
 from annotator.workflows.tracks.copy_next import copy_next
-from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
+from annotator.workflows.tracks.follow_run import follow_from_frame, follow_recording
 from annotator.workflows.tracks.interpolate import interpolate
 from annotator.workflows.tracks.link import link_tracks
 from annotator.workflows.workbench.copy_boxes import copy_boxes
