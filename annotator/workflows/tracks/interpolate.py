@@ -2,19 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from annotator.geometry.iou import iou_3d
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame
 from annotator.tracking.smooth import between
-from annotator.types import Label
+from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.types.label import MOST_TRACK
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.fit_boxes import FitBox
 from annotator.workflows.tracks.link import times_of
 from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
+from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.refit import refit
+
+# TODO-MERGED docstring of fit_boxes.py:
+# Fits boxes carried over from another frame to the points of the new frame.
+
+
+# 3D IoU of the fitted with the given box below which the fit is rejected: it has found another object, or a part.
+MIN_IOU = 0.4
+
+FitBox = Callable[[StoredFrame, OrientedBox, Label], OrientedBox]
+"""(frame, box, label of the object in another frame) -> the box fitted to the frame's points.
+
+The given box if the fit is rejected, or if the detector measures another kind of box than the label's.
+"""
+
+
+def box_fitter(
+    project: Project, open_frame: Callable[[StoredFrame], OpenFrame], detector: ReadyDetector | None
+) -> FitBox:
+    """Returns a function that fits boxes with `refit`.
+
+    Args:
+        open_frame: returns a frame; its errors are passed on.
+        detector: for pseudo-views; without one the sides move to the points inside.
+    """
+
+    def fit(frame: StoredFrame, box: OrientedBox, label: Label) -> OrientedBox:
+        opened = open_frame(frame)
+        config = frame_config(project, opened.frame, detector, label.box_kind)
+        if detector is not None and config.box_kind is not label.box_kind:
+            return box
+        fitted = refit(opened, box, label.label, config, detector).box
+        return fitted if iou_3d(fitted, box) >= MIN_IOU else box
+
+    return fit
 
 
 @dataclass(frozen=True)
