@@ -37,7 +37,7 @@ from annotator.workflows.proposing.tasks import (
 )
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.rigs import Rigs
-from annotator.workflows.tracks.copy_next import followed_tracks, seeds_of
+from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
 # TODO-MERGED docstring of batch_store.py:
 # Reads the frames of a batch from the store, stores their results, and counts them.

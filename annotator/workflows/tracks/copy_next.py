@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +14,8 @@ from annotator.project.overview import neighbours, read_page
 from annotator.project.sources.covering import covered_by
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.follow_object import Look, follow_object
-from annotator.rcv.warm_start import WarmStart
-from annotator.tracking.link import Seen, TrackingConfig, link, predicted
-from annotator.types import Frame, Label, OrientedBox, Proposal, ReviewState, Source
+from annotator.tracking.link import TrackingConfig, predicted
+from annotator.types import Frame, Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.follow_frames import DEFAULTS
@@ -230,58 +229,3 @@ def corrected_alike(box: OrientedBox, was: OrientedBox, now: OrientedBox) -> Ori
     own_m = with_axes_like(box, turned).size_m
     size_m = own_m + now.size_m - with_axes_like(was, now).size_m
     return OrientedBox.from_parts(turned.center_m, turned.rotation, np.maximum(size_m, MIN_SIZE_M))
-
-
-# TODO-MERGED docstring of previous_boxes.py:
-# Boxes of other frames: those of a track, and those of the previous frame, which the recursion can start from.
-
-
-def seeds_of(project: Project, frame: StoredFrame) -> tuple[WarmStart, ...]:
-    """Returns the reviewed boxes of the previous frame of the recording, in the order of its labels.
-
-    Empty if there is no previous frame, it has no reviewed box, or the recording is not a sequence.
-    """
-    return tuple(WarmStart(label.label, label.box) for label in reviewed_before(project, frame))
-
-
-def reviewed_before(project: Project, frame: StoredFrame) -> tuple[Label, ...]:
-    """Returns the labels of `seeds_of`, in the same order."""
-    if not project.recordings.get(frame.recording_id).is_sequence:
-        return ()
-    previous_id = neighbours(project, frame)[0]
-    if previous_id is None:
-        return ()
-    return tuple(label for label in project.labels.of_frame(previous_id) if label.state in REVIEWED)
-
-
-def followed_tracks(project: Project, frame: StoredFrame, proposals: Sequence[Proposal]) -> list[int | None]:
-    """Returns for each proposal of a frame the track id of the previous frame's reviewed box that it continues."""
-    tracked = [label for label in reviewed_before(project, frame) if label.track_id is not None]
-    ids: list[int | None] = [None] * len(proposals)
-    for label, index in zip(tracked, match_proposals(tracked, proposals), strict=True):
-        if index is not None:
-            ids[index] = label.track_id
-    return ids
-
-
-def match_proposals(labels: Sequence[Label], proposals: Sequence[Proposal]) -> list[int | None]:
-    """Returns for each label of a frame the index of the next frame's proposal for the same object, or None."""
-    frames = [[Seen(label.label, label.box) for label in labels], [Seen(each.label, each.box) for each in proposals]]
-    matches: list[int | None] = [None] * len(labels)
-    for track in link(frames, [0.0, 1.0], TrackingConfig()):
-        if len(track.members) == 2:
-            (_, label_index), (_, proposal_index) = track.members
-            matches[label_index] = proposal_index
-    return matches
-
-
-def boxes_of(project: Project, recording_id: int, track_id: int) -> list[tuple[StoredFrame, Label]]:
-    """Returns the labels of a track with their frames, in the order of the recording, rejected ones included.
-
-    Raises:
-        NotFoundError: no such recording.
-    """
-    recording = project.recordings.get(recording_id)
-    frames = {frame.id: frame for frame in project.frames.of([recording.id])}
-    stored = project.labels.select(recordings=[recording.id], tracks=[track_id])
-    return [(frames[each.frame_id], each.label) for each in stored]

@@ -22,10 +22,11 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.tracks.copy_next import copy_next, seeds_of
+from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.interpolate import box_fitter, interpolate, interpolate_back
 from annotator.workflows.tracks.link import AUTHOR, link_tracks
+from annotator.workflows.tracks.propose_boxes import seeds_of
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.open_frame import OpenFrame
 

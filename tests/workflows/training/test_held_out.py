@@ -18,7 +18,8 @@ from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image
 from annotator.workflows.detectors import AGNOSTIC, Detectors, UsedModel
-from annotator.workflows.training import held_out, train
+from annotator.workflows.training import held_out
+from annotator.workflows.training import train as workflow
 from annotator.workflows.training.held_out import HeldOut
 from annotator.workflows.training.samples import gather
 from annotator.workflows.training.train import train
@@ -85,7 +86,7 @@ def test_no_held_out_frame_teaches_either_detector(
         }
         raise TrainingStoppedError("here")
 
-    monkeypatch.setattr(train, "train_detector", stop_at_training)
+    monkeypatch.setattr(workflow, "train_detector", stop_at_training)
     monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)
     monkeypatch.setattr("annotator.workflows.training.train.load_detector", lambda path, names=(): Fixed())
     for role in DetectorKind:

@@ -13,7 +13,8 @@ from annotator.detection.trained import RunRecord
 from annotator.project import Project
 from annotator.types import DetectorKind
 from annotator.workflows.detectors import Detectors, own_model
-from annotator.workflows.training import held_out, train
+from annotator.workflows.training import held_out
+from annotator.workflows.training import train as workflow
 from annotator.workflows.training.train import train
 
 
@@ -21,7 +22,7 @@ def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
     labelled: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written: list[TrainingSample] = []
-    monkeypatch.setattr(train, "write_dataset", lambda folder, samples, *_: written.extend(samples))
+    monkeypatch.setattr(workflow, "write_dataset", lambda folder, samples, *_: written.extend(samples))
     for asked, role in ((2, DetectorKind.IMAGE), (6, DetectorKind.VIEW)):
         answers = iter([False] * asked + [True])
         with pytest.raises(TrainingStoppedError):
@@ -46,7 +47,7 @@ def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
         record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0, is_timed=is_timed)
         record.write(folder / name)
     (folder / ".dataset.part-x1").mkdir()
-    train.remove_leftovers(labelled, DetectorKind.VIEW)
+    workflow.remove_leftovers(labelled, DetectorKind.VIEW)
     assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
     assert not (folder / "timed").exists()
     assert not (folder / ".dataset.part-x1").exists()

@@ -19,7 +19,7 @@ from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.training import rounds, train
+from annotator.workflows.training import rounds
 from annotator.workflows.training import train as workflow
 from annotator.workflows.training.samples import SampleConfig, gather, view_samples
 from annotator.workflows.training.train import TrainPlan, run_name, train
@@ -46,7 +46,7 @@ def trainings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path, Path]]:
             image_size_px=config.image_size_px, dataset_sha256=manifest.sha256, config=config,
         )  # fmt: skip
 
-    monkeypatch.setattr(train, "train_detector", train_detector)
+    monkeypatch.setattr(workflow, "train_detector", train_detector)
     monkeypatch.setattr(
         train, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}")
     )
