@@ -18,7 +18,7 @@ from annotator.tracking.link import TrackingConfig, predicted
 from annotator.types import Frame, Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.follow_frames import DEFAULTS
+from annotator.workflows.tracks.follow_objects import DEFAULTS
 from annotator.workflows.tracks.link import times_of
 from annotator.workflows.tracks.propose_boxes import NewProposal, next_track_id, part_of, proposal_events, why_left_out
 from annotator.workflows.workbench.drawing_steps import frame_config

@@ -18,8 +18,17 @@ from annotator.rcv.follow_object import FollowConfig
 from annotator.tracking.link import overlap_at_place
 from annotator.types import Frame, Label, OrientedBox, Proposal, ReviewState
 from annotator.types.errors import ConfigError, FrameError, NotFoundError, StaleRevisionError, TrackTakenError
-from annotator.workflows.tracks.follow_frames import DEFAULTS, Follower, Timeline
-from annotator.workflows.tracks.follow_objects import FollowedObject, FollowedTrack, Part, StoppedAt, Stretch, Walk
+from annotator.workflows.tracks.follow_objects import (
+    DEFAULTS,
+    FollowedObject,
+    FollowedTrack,
+    Follower,
+    Part,
+    StoppedAt,
+    Stretch,
+    Timeline,
+    Walk,
+)
 from annotator.workflows.tracks.interpolate import KeyFrame, key_frames
 from annotator.workflows.tracks.propose_boxes import NewProposal, blocking, next_track_id, part_of, proposal_events
 from annotator.workflows.workbench.drawing_steps import frame_config
