@@ -14,8 +14,8 @@ from annotator.rcv.teach import project_box
 from annotator.types import Box2D, BoxKind, OrientedBox, PseudoView
 from annotator.workflows.training.held_out import inaccurate
 from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import find_box, refit
 from benchmarks.keystrokes import CHORD_S, DRAG_S, KEY_S, Bill, M
 from benchmarks.review_desk import Desk, Thing

@@ -13,8 +13,8 @@ from annotator.project import Project
 from annotator.types.amounts import amount
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.interpolate import FitBox, box_fitter, interpolate
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 AUTHOR = "annotator interpolate"
 

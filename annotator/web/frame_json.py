@@ -37,8 +37,8 @@ from annotator.web.schemas import (
 )
 from annotator.workflows.detectors import base_titles
 from annotator.workflows.rigs import OtherLabel, Rigs, Sibling
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.review_priority import doubt
 
 LOG = logging.getLogger("annotator.web")

@@ -20,8 +20,8 @@ from annotator.workflows.tracks.copy_next import carry_correction, copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame
 from annotator.workflows.tracks.interpolate import FitBox, box_fitter, interpolate_back
 from annotator.workflows.tracks.propose_boxes import boxes_of
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 router = APIRouter(tags=["tracks"])
 

@@ -16,8 +16,8 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.link import times_of
 from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
 from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import refit
 
 # TODO-MERGED docstring of fit_boxes.py:

@@ -9,7 +9,7 @@ from annotator.project.event_types import ImageBoxesSet, LabelChange, Payload
 from annotator.project.overview import FramePage, read_page
 from annotator.workflows.views.write_pictures import changes_kind, image_follower, view_followers
 from annotator.workflows.workbench.drawing_steps import label_config
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.remeasure import remeasured
 
 

@@ -42,8 +42,8 @@ from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.settings import rcv_config
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import FoundBox, find_box, not_found
 from annotator.workflows.workbench.suggested_boxes import suggested_boxes, turned_onto
 

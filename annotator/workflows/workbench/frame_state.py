@@ -16,7 +16,7 @@ from annotator.project.sources.covering import covered_by
 from annotator.types import Box2D, ReviewState
 from annotator.workflows.rigs import OtherLabel
 from annotator.workflows.views.pairs import ObjectViews, front_and_side, outlines, views_by_object
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.review_priority import doubt
 
 

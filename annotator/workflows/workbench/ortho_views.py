@@ -15,7 +15,7 @@ from annotator.geometry.oriented_box import contains
 from annotator.rcv.drawing import BACKGROUND, Window, draw_views, pack_colors
 from annotator.rcv.pseudo_view import point_colors
 from annotator.types import OrientedBox, PointCloud, PseudoView
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
 
 # Margin on each side of a view, share of the box's longest side; and in front of and behind the box, share of its
 # depth. Enough for context, without the wall behind.

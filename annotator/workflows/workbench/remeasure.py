@@ -12,8 +12,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, OrientedBox
 from annotator.workflows.views.write_pictures import changes_kind
 from annotator.workflows.workbench.drawing_steps import MAX_BOXES, VIEWS_PER_STEP, label_steps
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownObject, shown_objects
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:

@@ -23,9 +23,9 @@ from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionErro
 from annotator.workflows.views.pairs import geometry_of
 from annotator.workflows.views.write_pictures import changes_kind, view_followers
 from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Boxes, Labelling, label_config
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import present_page
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.remeasure import remeasured
 
 

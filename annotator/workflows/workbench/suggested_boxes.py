@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from annotator.geometry.oriented_box import box_corners
 from annotator.rcv.axes import match_axes
 from annotator.types import Box2D, BoxKind, OrientedBox, PseudoView
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
 
 # Smallest side of a suggested box, pixels: it must be possible to grab it.
 MIN_SIDE_PX = 2.0

@@ -32,9 +32,9 @@ from annotator.workflows.workbench.drawing_steps import (
     label_object,
     label_steps,
 )
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import show_frame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import FoundBox
 from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
 

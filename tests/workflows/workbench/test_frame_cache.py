@@ -24,8 +24,7 @@ from annotator.types.errors import FrameError, NotFoundError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.workbench import frame_cache
-from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache, OpenFrame
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.project import overview as overview_module
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, OrientedBox
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import show_frame
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 
 def test_labels_without_new_events_are_not_read_again(
