@@ -29,7 +29,7 @@ from annotator.synthetic.snapshots import snapshot
 from annotator.types import Detector, Frame, Proposal, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.workbench.review_priority import doubt
+from annotator.workflows.workbench.review_queue import doubt
 from benchmarks import cold_start
 from benchmarks.report import Table, finish, guarded
 

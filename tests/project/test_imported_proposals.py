@@ -24,7 +24,7 @@ from annotator.project.schema import labels
 from annotator.project.sources.bring import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
-from annotator.workflows.workbench.review_priority import FORMULA
+from annotator.workflows.workbench.review_queue import FORMULA
 
 
 def bring(project: Project, frame: int, source: str, *boxes: NewLabel) -> tuple[int, int, int]:

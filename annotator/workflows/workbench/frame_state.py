@@ -17,7 +17,7 @@ from annotator.types import Box2D, ReviewState
 from annotator.workflows.rigs import OtherLabel
 from annotator.workflows.views.pairs import ObjectViews, front_and_side, outlines, views_by_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
-from annotator.workflows.workbench.review_priority import doubt
+from annotator.workflows.workbench.review_queue import doubt
 
 
 @dataclass(frozen=True, eq=False)

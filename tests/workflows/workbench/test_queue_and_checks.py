@@ -23,8 +23,7 @@ from annotator.workflows.checking.box_rules import UsualSize, odd_size_message
 from annotator.workflows.checking.point_counts import PointCounts
 from annotator.workflows.checking.project_labels import Kind, check, check_project
 from annotator.workflows.recorded.own_labels import import_own_labels
-from annotator.workflows.workbench.review_priority import doubt
-from annotator.workflows.workbench.review_queue import Order, Queue, _spread, queue
+from annotator.workflows.workbench.review_queue import Order, Queue, _spread, doubt, queue
 
 
 def box_at(x: float, yaw_rad: float = 0.0, size: Sequence[float] = (0.8, 0.5, 1.7)) -> OrientedBox:
