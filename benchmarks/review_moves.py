@@ -17,7 +17,7 @@ from jaxtyping import Float64
 from annotator.geometry.iou import iou_3d_pairs
 from annotator.rcv.axes import with_axes_like
 from annotator.types import OrientedBox
-from annotator.workflows.workbench.ortho_views import AXES, MARGIN, Axis
+from annotator.workflows.workbench.contact_sheet import AXES, MARGIN, Axis
 from benchmarks.keystrokes import DRAG_S, number_s
 
 # As on the page: side of a view, and length of the rotation handle's arm, pixels; the shortest side of a box, metres.

@@ -21,11 +21,11 @@ from annotator.workflows.workbench.contact_sheet import (
     LINE,
     VIEW_PX,
     SeenBox,
+    SheetPictures,
     accept_boxes,
     picture,
 )
 from annotator.workflows.workbench.frame_cache import FrameCache
-from annotator.workflows.workbench.sheet_pictures import SheetPictures
 
 
 @pytest.fixture
