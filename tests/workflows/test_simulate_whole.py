@@ -22,8 +22,8 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import FITS_IOU, confirm_whole_boxes, simulate_recording
 from annotator.workflows.training.samples import gather
-from annotator.workflows.workbench import whole_boxes as workbench
-from annotator.workflows.workbench.whole_boxes import WholeBoxes
+from annotator.workflows.workbench import drawing_steps as workbench
+from annotator.workflows.workbench.drawing_steps import WholeBoxes
 
 
 @pytest.fixture
