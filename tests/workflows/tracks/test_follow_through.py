@@ -13,7 +13,7 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.event_types import LabelTracked
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.workflows.tracks.follow_run import Following, follow_from_frame, follow_recording
-from annotator.workflows.workbench.copy_boxes import copy_boxes
+from annotator.workflows.workbench.save_object import copy_boxes
 
 
 def follow(

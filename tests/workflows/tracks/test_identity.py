@@ -31,7 +31,7 @@ from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame, follow_recording
 from annotator.workflows.tracks.interpolate import interpolate
 from annotator.workflows.tracks.link import link_tracks
-from annotator.workflows.workbench.copy_boxes import copy_boxes
+from annotator.workflows.workbench.save_object import copy_boxes
 
 INDEX, PERSON = st.integers(0, FRAMES - 1), st.integers(0, 1)
 TRACK = st.sampled_from([None, 1, 2, 3])

@@ -35,9 +35,9 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench import refit as refit_module
 from annotator.workflows.workbench.contact_sheet import ortho_views, views_of_points
-from annotator.workflows.workbench.copy_boxes import copy_boxes
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.refit import POINTS, RCV, find_box, refit
+from annotator.workflows.workbench.save_object import copy_boxes
 
 
 @pytest.fixture(scope="module")
