@@ -19,9 +19,6 @@ from scipy.optimize import linear_sum_assignment
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.types import OrientedBox
 
-# TODO-MERGED docstring of config.py:
-# The settings of linking and smoothing.
-
 
 class TrackingConfig(BaseModel):
     """Settings; lengths are shares of an object's longest side, times are in frames (`frame_times`).
@@ -58,10 +55,6 @@ class TrackingConfig(BaseModel):
     least_along: float = Field(0.7, gt=0, le=1)
 
 
-# TODO-MERGED docstring of motion.py:
-# Frame times, and prediction of an object's position with constant velocity.
-
-
 def frame_times(times_ns: Sequence[int | None]) -> Float64[np.ndarray, "n"]:
     """The times of a recording's frames in units of the median interval between frames, from 0.
 
@@ -94,10 +87,6 @@ def predicted(boxes: Sequence[OrientedBox], times: Sequence[float], time: float)
     velocity = passed @ (centers - centers.mean(axis=0)) / (passed @ passed)
     center = last.center_m + velocity * (time - times[-1])
     return OrientedBox.from_parts(center, last.rotation, last.size_m)
-
-
-# TODO-MERGED docstring of same_place.py:
-# Which boxes of one moment and class stand at the same place, so that they are taken for the same object.
 
 
 # Minimum exact 3D IoU; a box that was drawn by hand and one that was followed may differ much.
@@ -245,10 +234,6 @@ def _unlike(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> Floa
     """The largest absolute logarithm of the ratios of sides; sides are compared in the order of their lengths."""
     a, b = (np.log(np.sort([box.size_m for box in boxes], axis=1)) for boxes in (first, second))
     return np.abs(a[:, None] - b[None]).max(axis=2)
-
-
-# TODO-MERGED docstring of track_ids.py:
-# Track ids: given ids are kept, and ids of an earlier linking are reused.
 
 
 def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first: int = 1) -> list[int]:

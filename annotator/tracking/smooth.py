@@ -20,10 +20,6 @@ from annotator.tracking.link import TrackingConfig
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
-# TODO-MERGED docstring of relabel.py:
-# Relabelling of box axes: 24 labellings describe the same box; those of a track should be consistent.
-
-
 # Cost of a side ratio of e, relative to a rotation by one radian.
 SIZE_COST = 0.5
 # Boxes whose z axes differ by less than this, radians, count as upright on the same ground.
@@ -214,10 +210,6 @@ def _around(times: Float64[np.ndarray, "n"], place: int, config: TrackingConfig)
     """The indices of a symmetric window around a box; symmetric so that a uniform change is preserved at the ends."""
     reach = min(config.window, times[place] - times[0], times[-1] - times[place])
     return np.flatnonzero(np.abs(times - times[place]) <= reach + 1e-9)
-
-
-# TODO-MERGED docstring of interpolate.py:
-# Interpolation of an object's boxes between two known boxes.
 
 
 def between(

@@ -3,6 +3,10 @@
 The operator `silhouette` draws around the object's visible points, as a person does. The operator `box` stands for
 imported 3D labels (RCV paper, Fig. 5): it projects the true box onto the same images and views, and stores it as an
 imported 3D label. `silhouette` also works for recordings with masks but no boxes.
+
+Whole boxes of the objects that were drawn as they are seen are confirmed, never corrected: the operator looks at the
+offered boxes one after the other, and confirms the one that fits best if its IoU with the true box is at least
+`FITS_IOU`. A person sees whether a box fits on the image, the views and in 3D; the true box stands for that.
 """
 
 from __future__ import annotations
@@ -260,14 +264,6 @@ def _import_boxes(project: Project, frame_id: int, objects: Sequence[TaughtObjec
     ]
     if new:
         project.labels.create(frame_id, new, context)
-
-
-# TODO-MERGED docstring of simulate_whole.py:
-# The simulated operator confirms whole boxes of the objects that it has drawn as they are seen.
-#
-# For each object it looks at the offered boxes one after the other, as a person would, and confirms the one that fits
-# best if its IoU with the true box is at least `FITS_IOU`. It never corrects a box. A person sees on the camera image, on
-# the views and in the 3D view whether a box fits; the true box stands for that.
 
 
 # Boxes with at least this IoU fit, as in the review of the demo.

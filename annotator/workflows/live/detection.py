@@ -1,4 +1,8 @@
-"""Detects 3D boxes in live frames, starting from the boxes of the previous frame."""
+"""Detects 3D boxes in live frames, starting from the boxes of the previous frame.
+
+A network takes as long for one camera image as for a dozen pseudo-views. While objects are followed, regions around
+them are enough. The whole image is used every few frames, and whenever an object is not found in its region.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +23,6 @@ from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import orientation_for
 from annotator.workflows.live.source import Taken
-
-# TODO-MERGED docstring of detection_regions.py:
-# Runs the image detector on the whole image, or only on regions around the objects of the previous frame.
-#
-# A network takes as long for one camera image as for a dozen pseudo-views. While objects are followed, regions around
-# them are enough. The whole image is used every few frames, and whenever an object is not found in its region.
-
 
 # The whole image is used once in this many frames, and for this many frames after an object was lost in its region.
 WHOLE_EVERY = 5

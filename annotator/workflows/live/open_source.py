@@ -1,4 +1,4 @@
-"""Opens a source of live frames by name."""
+"""Sources of live frames: an Azure Kinect, and a recording that is played at its frame rate."""
 
 from __future__ import annotations
 
@@ -19,9 +19,6 @@ from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.frame_source import OpenedRecording, open_stored
 from annotator.workflows.live.recorder import require_recordable
 from annotator.workflows.live.source import Source, Taken
-
-# TODO-MERGED docstring of kinect.py:
-# A connected Azure Kinect as a source of live frames.
 
 
 class KinectSource:
@@ -63,10 +60,6 @@ class KinectSource:
     def close(self) -> None:
         """Releases the device."""
         self._device.close()
-
-
-# TODO-MERGED docstring of playback.py:
-# Plays a recording like a live camera, at the recorded frame rate.
 
 
 # Frames per second of recordings without times: 10 for a LiDAR, 30 for RGB-D cameras.

@@ -1,7 +1,7 @@
 """Proposes boxes for whole recordings: a batch that continues after a failed frame, and resumes when interrupted.
 
-An engine (`proposing/engines`) does the work. This module sends it tasks, and stores the answers in the order of the
-frames. The number of tasks in flight is limited (`Engine.window`), so memory does not grow with the recording.
+An engine does the work. This module sends it tasks, and stores the answers in the order of the frames. The number of
+tasks in flight is limited (`Engine.window`), so memory does not grow with the recording.
 """
 
 from __future__ import annotations
@@ -38,10 +38,6 @@ from annotator.workflows.proposing.tasks import (
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.rigs import Rigs
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
-
-# TODO-MERGED docstring of batch_store.py:
-# Reads the frames of a batch from the store, stores their results, and counts them.
-
 
 AUTHOR = "rcv"
 # Frames per query of the store.

@@ -1,8 +1,8 @@
-"""The worker process of the local engine; `local.py` starts it.
+"""Engines that process the frames of a batch, by name; and the one of worker processes on this machine.
 
-Standard input: a pickled `Start`, then tasks. The worker ends when its input is closed, or when the driver dies.
-Standard output: a pickled `Identity`, then answers; or a `Fault` and nothing else. Output of libraries is redirected to
-standard error.
+Each worker has its own detectors and share of the cores, and never accesses the project's database. Its standard input:
+a pickled `Start`, then tasks; it ends when its input is closed, or when the driver dies. Its standard output: a pickled
+`Identity`, then answers; or a `Fault` and nothing else. Output of libraries is redirected to standard error.
 """
 
 from __future__ import annotations
@@ -84,10 +84,6 @@ def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], output: _Output) -
         traceback.print_exc()
         sys.stderr.flush()
         os._exit(1)
-
-
-# TODO-MERGED docstring of local.py:
-# The engine of worker processes on this machine, each with its own detectors and share of the cores.
 
 
 # Workers get the driver's module path. -P excludes the current folder, whose files might shadow modules.
@@ -212,10 +208,6 @@ def cuda_devices(devices: Path = Path("/dev")) -> tuple[str, ...]:
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     names = [str(number) for number in range(count)] if visible is None else [n.strip() for n in visible.split(",")]
     return tuple(names[:count])
-
-
-# TODO-MERGED docstring of choose.py:
-# Makes an engine by name, with a number of workers that suits the machine or cluster.
 
 
 # With fewer frames, this process finishes before workers would have loaded the detectors.

@@ -1,4 +1,4 @@
-"""Oriented 3D boxes from 2D boxes on the images, without any training of a view detector.
+"""Oriented 3D boxes of frames in memory, and from 2D boxes on the images, without any training of a view detector.
 
 The 2D boxes come from a file, or are those that were drawn in the project. A 2D detector of any origin takes the place
 of the project's image detector in `annotate` (`RenamedDetector`).
@@ -31,9 +31,6 @@ from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.runner import failure
 from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-
-# TODO-MERGED docstring of propose_frames.py:
-# Runs Recursive Cross-View on frames in memory, each with the orientation it allows.
 
 
 def propose_frames(

@@ -1,4 +1,13 @@
-"""The messages between the driver and its workers, and the pool's interface of a worker."""
+"""A pool of workers: distributes tasks, replaces dead workers, and finds the frames that kill them.
+
+A worker holds two tasks: it processes one and reads the frames of the other. When a worker dies, both tasks become
+suspects. A suspect is given to an idle worker, which gets no other task in the meantime: if that worker dies, the
+suspect is the cause. A task that kills a second worker is split into its frames, and a frame that kills another worker
+has failed.
+
+Libraries' pools were tried: `pebble.ProcessPool` 5.2 sends the answers of all workers through one locked pipe, so a
+worker that is killed while it sends leaves the others waiting forever; and Ray's actors need this pool, too.
+"""
 
 from __future__ import annotations
 
@@ -99,15 +108,6 @@ class Worker(Protocol):
     def end(self) -> None:
         """Ends the worker at once."""
         ...
-
-
-# TODO-MERGED docstring of pool.py:
-# A pool of workers: distributes tasks, replaces dead workers, and finds the frames that kill them.
-#
-# A worker holds two tasks: it processes one and reads the frames of the other. When a worker dies, both tasks become
-# suspects. A suspect is given to an idle worker, which gets no other task in the meantime: if that worker dies, the
-# suspect is the cause. A task that kills a second worker is split into its frames, and a frame that kills another worker
-# has failed.
 
 
 LOG = logging.getLogger("annotator.engines")

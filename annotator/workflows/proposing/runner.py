@@ -1,4 +1,4 @@
-"""The interface of engines."""
+"""The interface of engines, how every engine runs a task, and the engine without worker processes."""
 
 from __future__ import annotations
 
@@ -68,10 +68,6 @@ class Engine(Protocol):
     def close(self) -> None:
         """Ends all workers at once. Can be called again."""
         ...
-
-
-# TODO-MERGED docstring of runner.py:
-# Runs a task: reads its frames and proposes boxes. Every engine uses it.
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,10 +169,6 @@ def failure(error: Exception, seconds: float) -> FrameAnswer:
         place = traceback.extract_tb(error.__traceback__)[-1]
         reason = f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
     return FrameAnswer(None, reason, seconds)
-
-
-# TODO-MERGED docstring of inline.py:
-# The engine without worker processes: `wait` runs the next task.
 
 
 class InlineEngine:

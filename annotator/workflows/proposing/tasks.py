@@ -1,4 +1,9 @@
-"""Tasks and answers: picklable values that describe frames instead of containing them."""
+"""Tasks, answers, and what workers load for them: picklable values that describe frames, places and detectors.
+
+Workers read recordings at the project's path, or at another path or URL: the driver's `/data/room` may be
+`/mnt/data/room` on a worker's machine, or `s3://bucket/room` in an object storage. URLs are read through fsspec
+(`annotator.recordings.mirror`).
+"""
 
 from __future__ import annotations
 
@@ -142,13 +147,6 @@ def pickle_exactly() -> None:
     copyreg.pickle(RigidTransform, _reduced)
 
 
-# TODO-MERGED docstring of sources.py:
-# Where workers read recordings: at the project's path, or at another path or URL.
-#
-# On a worker's machine, the driver's `/data/room` may be `/mnt/data/room`, or `s3://bucket/room` in an object storage.
-# URLs are read through fsspec (`annotator.recordings.mirror`).
-
-
 CACHE_MB = 4000
 # Maximum number of open recordings of a worker: each holds its frame names and a share of the cache.
 MAX_OPEN = 2
@@ -236,10 +234,6 @@ def scratch_folder() -> Path:
     if not is_own or (os.name != "nt" and stat.S_IMODE(status.st_mode) & 0o022):
         raise WorkerError(f"{folder}: other users can write to it; remove it, or set TMPDIR to another folder")
     return folder
-
-
-# TODO-MERGED docstring of sources.py:
-# Picklable descriptions of detectors, which workers load.
 
 
 @runtime_checkable

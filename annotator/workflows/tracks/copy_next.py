@@ -1,4 +1,4 @@
-"""Copies a box to the next frame, moved along its track."""
+"""Carries an operator's boxes on: a copy to the next frame, and a correction to the later proposals of the track."""
 
 from __future__ import annotations
 
@@ -127,10 +127,6 @@ def _moved(project: Project, frame: StoredFrame, stored: StoredLabel) -> Oriente
     times = times_of(FrameSource(project).recording(frame.recording_id), frames)
     boxes = [*(earlier[index] for index in known), label.box]
     return predicted(boxes, times[np.array([*known, here])].tolist(), float(times[here + 1]))
-
-
-# TODO-MERGED docstring of carry_correction.py:
-# Corrects the later proposals of a track like one that the operator has corrected: they are wrong for one reason.
 
 
 MIN_SIZE_M = 0.01

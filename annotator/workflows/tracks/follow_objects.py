@@ -1,4 +1,4 @@
-"""The objects that are followed: their reviewed boxes, the walks from these, and what was found on the way."""
+"""Follows objects from reviewed boxes, frame by frame, forward or backward: the walks, and what they have found."""
 
 from __future__ import annotations
 
@@ -16,10 +16,6 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.interpolate import KeyFrame
 from annotator.workflows.tracks.link import times_of
-
-# TODO-MERGED docstring of follow_frames.py:
-# Follows a reviewed box from frame to frame, forward or backward.
-
 
 # Number of last boxes from which the motion is estimated.
 MOTION_BOXES = 3

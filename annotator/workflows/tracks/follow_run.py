@@ -403,10 +403,6 @@ def _is_same(a: Label, b: Label) -> bool:
     return a.label == b.label and np.array_equal(a.box.pose, b.box.pose) and np.array_equal(a.box.size_m, b.box.size_m)
 
 
-# TODO-MERGED docstring of follow_recording.py:
-# What is followed: all reviewed boxes of a recording's tracks, or those of one frame.
-
-
 def follow_recording(
     project: Project,
     recording_id: int,

@@ -1,4 +1,7 @@
-"""Interpolates the boxes of a track between its key frames, which are the frames with a reviewed box."""
+"""Interpolates the boxes of a track between its key frames, which are the frames with a reviewed box.
+
+Boxes carried over from other frames can be fitted to the points of the new frame.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,6 @@ from annotator.workflows.workbench.drawing_steps import frame_config
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.refit import refit
-
-# TODO-MERGED docstring of fit_boxes.py:
-# Fits boxes carried over from another frame to the points of the new frame.
-
 
 # 3D IoU of the fitted with the given box below which the fit is rejected: it has found another object, or a part.
 MIN_IOU = 0.4

@@ -28,9 +28,6 @@ from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.types.label import AttributeValue
 from annotator.workflows.frame_source import FrameSource
 
-# TODO-MERGED docstring of times.py:
-# The times of some frames of a recording, in units of the frame interval.
-
 
 def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:
     """Returns the times of some frames of a recording in units of the frame interval (`frame_times`), so that dropped

@@ -1,4 +1,4 @@
-"""Adds proposals to a frame without changing its reviewed labels; the boxes of the previous frame, which they continue."""
+"""Adds proposals to a frame without changing its reviewed labels; also by the boxes of the previous frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report on a trained detector: number of training boxes, training curves, validation images."""
+"""The report on a trained detector: number of training boxes, training curves, and its boxes on validation images."""
 
 from __future__ import annotations
 
@@ -23,10 +23,6 @@ from annotator.project import StoredModel
 from annotator.types import Box2D, Detector
 from annotator.types.errors import DetectionError, FormatError
 from annotator.workflows.training.held_out import Decision, read_decision
-
-# TODO-MERGED docstring of validation_pictures.py:
-# Draws a detector's boxes on validation images, to judge its quality by eye.
-
 
 FOLDER = "validation"
 PICTURES = 8

@@ -4,6 +4,11 @@ The image detector learns from the boxes on camera images, and from 3D labels pr
 detector learns from the boxes drawn on pseudo-views, and from generated views along random axes of every object whose
 3D extent is known: from an accepted, edited or imported 3D box, or from the points inside all boxes that an operator
 drew around it.
+
+For a class-agnostic view detector, which continues the base detector, only the object that a crop is about is labelled,
+so objects that nobody has reviewed do no harm. Each view has up to two boxes, around the whole object and around what
+is seen of it. Where the project knows only one of them, the detector that the training starts from gives the other one,
+so that it is not forgotten.
 """
 
 from __future__ import annotations
@@ -370,14 +375,6 @@ def labelled_frames(project: Project, frame_ids: Sequence[int], skip: Skip) -> I
             skip(stored, error)
             continue
         yield stored, frame
-
-
-# TODO-MERGED docstring of agnostic_samples.py:
-# Training samples for a project's class-agnostic view detector, which continues the base detector.
-#
-# Only the object that a crop is about is labelled, so objects that nobody has reviewed do no harm. Each view has up to
-# two boxes, around the whole object and around what is seen of it. Where the project knows only one of them, the detector
-# that the training starts from gives the other one, so that it is not forgotten.
 
 
 # Generated frames from here on were not seen in the training of the base detector.

@@ -1,4 +1,4 @@
-"""Trains a project's two detectors from its labels, and registers them: datasets, runs and parts."""
+"""Trains a project's two detectors from its labels, and registers them."""
 
 from __future__ import annotations
 
@@ -48,10 +48,6 @@ from annotator.workflows.training.samples import (
     view_samples,
     with_generated,
 )
-
-# TODO-MERGED docstring of run.py:
-# One run of a training: its dataset, its network, and the registered model.
-
 
 DATASET = "dataset"
 
@@ -188,10 +184,6 @@ def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
 def settings_hash(config: TrainingConfig) -> str:
     """Hash of the settings of a run."""
     return hashlib.sha256(config.model_dump_json().encode()).hexdigest()[:8]
-
-
-# TODO-MERGED docstring of train.py:
-# Trains a project's two detectors from its labels, and registers them.
 
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.

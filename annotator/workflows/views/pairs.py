@@ -1,4 +1,9 @@
-"""Groups stored pseudo-views by object and step, and pairs front and side views."""
+"""Stored pseudo-views: their origin (`views.json` beside the images), grouped by object and step, and drawn anew.
+
+After a correction of a recording's calibration, its cloud has other colours, and a frustum holds other points. The
+drawn boxes stay on their objects, because the views have moved with the cloud. So a picture is drawn anew in the window
+that is stored, of the points that the view would show today.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +32,6 @@ from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
 from annotator.types import Box2D, Camera, Frame, Label, PointCloud, PseudoView
 from annotator.types.errors import FormatError
-
-# TODO-MERGED docstring of places.py:
-# The origin of pseudo-view images: `views.json` beside them, and the store's geometry of a view.
-
 
 SIDECAR = "views.json"
 
@@ -146,10 +147,6 @@ def _are_beside(front: Rotation3, side: Rotation3) -> bool:
     return bool(np.allclose(side_axes(np.array(front)), side, atol=SAME_AXES))
 
 
-# TODO-MERGED docstring of outlines.py:
-# 2D outlines of 3D labels on a camera image, and the labels among them without a drawn box.
-
-
 # 2D IoU from which a drawn box and an outline of the same class belong to the same object. Low, because the drawn box
 # of a half hidden object is much smaller than its outline.
 SAME_IOU = 0.2
@@ -187,14 +184,6 @@ def drawn_of(boxes: Mapping[str, Box2D], drawn: Sequence[Box2D]) -> dict[str, in
     rows, columns = linear_sum_assignment(overlap, maximize=True)
     pairs = zip(rows.tolist(), columns.tolist(), strict=True)
     return {uids[row]: column for row, column in pairs if overlap[row, column] >= SAME_IOU}
-
-
-# TODO-MERGED docstring of redrawn.py:
-# New pictures of stored pseudo-views.
-#
-# After a correction of a recording's calibration, its cloud has other colours, and a frustum holds other points. The
-# drawn boxes stay on their objects, because the views have moved with the cloud. So a picture is drawn anew in the window
-# that is stored, of the points that the view would show today.
 
 
 Steps = Mapping[int, Sequence[ViewBoxes]]

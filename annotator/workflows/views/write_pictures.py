@@ -3,6 +3,9 @@
 This takes two rounds: the first step's views come from the boxes on camera images, the second step's views from the
 boxes drawn on the first step's. `views.json` beside the images holds the geometry of each, which the import needs to
 interpret the boxes.
+
+Detectors must not learn from withdrawn labels. So the image box is removed with the label drawn from it, and the boxes
+on pseudo-views are removed with their image box.
 """
 
 from __future__ import annotations
@@ -169,13 +172,6 @@ def _second(frames: _Frames) -> Iterator[_Drawn]:
             following = next_views(frame, image_box, spans, settings)
             if following is not None:
                 yield _Drawn(stored, number, 2, image_box, following)
-
-
-# TODO-MERGED docstring of follow_image_boxes.py:
-# Changes to 2D boxes that follow from an operator's change to a frame.
-#
-# Detectors must not learn from withdrawn labels. So the image box is removed with the label drawn from it, and the boxes
-# on pseudo-views are removed with their image box.
 
 
 def image_follower(page: FramePage, payloads: Sequence[Payload]) -> ImageBoxesSet | None:

@@ -1,4 +1,9 @@
-"""The contact sheet of a track: a small picture of each of its boxes, along its own axes, to be accepted together."""
+"""Small pictures of 3D boxes along their own axes: the three views to edit a box in, and the contact sheet of a track.
+
+The object is seen from above, from its front, and from its right: a view shows the nearest points of the side that it
+is named after. Points outside the box are dimmed. The pictures of contact sheets, whose boxes are accepted together,
+are drawn ahead, those of the selected track first, and kept.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +27,6 @@ from annotator.rcv.pseudo_view import point_colors
 from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError, FrameError
 from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
-
-# TODO-MERGED docstring of ortho_views.py:
-# Top, front and right side of a 3D box, seen along its own axes; the operator moves its edges and turns it in them.
-#
-# The object is seen from above, from its front, and from its right: a view shows the nearest points of the side that it
-# is named after. Points outside the box are dimmed.
-
 
 # Margin on each side of a view, share of the box's longest side; and in front of and behind the box, share of its
 # depth. Enough for context, without the wall behind.
@@ -232,10 +230,6 @@ def accept_boxes(
     ]
     receipts = project.log.append_to_frames(parts)
     return tuple(zip(by_frame, receipts, strict=True))
-
-
-# TODO-MERGED docstring of sheet_pictures.py:
-# The pictures of contact sheets: drawn ahead, those of the selected track first, and kept.
 
 
 LOG = logging.getLogger("annotator.web")

@@ -50,10 +50,6 @@ from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 from annotator.workflows.workbench.refit import FoundBox, find_box, not_found
 
-# TODO-MERGED docstring of suggested_boxes.py:
-# Where the 3D box of an object ends on its pseudo-views: the boxes that the page suggests.
-
-
 # Smallest side of a suggested box, pixels: it must be possible to grab it.
 MIN_SIDE_PX = 2.0
 # Cosine of the largest angle by which a box is turned onto the axes of views.
@@ -353,10 +349,6 @@ def _labelling(
         return Labelling(steps, None, np.zeros((0, 2, 2)), points, stop, note)
     outline = visible_edges(opened.frame.camera, [box])[0]
     return Labelling(steps, box, outline, opened.points_in(box), stop, note)
-
-
-# TODO-MERGED docstring of whole_boxes.py:
-# The whole boxes that are offered for an object whose silhouettes are drawn (`rcv.whole_box`).
 
 
 # Frames whose drawn objects are kept; one object takes some 200 kB.

@@ -1,4 +1,4 @@
-"""A cache of open frames, with read-ahead of the neighbours of the frame on screen."""
+"""Open frames with their cached results, kept in a cache that reads the neighbours of the frame on screen ahead."""
 
 from __future__ import annotations
 
@@ -27,10 +27,6 @@ from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, FrameError
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.rigs import Rigs
-
-# TODO-MERGED docstring of open_frame.py:
-# An open frame with its cached results: JPEG, point index, normals, views, their pictures, and detections.
-
 
 JPEG_QUALITY = 92
 # Cached frustums, views, pictures and found boxes of one frame: enough to go back and forth between a few objects.

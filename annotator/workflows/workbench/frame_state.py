@@ -1,4 +1,6 @@
-"""The state of a frame as the page shows it: labels with outline, point count and doubt, and drawn objects."""
+"""A frame as the page shows it: labels with outline, point count and doubt, drawn objects, and how the cloud lies on
+the image.
+"""
 
 from __future__ import annotations
 
@@ -148,10 +150,6 @@ def _views_of(frame_id: int, image_box: Box2D, views: ObjectViews) -> tuple[View
             return (*pairs, drawn[-1])
         pairs.extend(pair)
     return tuple(pairs)
-
-
-# TODO-MERGED docstring of alignment.py:
-# What the page needs to show how a frame's cloud lies on its image, and to correct it.
 
 
 MOST_POINTS = 15_000

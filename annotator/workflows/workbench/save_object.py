@@ -1,4 +1,4 @@
-"""Stores the boxes an operator has drawn for an object, as one action."""
+"""What an operator's changes to a frame store: drawn objects, and the changes that others imply, each as one action."""
 
 from __future__ import annotations
 
@@ -31,9 +31,6 @@ from annotator.workflows.workbench.drawing_steps import (
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownObject, present_page, shown_objects
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-
-# TODO-MERGED docstring of remeasure.py:
-# Recomputes the 3D boxes of finished objects after the frame's box kind has changed.
 
 
 def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
@@ -283,10 +280,6 @@ def _effort_target(
     return draft_id(page.frame.id, new[0]) if len(new) == 1 else None
 
 
-# TODO-MERGED docstring of apply_changes.py:
-# Stores an operator's changes to a frame, together with the changes they imply.
-
-
 def apply_changes(
     project: Project,
     frame_id: int,
@@ -333,10 +326,6 @@ def _implied(
         opened = open_frame()
         implied += remeasured(page, opened, label_config(project, opened.frame), on_image)
     return implied
-
-
-# TODO-MERGED docstring of copy_boxes.py:
-# Proposes the reviewed boxes of one frame in another one: right for objects at rest, a start for moving ones.
 
 
 def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: WriteContext) -> Receipt:

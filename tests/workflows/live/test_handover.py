@@ -6,14 +6,14 @@ import threading
 
 import pytest
 
-from annotator.workflows.live import recorder
-from annotator.workflows.live.recorder import SPARE_S, Demand
+from annotator.workflows.live import pipeline
+from annotator.workflows.live.pipeline import SPARE_S, Demand
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [100.0]
-    monkeypatch.setattr(recorder.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(pipeline.time, "perf_counter", lambda: now[0])
     return now
 
 

@@ -25,8 +25,7 @@ from annotator.workflows.detectors import Detectors
 from annotator.workflows.live import detection
 from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection
 from annotator.workflows.live.open_source import Playback, Repeat
-from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, summary_line
-from annotator.workflows.live.recorder import Slot
+from annotator.workflows.live.pipeline import Drops, Meter, Pipeline, Slot, summary_line
 from annotator.workflows.live.source import Taken
 
 NEVER = threading.Event()
