@@ -7,7 +7,7 @@ import platform
 import re
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache, partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
@@ -27,10 +27,6 @@ from annotator.types import DetectorKind
 from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, DeviceError, MissingExtraError
 from annotator.workflows.doctor.report import Line, State
-
-# TODO-MERGED docstring of machine.py:
-# Facts about the machine: Python, system, processor, memory and disks.
-
 
 MACHINE = "machine"
 GIB = 2**30
@@ -131,10 +127,6 @@ def _disk(name: str, folder: Path) -> Line:
     return Line(section=MACHINE, name=name, state=state, found=space, remedy=remedy, figures={"free_bytes": free})
 
 
-# TODO-MERGED docstring of packages.py:
-# Checks of installed packages: whether each can be loaded, and which devices it can use.
-
-
 SECTION = "packages"
 DISTRIBUTION = "rcv-annotator"
 REINSTALL = f"pip install --force-reinstall {DISTRIBUTION}"
@@ -214,63 +206,44 @@ def ultralytics(_: Path) -> Iterator[Line]:
     from annotator.detection.pretrained import local_weights
     from annotator.detection.ultralytics_api import api
 
-    try:
-        ultralytics_version = str(api().version)
-    except AnnotatorError as error:
-        if find_spec("ultralytics") is None:
-            remedy = "pip install ultralytics-opencv-headless; without it, detectors cannot be trained or converted"
-            yield Line(section=SECTION, name="ultralytics", state=State.FAILED, found="not installed", remedy=remedy)
-        else:
-            yield _broken("ultralytics", "ultralytics-opencv-headless", error, State.FAILED)
-        return
-    yield Line(section=SECTION, name="ultralytics", state=State.OK, found=ultralytics_version)
-    weights = ", ".join(map(str, local_weights()))
-    none = "none; the first training downloads them, or starts from random weights"
-    yield Line(section=SECTION, name="published weights", state=State.OK, found=weights or none)
+    package = "ultralytics-opencv-headless"
+    remedy = f"pip install {package}; without it, detectors cannot be trained or converted"
+    missing = Line(section=SECTION, name="ultralytics", state=State.FAILED, found="not installed", remedy=remedy)
+    line = _checked("ultralytics", package, lambda: str(api().version), missing)
+    yield line
+    if line.state is State.OK:
+        weights = ", ".join(map(str, local_weights()))
+        none = "none; the first training downloads them, or starts from random weights"
+        yield Line(section=SECTION, name="published weights", state=State.OK, found=weights or none)
 
 
 def openvino(_: Path) -> Iterator[Line]:
-    """Checks whether OpenVINO can be loaded, and lists its devices."""
+    """Checks whether OpenVINO can be loaded, and lists its devices; missing, it matters on x86 processors only."""
     from annotator.detection.backends.openvino_api import computes_bfloat16
     from annotator.detection.backends.openvino_api import openvino as load
 
-    if find_spec("openvino") is None:
-        yield _missing_openvino()
-        return
-    try:
+    def facts() -> str:
         module = load()
-        devices = ", ".join(module.Core().available_devices)
         half = "with bfloat16" if computes_bfloat16() else "without bfloat16"
-    except AnnotatorError as error:
-        yield _broken("OpenVINO", "openvino", error, State.WARNING)
-        return
-    facts = f"{module.get_version()}, devices {devices}; the processor {half}"
-    yield Line(section=SECTION, name="OpenVINO", state=State.OK, found=facts)
+        return f"{module.get_version()}, devices {', '.join(module.Core().available_devices)}; the processor {half}"
 
-
-def _missing_openvino() -> Line:
-    """Returns the line for a missing OpenVINO: a warning on x86 processors only, where it is the fastest backend."""
-    name = "OpenVINO"
-    if platform.machine().lower() not in ("x86_64", "amd64"):
-        return Line(section=SECTION, name=name, state=State.OK, found="not installed; not used on this processor")
-    remedy = "pip install openvino; without it, detectors take several times as long on the processor"
-    return Line(section=SECTION, name=name, state=State.WARNING, found="not installed", remedy=remedy)
+    missing = Line(section=SECTION, name="OpenVINO", state=State.OK, found="not installed; not used on this processor")
+    if platform.machine().lower() in ("x86_64", "amd64"):
+        remedy = "pip install openvino; without it, detectors take several times as long on the processor"
+        missing = Line(section=SECTION, name="OpenVINO", state=State.WARNING, found="not installed", remedy=remedy)
+    yield _checked("OpenVINO", "openvino", facts, missing, State.WARNING)
 
 
 def onnxruntime(_: Path) -> Iterator[Line]:
     """Checks whether ONNX Runtime can be loaded, and lists its providers."""
     from annotator.detection.backends.onnx_api import onnxruntime as load
 
-    if find_spec("onnxruntime") is None:
-        yield Line(section=SECTION, name="ONNX Runtime", state=State.OK, found="not installed (extra onnx)")
-        return
-    try:
+    def facts() -> str:
         module = load()
-        facts = f"{module.__version__}, providers {', '.join(module.get_available_providers())}"
-    except (MissingExtraError, OSError, AttributeError) as error:
-        yield _broken("ONNX Runtime", "onnxruntime", error.__cause__ or error, State.WARNING)
-        return
-    yield Line(section=SECTION, name="ONNX Runtime", state=State.OK, found=facts)
+        return f"{module.__version__}, providers {', '.join(module.get_available_providers())}"
+
+    missing = Line(section=SECTION, name="ONNX Runtime", state=State.OK, found="not installed (extra onnx)")
+    yield _checked("ONNX Runtime", "onnxruntime", facts, missing, State.WARNING)
 
 
 def numba(_: Path) -> Iterator[Line]:
@@ -309,29 +282,20 @@ def numba(_: Path) -> Iterator[Line]:
 
 
 def open3d(_: Path) -> Iterator[Line]:
-    """Checks whether open3d, which needs the system's OpenGL, can be loaded and casts rays correctly."""
+    """Checks whether open3d, which needs the system's OpenGL, can be loaded and casts rays."""
     import numpy as np
 
     from annotator.synthetic.raycast import RayScene
 
-    if find_spec("open3d") is None:
-        remedy = f"{REINSTALL}; without it `annotator generate` and `annotator demo` do not work"
-        yield Line(section=SECTION, name="open3d", state=State.WARNING, found="not installed", remedy=remedy)
-        return
-    corners = np.array([[-1, -1, 2], [1, -1, 2], [0, 1, 2]], np.float32)
-    try:
+    def facts() -> str:
+        corners = np.array([[-1, -1, 2], [1, -1, 2], [0, 1, 2]], np.float32)
         scene = RayScene(corners, np.array([[0, 1, 2]], np.int32))
-        hits = scene.first_hits(np.zeros((2, 3), np.float32), np.array([[0, 0, 1], [5, 0, 1]], np.float32))
-    except Exception as error:  # the type depends on the cause, e.g. a missing library or an old processor
-        yield _broken("open3d", "open3d", error, State.FAILED)
-        return
-    # hits are correct up to rounding in single precision
-    if not abs(hits.t[0] - 2) < 1e-5 or hits.triangle.tolist() != [0, -1]:
-        problem = f"{_version('open3d')}, wrong ray hits: {hits.t.tolist()}, triangles {hits.triangle.tolist()}"
-        yield Line(section=SECTION, name="open3d", state=State.FAILED, found=problem, remedy=REINSTALL)
-        return
-    facts = f"{_version('open3d')}, loads with this system's OpenGL and casts rays"
-    yield Line(section=SECTION, name="open3d", state=State.OK, found=facts)
+        scene.first_hits(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
+        return f"{_version('open3d')}, loads with this system's OpenGL and casts rays"
+
+    remedy = f"{REINSTALL}; without it `annotator generate` and `annotator demo` do not work"
+    missing = Line(section=SECTION, name="open3d", state=State.WARNING, found="not installed", remedy=remedy)
+    yield _checked("open3d", "open3d", facts, missing)
 
 
 def extras(_: Path) -> Iterator[Line]:
@@ -389,6 +353,18 @@ def base_detector(_: Path) -> Iterator[Line]:
         yield line(state=State.FAILED, found=_first_line(error), remedy="install annotator again")
         return
     yield line(state=State.OK, found=f"installed; in a project without a view detector, it is used as {TITLE}")
+
+
+def _checked(name: str, package: str, facts: Callable[[], str], missing: Line, broken: State = State.FAILED) -> Line:
+    """The line of a package: `missing` if it is not installed, its facts, or why it cannot be loaded."""
+    if find_spec(package.partition("-")[0]) is None:
+        return missing
+    try:
+        return Line(section=SECTION, name=name, state=State.OK, found=facts())
+    except MissingExtraError as error:
+        return _broken(name, package, error.__cause__ or error, broken)
+    except Exception as error:  # the type depends on the cause, e.g. a missing library or an old processor
+        return _broken(name, package, error, broken)
 
 
 def _broken(name: str, package: str, error: BaseException, state: State) -> Line:

@@ -15,8 +15,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from annotator import __version__
-from annotator.detection import base_detector
-from annotator.detection import ultralytics_api as facts
+from annotator.detection import base_detector, ultralytics_api
 from annotator.detection.backends import choose
 from annotator.types.errors import DetectionError
 from annotator.workflows.doctor import Line, State, facts
@@ -145,13 +144,13 @@ def test_compiled_kernels_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert lines(facts.numba)["numba"].figures["compiled"] == found.figures["compiled"] - 1
 
 
-GPU = facts.CudaDevice("cuda:0", "NVIDIA Something", "8.9", 8 * 2**30, 6 * 2**30)
+GPU = ultralytics_api.CudaDevice("cuda:0", "NVIDIA Something", "8.9", 8 * 2**30, 6 * 2**30)
 
 
 def test_cuda_devices_and_their_errors_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(facts, "cuda_devices", lambda: [GPU])
+    monkeypatch.setattr(ultralytics_api, "cuda_devices", lambda: [GPU])
     assert lines(facts.torch)["cuda:0"].found == ("NVIDIA Something, compute capability 8.9, 6.0 of 8.0 GiB free")
-    monkeypatch.setattr(facts, "cuda_devices", list)
+    monkeypatch.setattr(ultralytics_api, "cuda_devices", list)
     monkeypatch.setattr(choose, "driver_devices", lambda: 1)
     assert lines(facts.torch)["CUDA"].state is State.WARNING
     monkeypatch.setattr(choose, "driver_devices", lambda: 0)
@@ -160,7 +159,7 @@ def test_cuda_devices_and_their_errors_are_reported(monkeypatch: pytest.MonkeyPa
     def fail() -> None:
         raise RuntimeError("CUDA error: out of memory\nmore")
 
-    monkeypatch.setattr(facts, "cuda_devices", fail)
+    monkeypatch.setattr(ultralytics_api, "cuda_devices", fail)
     found = lines(facts.torch)["CUDA"]
     assert (found.state, found.found) == (State.FAILED, "CUDA error: out of memory")
 
@@ -219,8 +218,6 @@ def test_the_base_detector_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 
 
 def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    from annotator.detection import ultralytics_api
-
     def broken() -> None:
         raise DetectionError("no torch")
 
