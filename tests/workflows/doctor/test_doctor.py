@@ -1,24 +1,103 @@
-"""The report about the machine and its packages, also with missing or broken packages."""
+"""The report's text and JSON."""
 
 from __future__ import annotations
 
+import json
+import math
+import os
 import re
 import sys
+import time
 import tomllib
 from collections import namedtuple
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from importlib.machinery import ModuleSpec
 from importlib.metadata import packages_distributions
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from annotator import __version__
 from annotator.detection import base_detector, ultralytics_api
-from annotator.detection.backends import choose
+from annotator.detection.backends import agreement, choose
+from annotator.detection.backends.agreement import Agreements
+from annotator.detection.backends.network import Answer, Batch
+from annotator.detection.backends.torch_network import TorchNetwork
+from annotator.detection.seeded_network import write_seeded_network
+from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types.errors import DetectionError
-from annotator.workflows.doctor import Line, State, facts
+from annotator.workflows.doctor import Line, Report, State, as_text, examine, facts, self_test
+from annotator.workflows.doctor.examine import run_check
+from annotator.workflows.doctor.report import shortened, without_home
+
+
+def line(state: State, remedy: str = "", **figures: float) -> Line:
+    return Line(section="machine", name=str(state), state=state, found="something", remedy=remedy, figures=figures)
+
+
+def test_each_line_has_its_state_and_remedy() -> None:
+    lines = (line(State.OK), line(State.WARNING, "mend it"), line(State.FAILED, "replace it"))
+    text = list(as_text(Report(annotator_version="1.2.3", lines=lines)))
+    assert text[0] == "annotator 1.2.3"
+    assert [row.rsplit(": ", 1)[1] for row in text if "something" in row] == ["ok", "warning", "failed"]
+    assert [row.split("-> ")[1] for row in text if "-> " in row] == ["mend it", "replace it"]
+    assert text[-1] == "1 ok, 1 warning, 1 failed"
+
+
+@pytest.mark.parametrize(("state", "failed"), [(State.OK, False), (State.WARNING, False), (State.FAILED, True)])
+def test_only_failed_lines_make_the_report_fail(state: State, failed: bool) -> None:
+    assert Report(annotator_version="1", lines=(line(State.OK), line(state))).failed == failed
+
+
+def test_the_json_reads_back_also_with_nan_and_infinity() -> None:
+    report = Report(annotator_version="1", lines=(line(State.FAILED, value=math.nan, bound=math.inf),))
+    text = report.model_dump_json()
+    assert "null" not in text
+    back = Report.model_validate_json(text)
+    assert math.isnan(back.lines[0].figures["value"]) and back.lines[0].figures["bound"] == math.inf
+
+
+def test_the_json_schema_is_unchanged() -> None:
+    """Programs read it; raise `REPORT_VERSION` with every change."""
+    report = json.loads(Report(annotator_version="1", lines=(line(State.OK, cores=2),)).model_dump_json())
+    assert report == {
+        "report_version": 1,
+        "annotator_version": "1",
+        "lines": [
+            {
+                "section": "machine",
+                "name": "ok",
+                "state": "ok",
+                "found": "something",
+                "remedy": "",
+                "figures": {"cores": 2.0},
+            }
+        ],
+    }
+
+
+def test_the_home_folder_is_not_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    home, link = tmp_path / "ada", tmp_path / "link"
+    home.mkdir()
+    link.symlink_to(home)
+    monkeypatch.setenv("HOME", str(link))
+    shown = without_home(
+        Line(section="s", name="n", state=State.OK, found=f"in {home}/a and {link}/b", remedy=f"see {home}/c")
+    )
+    assert (shown.found, shown.remedy) == ("in ~/a and ~/b", "see ~/c")
+    assert shortened(str(home)) == "~"
+    assert shortened(f"{home}line/a") == f"{home}line/a"
+    monkeypatch.setenv("HOME", "/")
+    assert shortened("/usr/lib") == "/usr/lib"
+
+
+# TODO-MERGED docstring of test_doctor_facts.py:
+# The report about the machine and its packages, also with missing or broken packages.
+
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -243,3 +322,178 @@ def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
     found = lines(facts.kinect)["Azure Kinect"]
     assert found.state is State.WARNING
     assert "libk4a.so.1.4 is missing" in found.found
+
+
+# TODO-MERGED docstring of test_doctor_process.py:
+# Exceptions, crashes and hangs in a check become lines of the report.
+
+
+def fine(projects: Path) -> Iterator[Line]:
+    # libraries may print to standard output
+    os.write(1, b"noise")
+    yield Line(section="test", name="fine", state=State.OK, found=projects.name)
+
+
+def raises(projects: Path) -> Iterator[Line]:
+    yield from fine(projects)
+    raise LookupError("a broken library\nand more")
+
+
+def crashes(_: Path) -> Iterator[Line]:
+    os.abort()
+    yield
+
+
+def leaves(_: Path) -> Iterator[Line]:
+    sys.exit(3)
+    yield
+
+
+def hangs(_: Path) -> Iterator[Line]:
+    time.sleep(3600)
+    yield
+
+
+def test_a_check_that_raises_keeps_its_earlier_lines(tmp_path: Path) -> None:
+    found, lost = run_check("raises", raises, tmp_path)
+    assert (found.name, found.state) == ("fine", State.OK)
+    assert (lost.name, lost.state, lost.found) == ("raises", State.FAILED, "LookupError: a broken library")
+    assert lost.remedy
+
+
+def test_a_crash_affects_only_one_check(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    report = examine(tmp_path / "here", {"a": fine, "crashes": crashes, "b": fine, "leaves": leaves, "c": fine})
+    assert [(each.name, each.state.value) for each in report.lines] == [
+        ("fine", "ok"),
+        ("crashes", "failed"),
+        ("fine", "ok"),
+        ("leaves", "failed"),
+        ("fine", "ok"),
+    ]
+    assert "SIGABRT" in report.lines[1].found
+    assert "exit code 3" in report.lines[3].found
+    assert report.lines[0].found == "here"
+    assert report.failed
+    assert "noise" not in capfd.readouterr().out
+
+
+def test_a_check_that_hangs_is_ended(tmp_path: Path) -> None:
+    (lost,) = examine(tmp_path, {"hangs": hangs}, limit_s=1.0).lines
+    assert (lost.name, lost.state, lost.found) == ("hangs", State.FAILED, "did not finish within 1 s")
+
+
+# TODO-MERGED docstring of test_doctor_self_test.py:
+# The self-test detects backends with wrong output.
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("seeded") / "network.safetensors"
+    write_seeded_network(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def agreements(weights: Path) -> Agreements:
+    return Agreements(weights, np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), np.uint8))
+
+
+@dataclass
+class Wrong:
+    """Torch on the CPU with changed output, under another backend's name."""
+
+    weights: Path
+    change: Callable[[Answer], Answer]
+    backend: str = "onnxruntime"
+    device: str = "cpu"
+    facts: Any = None
+    network: TorchNetwork = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.network = TorchNetwork(self.weights, pick_device("cpu"))
+
+    def predict(self, batches: Sequence[Batch]) -> list[Answer]:
+        return [self.change(answer) for answer in self.network.predict(batches)]
+
+
+def moved(by_px: float) -> Callable[[Answer], Answer]:
+    return lambda answer: np.concatenate([answer[:, :4] + np.float32(by_px), answer[:, 4:]], axis=1)
+
+
+def test_equal_seeds_give_equal_networks_and_keep_torchs_random_state(weights: Path, tmp_path: Path) -> None:
+    torch = api().torch
+    state = torch.random.get_rng_state()
+    write_seeded_network(tmp_path / "new" / "again.safetensors")
+    write_seeded_network(tmp_path / "other.safetensors", seed=1)
+    assert torch.equal(state, torch.random.get_rng_state())
+    picture = np.random.default_rng(0).integers(0, 256, (1, 64, 64, 3), np.uint8)
+    same, again, other = (
+        TorchNetwork(path, pick_device("cpu")).predict([picture])[0]
+        for path in (weights, tmp_path / "new" / "again.safetensors", tmp_path / "other.safetensors")
+    )
+    np.testing.assert_array_equal(same, again)
+    assert np.abs(same - other).max() > 1
+    # the scores differ between anchors, so a comparison is meaningful
+    assert same[:, 4:].std() > 0.01
+
+
+def test_correct_output_agrees_and_wrong_output_does_not(agreements: Agreements) -> None:
+    assert agreements.of(lambda path: Wrong(path, lambda answer: answer)).holds
+    for wrong in (
+        moved(0.5),
+        lambda answer: answer[:, [0, 1, 2, 3, 5, 4, *range(6, answer.shape[1])]],  # classes in another order
+        lambda answer: answer[:, [*range(answer.shape[1] - 4), -3, -4, -2, -1]],  # spreads in another order
+        lambda answer: answer[::-1].copy(),  # pictures in another order
+        lambda answer: np.where(np.arange(answer.shape[2]) == 0, np.float32(np.nan), answer),
+    ):
+        assert not agreements.of(lambda path, wrong=wrong: Wrong(path, wrong)).holds
+    with pytest.raises(DetectionError, match="shape"):
+        agreements.of(lambda path: Wrong(path, lambda answer: answer[:, :, 1:]))
+
+
+@pytest.mark.parametrize(("name", "precision"), [("openvino-bf16", "bfloat16"), ("torch", "float16")])
+def test_half_precision_has_a_larger_but_limited_tolerance(agreements: Agreements, name: str, precision: str) -> None:
+    device = "cuda:0" if precision == "float16" else "cpu"
+    small = agreements.of(lambda path: Wrong(path, moved(0.5), name, device))
+    assert small.holds and small.reference == precision
+    assert not agreements.of(lambda path: Wrong(path, moved(100.0), name, device)).holds
+
+
+def test_a_wrong_or_broken_backend_is_a_failed_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fails(_: Path) -> None:
+        raise DetectionError("no such operation")
+
+    made = {
+        "right": lambda path: Wrong(path, lambda answer: answer),
+        "wrong": lambda path: Wrong(path, moved(0.5)),
+        "broken": fails,
+    }
+    monkeypatch.setattr(agreement, "openers", lambda _: made)
+    found = {line.name: line for line in self_test.backends(tmp_path)}
+    assert {name: line.state.value for name, line in found.items()} == {
+        "right": "ok",
+        "wrong": "failed",
+        "broken": "failed",
+    }
+    assert found["wrong"].figures["boxes_px"] == pytest.approx(0.5, rel=0.01)
+    assert found["wrong"].figures["boxes_bound_px"] < 0.1
+    assert "no such operation" in found["broken"].found
+
+
+@pytest.mark.slow
+def test_the_backends_of_this_machine_agree(tmp_path: Path) -> None:
+    found = {line.name: line for line in self_test.backends(tmp_path)}
+    assert set(found) >= {"openvino", "openvino-bf16", "onnxruntime"}
+    assert all(line.state is State.OK for line in found.values()), found
+    assert "boxes_px" in found["onnxruntime"].figures
+
+
+def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from annotator.detection import seeded_network
+
+    def missing() -> None:
+        raise DetectionError("no ultralytics")
+
+    monkeypatch.setattr(seeded_network, "api", missing)
+    (line,) = self_test.backends(tmp_path)
+    assert (line.state, line.found) == (State.WARNING, "not tested (no ultralytics)")
