@@ -5,26 +5,30 @@ from __future__ import annotations
 import threading
 import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from live_server import wait_until
 
 from annotator.geometry.point_index import PointIndex
-from annotator.project import Project, create_project
+from annotator.project import NewLabel, Project, WriteContext, create_project
+from annotator.project import overview as overview_module
 from annotator.recordings import open_recording
 from annotator.recordings.rgbd_folder import RgbdFolder
-from annotator.types import Frame
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox
 from annotator.types.errors import FrameError, NotFoundError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.workbench import frame_cache
 from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache, OpenFrame
+from annotator.workflows.workbench.frame_state import show_frame
 
 
 @pytest.fixture
@@ -214,3 +218,40 @@ def test_frames_that_are_only_looked_at_are_read_side_by_side_where_the_reader_c
     assert [each.key for each in found] == ["000000", "000001"]
     assert met == [is_parallel] * 2
     cache.close()
+
+
+# TODO-MERGED docstring of test_frame_state.py:
+# The frame state shown by a page: only changed parts are read again.
+
+
+def test_labels_without_new_events_are_not_read_again(
+    make_project: Callable[..., Project], generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = make_project(generated / "people")
+    opened = OpenFrame(open_recording(generated / "people").frame(0))
+    frame = project.frames.of()[0].id
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.array([0.5, 0.6, 1.7]))
+    project.labels.create(frame, [NewLabel("person", box), NewLabel("person", box)], WriteContext(0, "Ada"))
+    reads = Mock(side_effect=overview_module.stored_label)
+    monkeypatch.setattr(overview_module, "stored_label", reads)
+    first = show_frame(project, frame, opened)
+    again = show_frame(project, frame, opened)
+    assert reads.call_count == 2 and again.labels is first.labels
+
+    # without an event of the frame, its index and neighbours have changed
+    (recording,) = project.recordings.all()
+    keys = [stored.key for stored in project.frames.of()]
+    project.recordings.rescan(recording.id, ["before", *keys])
+    moved = show_frame(project, frame, opened)
+    assert (moved.page.frame.index, moved.page.previous) == (1, project.frames.find(recording.id, "before").id)
+    assert reads.call_count == 2 and moved.labels is first.labels
+
+    # any event of the frame
+    project.boxes.set_on_image(frame, [Box2D("person", 1.0, 2.0, 30.0, 40.0)], BoxKind.BOX, WriteContext(2, "Bob"))
+    drawn = show_frame(project, frame, opened)
+    assert [item.image_box.xyxy for item in drawn.objects] == [(1.0, 2.0, 30.0, 40.0)]
+    project.labels.reject(frame, first.labels[0].stored.label.uid, WriteContext(3, "Bob"))
+    rejected = show_frame(project, frame, opened)
+    assert rejected.labels[0].stored.label.author == "Bob"
+    # what the other label shows is not computed again
+    assert rejected.labels[1] is drawn.labels[1] is first.labels[1]
