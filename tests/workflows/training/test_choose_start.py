@@ -10,10 +10,11 @@ from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, base_model, load_detector, own_model
-from annotator.workflows.training import held_out, train
+from annotator.workflows.training import held_out
 from annotator.workflows.training.held_out import HeldOut
 from annotator.workflows.training.rounds import choose_start
 from annotator.workflows.training.samples import agnostic_samples, gather
+from annotator.workflows.training.train import Run
 
 
 def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
@@ -48,7 +49,7 @@ def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
 ) -> None:
     install_base()
     model = register(labelled, "a", active=True)
-    manifest = train.Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
+    manifest = Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
         agnostic_samples(labelled, gather(labelled), RcvConfig(), PLAN.samples, Fixed(), lambda *_: None)
     )
     assert {e.group for e in manifest.entries if e.split == "train"} & held_out.held_out_groups(labelled)

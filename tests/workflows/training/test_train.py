@@ -25,7 +25,7 @@ from annotator.workflows.training.samples import SampleConfig, gather, view_samp
 from annotator.workflows.training.train import TrainPlan, run_name, train
 
 SMALL = TrainingConfig(image_size_px=64, epochs=1)
-PLAN = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
+QUICK = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def trainings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path, Path]]:
 
     monkeypatch.setattr(workflow, "train_detector", train_detector)
     monkeypatch.setattr(
-        train, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}")
+        workflow, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}")
     )
     return calls
 
@@ -63,7 +63,7 @@ def test_both_detectors_are_trained_registered_and_active(
 ) -> None:
     simulate(people, kind)
     told: list[DetectorKind] = []
-    trained = train(people, PLAN, progress=lambda role, step: told.append(role))
+    trained = train(people, QUICK, progress=lambda role, step: told.append(role))
     assert [call[0] for call in trainings] == told == [DetectorKind.IMAGE, DetectorKind.VIEW]
     for result in trained:
         model = people.models.active(result.role)
@@ -86,7 +86,7 @@ def test_the_same_labels_and_settings_give_the_same_run(
     people: Project, trainings: list[tuple[str, Path, Path]]
 ) -> None:
     simulate(people)
-    first, second = (train(people, PLAN) for _ in range(2))
+    first, second = (train(people, QUICK) for _ in range(2))
     assert [call[2] for call in trainings[:2]] == [call[2] for call in trainings[2:]]
     assert [result.model.id for result in first] == [result.model.id for result in second]
     assert len(people.models.all()) == 2, "no second model is registered"
@@ -97,7 +97,7 @@ def test_a_finished_training_does_not_need_its_initial_weights(
 ) -> None:
     simulate(people)
     plan = TrainPlan(
-        image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=PLAN.samples
+        image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=QUICK.samples
     )
     with pytest.raises(ConfigError, match=r"gone\.pt: no such weights file"):
         train(people, plan, roles=(DetectorKind.IMAGE,))
@@ -111,16 +111,16 @@ def test_a_finished_training_does_not_need_its_initial_weights(
 
 def test_other_labels_or_settings_give_another_run(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     simulate(people)
-    train(people, PLAN, roles=(DetectorKind.IMAGE,))
+    train(people, QUICK, roles=(DetectorKind.IMAGE,))
     train(people, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
     stored = people.frames.of()[1]
     box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
     people.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
-    (last,) = train(people, PLAN, roles=(DetectorKind.IMAGE,))
+    (last,) = train(people, QUICK, roles=(DetectorKind.IMAGE,))
     assert len({call[2] for call in trainings}) == 3
     assert people.models.active(DetectorKind.IMAGE) == last.model
     assert people.models.active(DetectorKind.VIEW) is None
-    back = train(people, PLAN, roles=(DetectorKind.IMAGE,))[0]
+    back = train(people, QUICK, roles=(DetectorKind.IMAGE,))[0]
     assert back.model.id == last.model.id
 
 
@@ -150,26 +150,26 @@ def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
     people: Project, trainings: list[tuple[str, Path, Path]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     simulate(people)
-    (first,) = train(people, PLAN, roles=(DetectorKind.IMAGE,))
+    (first,) = train(people, QUICK, roles=(DetectorKind.IMAGE,))
     first.result.write(first.model.path.parent)
     learned = frozenset(entry.group for entry in first.manifest.entries if entry.split == "train")
     monkeypatch.setattr(rounds, "held_out_groups", lambda project: learned)
-    (other,) = train(people, replace(PLAN, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
+    (other,) = train(people, replace(QUICK, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
     assert other.result.config.pretrained == "auto"
 
 
 def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
     simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
-    (trained,) = train(people, replace(PLAN, rcv=deep), roles=(DetectorKind.VIEW,))
-    samples = list(view_samples(people, gather(people), deep, PLAN.samples, lambda *skipped: None))
+    (trained,) = train(people, replace(QUICK, rcv=deep), roles=(DetectorKind.VIEW,))
+    samples = list(view_samples(people, gather(people), deep, QUICK.samples, lambda *skipped: None))
     tiles = [len(sample.boxes) + 1 if sample.look_px else 1 for sample in samples]
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 
 
 def test_run_names_depend_only_on_labels_and_settings(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     simulate(people)
-    (trained,) = train(people, PLAN, roles=(DetectorKind.VIEW,))
+    (trained,) = train(people, QUICK, roles=(DetectorKind.VIEW,))
     name = run_name(trained.manifest, SMALL)
     assert trained.model.path.parent.name == name
     assert run_name(trained.manifest, SMALL.model_copy(update={"seed": 1})) != name
@@ -187,7 +187,7 @@ def test_left_out_samples_are_reported(
         view.view_id, view.boxes, BoxKind.SILHOUETTE, WriteContext(stored.revision, "me"), frame_id=stored.id
     )
     (folder / "depth" / "000002.png").write_bytes(b"")
-    image, views = train(project, PLAN)
+    image, views = train(project, QUICK)
     (line,) = image.left_out
     assert line.startswith("frame 000002: ")
     assert views.left_out[0] == "1 pseudo-view whose boxes are not of the majority kind, box"
@@ -197,12 +197,12 @@ def test_left_out_samples_are_reported(
 
 def test_a_training_without_samples_leaves_no_files(people: Project) -> None:
     with pytest.raises(DetectionError, match="to learn from"):
-        train(people, PLAN)
+        train(people, QUICK)
     assert list(people.models_folder.iterdir()) == []
 
 
 def test_pictures_without_any_box_are_an_error(people: Project) -> None:
     people.boxes.set_on_image(people.frames.of()[0].id, [], BoxKind.BOX, WriteContext(0, "me"))
     with pytest.raises(DetectionError, match="at least one labelled box"):
-        train(people, PLAN, roles=(DetectorKind.IMAGE,))
+        train(people, QUICK, roles=(DetectorKind.IMAGE,))
     assert people.models.all() == ()
