@@ -7,20 +7,25 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
-from view_detectors import Fixed, trained_model
+from view_detectors import PLAN, Fixed, held, register, trained_model
 
 from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.manifest import read_manifest
-from annotator.detection.progress import TrainingProgress
-from annotator.detection.trained import TrainedModel, TrainingMetrics
+from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
 from annotator.project import Project, WriteContext
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
+from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.training import rounds
+from annotator.workflows.training import held_out, rounds
 from annotator.workflows.training import train as workflow
+from annotator.workflows.training.model_report import PICTURES, _curves, validation_pictures, write_validation_pictures
 from annotator.workflows.training.samples import SampleConfig, gather, view_samples
 from annotator.workflows.training.train import TrainPlan, run_name, train
 
@@ -206,3 +211,98 @@ def test_pictures_without_any_box_are_an_error(people: Project) -> None:
     with pytest.raises(DetectionError, match="at least one labelled box"):
         train(people, QUICK, roles=(DetectorKind.IMAGE,))
     assert people.models.all() == ()
+
+
+# TODO-MERGED docstring of test_stopped_training.py:
+# Trainings that are stopped or killed.
+
+
+def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
+    labelled: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[TrainingSample] = []
+    monkeypatch.setattr(workflow, "write_dataset", lambda folder, samples, *_: written.extend(samples))
+    for asked, role in ((2, DetectorKind.IMAGE), (6, DetectorKind.VIEW)):
+        answers = iter([False] * asked + [True])
+        with pytest.raises(TrainingStoppedError):
+            train(labelled, PLAN, roles=(role,), stop=lambda answers=answers: next(answers))
+    assert 0 < len(written) < 10
+
+    def stopped() -> None:
+        raise TrainingStoppedError("here")
+
+    monkeypatch.setattr(held_out, "load_detector", lambda path, names=(): Fixed())
+    measured = held(labelled)
+    measured._check_stop = stopped
+    with pytest.raises(TrainingStoppedError):
+        measured.mean_iou(own_model(labelled, register(labelled, "a")))
+
+
+def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
+    model = register(labelled, "registered")
+    folder = model.path.parent.parent
+    for name, is_timed in (("registered", True), ("timed", True), ("resumable", False)):
+        (folder / name).mkdir(exist_ok=True)
+        record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0, is_timed=is_timed)
+        record.write(folder / name)
+    (folder / ".dataset.part-x1").mkdir()
+    workflow.remove_leftovers(labelled, DetectorKind.VIEW)
+    assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
+    assert not (folder / "timed").exists()
+    assert not (folder / ".dataset.part-x1").exists()
+
+
+# TODO-MERGED docstring of test_validation_pictures.py:
+# Validation pictures with a detector's boxes, and the stored curves of a training.
+
+
+# with a low score, too
+DETECTOR = Fixed(
+    (Box2D("person", 10.0, 20.0, 40.0, 60.0, 0.9), Box2D("person", 60.0, 5.0, 75.0, 15.0, 0.1)), labels=("person",)
+)
+
+
+@pytest.mark.parametrize("groups", [1, 4, 30])
+def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups: int) -> None:
+    grey = np.full((80, 100, 3), 100, np.uint8)
+    samples = [
+        TrainingSample(grey, (Box2D("person", 10.0, 20.0, 40.0, 60.0),), str(number), "drawn")
+        for number in range(groups)
+    ]
+    manifest = write_dataset(
+        tmp_path / "set", samples, ("person",), lambda group: 0 < int(group) <= groups // 2, BoxKind.BOX
+    )
+    model = tmp_path / "model"
+    model.mkdir()
+    for _ in range(2):  # the second call replaces the first pictures
+        paths = write_validation_pictures(tmp_path / "set", manifest, DETECTOR, model)
+    assert len(paths) == min(manifest.images[manifest.measured_on], PICTURES)
+    assert paths == validation_pictures(model)
+    assert [path.name for path in model.iterdir()] == ["validation"]
+    picture = cv2.imread(str(paths[0])).astype(int)
+    scale = picture.shape[1] / 100
+    assert max(picture.shape) == 448
+    at = lambda x, y: picture[round((y + 0.5) * scale - 0.5), round((x + 0.5) * scale - 0.5)]  # noqa: E731
+    assert np.ptp(at(10, 40)) > 60, "the box's edge is coloured"
+    assert np.ptp(at(25, 40)) < 30
+    assert np.ptp(at(60, 10)) < 30, "boxes with low scores are not drawn"
+
+
+def test_a_missing_picture_is_an_error(tmp_path: Path) -> None:
+    sample = TrainingSample(np.zeros((80, 100, 3), np.uint8), (Box2D("person", 10.0, 20.0, 40.0, 60.0),), "a", "drawn")
+    manifest = write_dataset(tmp_path / "set", [sample], ("person",), "b".__eq__, BoxKind.BOX)
+    for path in (tmp_path / "set" / "images").rglob("*.*"):
+        path.unlink()
+    with pytest.raises(DetectionError, match="cannot be read"):
+        write_validation_pictures(tmp_path / "set", manifest, DETECTOR, tmp_path)
+
+
+def test_curves_are_read_without_nan_values(tmp_path: Path) -> None:
+    assert _curves(tmp_path / "none.csv") == ()
+    head = "epoch,time,train/box_loss,metrics/mAP50(B),lr/pg0"
+    (tmp_path / "curves.csv").write_text(f"{head}\n1,2.5,0.5,nan,0.1\n2,5,0.25,0.75,0.1\n")
+    points = _curves(tmp_path / "curves.csv")
+    assert [(point.epoch, point.metrics) for point in points] == [
+        (1, {"box_loss": 0.5}),
+        (2, {"box_loss": 0.25, "map50": 0.75}),
+    ]
