@@ -129,10 +129,6 @@ def test_frames_without_boxes_have_no_tracks() -> None:
     assert isinstance(link([[seen(0.0)]], [0.0], CONFIG)[0], Track)
 
 
-# TODO-MERGED docstring of test_same_place.py:
-# Which boxes of one moment stand at the same place.
-
-
 CAR = (4.0, 1.0, 1.5)
 
 
@@ -163,10 +159,6 @@ def test_boxes_at_the_same_place(other: OrientedBox, overlap: float) -> None:
 def test_without_boxes_there_is_no_overlap() -> None:
     assert overlap_at_place([box()], []).shape == (1, 0)
     assert overlap_at_place([], [box()]).shape == (0, 1)
-
-
-# TODO-MERGED docstring of test_smoothing.py:
-# Smoothing of the boxes of an object, and interpolation between two known boxes.
 
 
 # columns: the length, width and height axes of an upright box that faces away from the camera

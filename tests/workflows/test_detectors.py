@@ -67,10 +67,6 @@ def test_a_detector_follows_classes_that_were_changed_after_its_training(people:
     assert image_model(people).names == (("person", None),)
 
 
-# TODO-MERGED docstring of test_warm_up.py:
-# The warm-up of scripts/setup compiles all functions that proposing needs.
-
-
 # In a process of its own, because other tests call compiled functions, too. Functions called from Python have
 # signatures; private ones are called only by these.
 COMPILED = """

@@ -307,10 +307,6 @@ def test_progress_counts_the_labelled_frames(people: Project) -> None:
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
-# TODO-MERGED docstring of test_simulate_whole.py:
-# The simulated operator confirms whole boxes of what it has drawn.
-
-
 @pytest.fixture
 def drawn(people: Project, monkeypatch: pytest.MonkeyPatch) -> Project:
     """People drawn as they are seen, in a project without a detector."""

@@ -95,10 +95,6 @@ def test_the_home_folder_is_not_shown(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert shortened("/usr/lib") == "/usr/lib"
 
 
-# TODO-MERGED docstring of test_doctor_facts.py:
-# The report about the machine and its packages, also with missing or broken packages.
-
-
 ROOT = Path(__file__).resolve().parents[3]
 
 
@@ -324,10 +320,6 @@ def test_connected_kinects_are_counted_and_a_broken_sdk_is_a_warning(
     assert "libk4a.so.1.4 is missing" in found.found
 
 
-# TODO-MERGED docstring of test_doctor_process.py:
-# Exceptions, crashes and hangs in a check become lines of the report.
-
-
 def fine(projects: Path) -> Iterator[Line]:
     # libraries may print to standard output
     os.write(1, b"noise")
@@ -380,10 +372,6 @@ def test_a_crash_affects_only_one_check(tmp_path: Path, capfd: pytest.CaptureFix
 def test_a_check_that_hangs_is_ended(tmp_path: Path) -> None:
     (lost,) = examine(tmp_path, {"hangs": hangs}, limit_s=1.0).lines
     assert (lost.name, lost.state, lost.found) == ("hangs", State.FAILED, "did not finish within 1 s")
-
-
-# TODO-MERGED docstring of test_doctor_self_test.py:
-# The self-test detects backends with wrong output.
 
 
 @pytest.fixture(scope="module")

@@ -28,9 +28,6 @@ from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import SPARE_S, Demand, Drops, Meter, Pipeline, Slot, summary_line
 from annotator.workflows.live.source import Taken
 
-# TODO-MERGED docstring of test_handover.py:
-# Frames are requested shortly before the detection needs them; the test sets the clock.
-
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:

@@ -44,10 +44,6 @@ from annotator.workflows.settings import rcv_config
 from annotator.workflows.workbench import loaded_detectors
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
 
-# TODO-MERGED docstring of test_propose_frames.py:
-# Proposals for frames in memory: the settings used for each frame.
-
-
 UP = np.array([0.0, -1.0, 0.0])
 
 

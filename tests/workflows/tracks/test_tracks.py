@@ -306,10 +306,6 @@ def test_recordings_without_a_time_order_have_no_next_frame(people: Project, tru
     assert link_tracks(people).unordered == ("people",)
 
 
-# TODO-MERGED docstring of test_carry_correction.py:
-# Correcting a box as another one was corrected.
-
-
 def box(center: tuple[float, float, float], yaw_deg: float, size: tuple[float, float, float]) -> OrientedBox:
     rotation = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix()
     return OrientedBox.from_parts(np.array(center), rotation, np.array(size))

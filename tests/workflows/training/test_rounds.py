@@ -107,10 +107,6 @@ def test_a_damaged_detector_is_left_out_and_reported(labelled: Project, monkeypa
     assert line.startswith("the project's detector a, which cannot be measured: ")
 
 
-# TODO-MERGED docstring of test_choice.py:
-# After each part of a training, held-out frames decide which view detector is used.
-
-
 def choice_of(project: Project, objects: int = 6, **changes: str) -> Choice:
     """The choice of a training with these settings that begins now."""
     measured = held(project, objects)
@@ -198,10 +194,6 @@ def test_below_five_held_out_objects_an_own_detector_stays_in_use(labelled: Proj
     assert labelled.models.get(active.id).active
 
 
-# TODO-MERGED docstring of test_parts.py:
-# The parts of a training: how long they are, and which of them begins anew.
-
-
 def test_parts_double_and_none_is_too_short() -> None:
     assert list(part_seconds(1.0)) == [60.0]
     assert list(part_seconds(3.0)) == [180.0]
@@ -272,10 +264,6 @@ def test_progress_counts_the_parts_and_the_time_of_a_run_with_a_fixed_duration()
     # the number of epochs is only an estimate
     assert replace(step, epochs=100, is_timed=True).share_done == 0.25
     assert replace(step, epoch=8, seconds_left=0.0, is_timed=True).share_done == 1.0
-
-
-# TODO-MERGED docstring of test_held_out.py:
-# Held-out frames measure detectors, and teach none.
 
 
 class AnyClass:

@@ -451,10 +451,6 @@ def test_a_recording_that_was_moved_is_an_error(
         list(image_samples(project, gather(project), never))
 
 
-# TODO-MERGED docstring of test_agnostic_samples.py:
-# The samples that continue a class-agnostic detector.
-
-
 def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:
     recording = people.recordings.all()[0].id
     simulate_recording(people, recording, BoxKind.SILHOUETTE, RcvConfig(), every=2)

@@ -213,10 +213,6 @@ def test_pictures_without_any_box_are_an_error(people: Project) -> None:
     assert people.models.all() == ()
 
 
-# TODO-MERGED docstring of test_stopped_training.py:
-# Trainings that are stopped or killed.
-
-
 def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
     labelled: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -250,10 +246,6 @@ def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
     assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
     assert not (folder / "timed").exists()
     assert not (folder / ".dataset.part-x1").exists()
-
-
-# TODO-MERGED docstring of test_validation_pictures.py:
-# Validation pictures with a detector's boxes, and the stored curves of a training.
 
 
 # with a low score, too

@@ -220,10 +220,6 @@ def test_frames_that_are_only_looked_at_are_read_side_by_side_where_the_reader_c
     cache.close()
 
 
-# TODO-MERGED docstring of test_frame_state.py:
-# The frame state shown by a page: only changed parts are read again.
-
-
 def test_labels_without_new_events_are_not_read_again(
     make_project: Callable[..., Project], generated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -299,10 +299,6 @@ def test_a_copy_takes_the_place_of_a_proposal_and_stands_where_a_wrong_box_was_r
     assert [label.uid for label in people.labels.of_frame(second.id)] == [moved.uid, wrong.uid, right.uid]
 
 
-# TODO-MERGED docstring of test_contact_sheet.py:
-# Contact sheets: the picture of a box, and accepting proposals of several frames as one action.
-
-
 @pytest.fixture
 def project(generated: Path, tmp_path: Path) -> Project:
     made = create_project(tmp_path, "room", ["person"])

@@ -227,10 +227,6 @@ def test_a_long_wait_for_the_first_worker_is_logged(monkeypatch: pytest.MonkeyPa
     assert "none of the 2 workers is ready after 0 s" in told[0]
 
 
-# TODO-MERGED docstring of test_choose.py:
-# The choice of the engine, paths of recordings on workers, and packed weights; no workers are started.
-
-
 @pytest.mark.parametrize(
     ("name", "cores", "gpus", "options", "workers"),
     [

@@ -164,10 +164,6 @@ def test_detectors_that_cannot_be_loaded_are_an_error(
     assert project.jobs.all() == ()
 
 
-# TODO-MERGED docstring of test_ray_engine.py:
-# Ray actors on a local cluster: the same results as local workers, and sockets only on loopback.
-
-
 LISTENS = "0A"
 LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F")
 
