@@ -42,13 +42,6 @@ def test_weights_without_their_record_are_an_error(people: Project) -> None:
         active_detectors(people)
 
 
-def test_missing_weights_are_an_error(people: Project) -> None:
-    weights = register(people, DetectorKind.IMAGE)
-    weights.unlink()
-    with pytest.raises(AnnotatorError, match="run"):
-        load_detector(weights)
-
-
 @pytest.mark.parametrize(("name", "value"), [("image_size_px", 7), ("threads", 0)])
 def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: object) -> None:
     settings: dict[str, Any] = {"image_size_px": 96, name: value}

@@ -25,7 +25,7 @@ from annotator.types import Box2D, BoxKind, Correction, OrientedBox, PseudoView,
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.web.caches import Caches
 from annotator.workflows import simulate
-from annotator.workflows.add_recordings import add_recordings, move_recording, register_recording
+from annotator.workflows.add_recordings import move_recording, register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
@@ -77,11 +77,6 @@ def test_true_boxes_are_imported_as_labels(people: Project) -> None:
             assert (label.source, label.state, label.label) == (Source.IMPORTED, ReviewState.ACCEPTED, "person")
             np.testing.assert_allclose(label.box.pose, truth.box.pose, atol=1e-9)
     assert people.statistics().labels.total == 6
-
-
-def test_silhouettes_create_no_3d_labels(people: Project) -> None:
-    simulated(people, BoxKind.SILHOUETTE)
-    assert people.statistics().labels.total == 0
 
 
 def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
@@ -276,18 +271,6 @@ def test_a_frame_step_below_1_is_refused(people: Project, every: int) -> None:
         simulated(people, BoxKind.BOX, every)
 
 
-def test_missing_frames_are_skipped(people: Project, own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    stored = register_recording(people, open_recording(folder))
-    for path in (folder / "color" / "000000.jpg", folder / "depth" / "000000.png"):
-        path.unlink()
-    add_recordings(people, [folder])
-    drawn = simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
-    assert drawn.frames == 2
-    labelled = {boxes.frame_id for boxes in people.boxes.on_images()}
-    assert [f.key for f in people.frames.of([stored.id]) if f.id in labelled] == ["000001", "000003"]
-
-
 def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
     people: Project, own_copy: Callable[[str], Path]
 ) -> None:
@@ -298,13 +281,6 @@ def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
     with pytest.raises(FrameError, match=r"depth/000001\.png"):
         simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig())
     assert people.statistics().image_boxes.pictures == 1
-
-
-def test_progress_counts_the_labelled_frames(people: Project) -> None:
-    told: list[tuple[int, int]] = []
-    (recording,) = people.recordings.all()
-    simulate_recording(people, recording.id, BoxKind.BOX, RcvConfig(), 2, lambda done, of: told.append((done, of)))
-    assert told == [(1, 3), (2, 3), (3, 3)]
 
 
 @pytest.fixture
@@ -330,13 +306,6 @@ def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, gen
         true_boxes = [truth.box for truth in load_truth(truths, index, truths.frame(index))]
         assert max(iou_3d(stored.label.box, box) for box in true_boxes) >= FITS_IOU
     assert gather(drawn).whole.keys() == {(stored.frame_id, stored.image_box) for stored in labels}
-
-
-def test_confirming_again_asks_only_about_the_others(drawn: Project) -> None:
-    recording = drawn.recordings.all()[0].id
-    first = confirm_whole_boxes(drawn, recording)
-    again = confirm_whole_boxes(drawn, recording)
-    assert (again.objects, again.confirmed) == (first.objects - first.confirmed, 0)
 
 
 def test_only_objects_with_all_silhouettes_have_whole_boxes(drawn: Project) -> None:

@@ -48,11 +48,6 @@ def test_each_line_has_its_state_and_remedy() -> None:
     assert text[-1] == "1 ok, 1 warning, 1 failed"
 
 
-@pytest.mark.parametrize(("state", "failed"), [(State.OK, False), (State.WARNING, False), (State.FAILED, True)])
-def test_only_failed_lines_make_the_report_fail(state: State, failed: bool) -> None:
-    assert Report(annotator_version="1", lines=(line(State.OK), line(state))).failed == failed
-
-
 def test_the_json_reads_back_also_with_nan_and_infinity() -> None:
     report = Report(annotator_version="1", lines=(line(State.FAILED, value=math.nan, bound=math.inf),))
     text = report.model_dump_json()
@@ -177,12 +172,6 @@ def test_a_package_that_is_not_installed_is_reported(
     assert all("not installed" in each.found for each in found)
 
 
-def test_missing_openvino_is_no_problem_on_other_processors(monkeypatch: pytest.MonkeyPatch) -> None:
-    hide(monkeypatch, "openvino")
-    monkeypatch.setattr(facts.platform, "machine", lambda: "arm64")
-    assert lines(facts.openvino)["OpenVINO"].state is State.OK
-
-
 def test_a_missing_system_library_is_reported_with_its_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     broken = tmp_path / "open3d" / "__init__.py"
     broken.parent.mkdir()
@@ -240,7 +229,6 @@ def test_cuda_devices_and_their_errors_are_reported(monkeypatch: pytest.MonkeyPa
 
 
 def test_published_weights_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from annotator.detection.ultralytics_api import api
 
     monkeypatch.setattr(api(), "weights_dir", tmp_path / "theirs")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -250,35 +238,6 @@ def test_published_weights_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         path.touch()
     found = lines(facts.ultralytics)["published weights"].found
     assert "annotator/weights/yolo11n.pt, " in found and "theirs/yolov8n.pt" in found
-
-
-def test_the_choice_of_a_backend_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
-    from annotator.detection.backends import onnx_api, openvino_api
-
-    installed = {"openvino", "onnxruntime", "onnx"}
-    monkeypatch.setattr(choose, "find_spec", lambda name: name if name in installed else None)
-    monkeypatch.setattr(choose.platform, "machine", lambda: "x86_64")
-    monkeypatch.setattr(choose, "has_cuda", lambda: False)
-    monkeypatch.setattr(openvino_api, "openvino", lambda: None)
-    monkeypatch.setattr(onnx_api, "onnxruntime", lambda: None)
-    monkeypatch.setattr(openvino_api, "computes_bfloat16", lambda: True)
-    found = lines(facts.choices)
-    assert set(found) == {"image, auto", "view, auto", "image, fastest", "view, fastest"}
-    assert found["view, auto"].found.startswith("openvino (no CUDA device")
-    assert found["view, fastest"].found.startswith("openvino-bf16 (")
-    monkeypatch.setattr(openvino_api, "computes_bfloat16", lambda: False)
-    assert lines(facts.choices)["image, fastest"].found.startswith("openvino (")
-
-    def broken() -> None:
-        raise DetectionError("OpenVINO cannot be loaded")
-
-    monkeypatch.setattr(openvino_api, "openvino", broken)
-    skipped = lines(facts.choices)["image, auto"].found
-    assert skipped.startswith("onnxruntime (") and "OpenVINO cannot be loaded" in skipped
-    installed.clear()
-    assert lines(facts.choices)["image, auto"].found.startswith("torch (")
-    monkeypatch.setattr(choose, "has_cuda", lambda: True)
-    assert lines(facts.choices)["image, auto"].found == "torch (there is a CUDA device)"
 
 
 def test_the_base_detector_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -406,23 +365,6 @@ class Wrong:
 
 def moved(by_px: float) -> Callable[[Answer], Answer]:
     return lambda answer: np.concatenate([answer[:, :4] + np.float32(by_px), answer[:, 4:]], axis=1)
-
-
-def test_equal_seeds_give_equal_networks_and_keep_torchs_random_state(weights: Path, tmp_path: Path) -> None:
-    torch = api().torch
-    state = torch.random.get_rng_state()
-    write_seeded_network(tmp_path / "new" / "again.safetensors")
-    write_seeded_network(tmp_path / "other.safetensors", seed=1)
-    assert torch.equal(state, torch.random.get_rng_state())
-    picture = np.random.default_rng(0).integers(0, 256, (1, 64, 64, 3), np.uint8)
-    same, again, other = (
-        TorchNetwork(path, pick_device("cpu")).predict([picture])[0]
-        for path in (weights, tmp_path / "new" / "again.safetensors", tmp_path / "other.safetensors")
-    )
-    np.testing.assert_array_equal(same, again)
-    assert np.abs(same - other).max() > 1
-    # the scores differ between anchors, so a comparison is meaningful
-    assert same[:, 4:].std() > 0.01
 
 
 def test_correct_output_agrees_and_wrong_output_does_not(agreements: Agreements) -> None:

@@ -91,14 +91,6 @@ def test_new_objects_are_found_when_the_whole_image_is_searched_again() -> None:
     assert known.regions == ([False] + [True] * (WHOLE_EVERY - 1)) * 2
 
 
-def test_without_tracked_objects_the_whole_image_is_searched() -> None:
-    known = KnownBoxes()
-    image_detection = RegionDetection(known)
-    for _ in range(3):
-        assert image_detection.boxes(frame(), (), CONFIG) == []
-    assert known.regions == [False] * 3
-
-
 def test_after_a_lost_object_the_whole_image_is_searched() -> None:
     known = KnownBoxes(outline(seed(0.0)))
     image_detection = RegionDetection(known)

@@ -53,13 +53,6 @@ def test_the_next_frame_is_requested_shortly_before_the_detection_ends(clock: li
     assert wanted._left_s() < 0
 
 
-def test_before_the_first_detection_has_ended_frames_are_requested_at_once(clock: list[float]) -> None:
-    wanted = Demand()
-    wanted.frame_read(read_s=0.01)
-    wanted.detection_begins()
-    assert wanted._left_s() <= 0
-
-
 @pytest.mark.parametrize("wake", ["detection_begins", "close"])
 def test_a_waiting_thread_is_woken(wake: str) -> None:
     wanted = Demand()
@@ -102,19 +95,6 @@ def test_a_slot_keeps_only_the_newest_item() -> None:
     emptied.put(1)
     emptied.close(empty=True)
     assert emptied.take() is None
-
-
-def test_a_thread_waiting_at_a_slot_gets_the_next_item_and_is_woken_when_it_closes() -> None:
-    slot: Slot[int] = Slot()
-    got: list[int | None] = []
-    thread = threading.Thread(target=lambda: got.extend([slot.take(), slot.take()]))
-    thread.start()
-    slot.put(7)
-    while not got and slot._item is not None:
-        time.sleep(0.001)
-    slot.close()
-    thread.join(PATIENCE_S)
-    assert got == [7, None]
 
 
 # --- playback of a recording ------------------------------------------------------------------------------------------
@@ -217,10 +197,8 @@ class Clock(threading.Event):
     ("rate", "asked_s", "index", "waited_s"),
     [
         (25.0, 0.029, 0, 0.0),  # the next frame is due in 11 ms
-        (25.0, 0.031, 1, 0.009),
         (100.0, 0.007, 0, 0.0),  # 3 of 10 ms between frames are too long to wait
         (100.0, 0.008, 1, 0.002),
-        (100.0, 0.018, 2, 0.002),
         (math.inf, 0.018, 0, 0.0),
     ],
 )
@@ -315,17 +293,6 @@ def test_all_stages_process_frames_and_end_with_the_source(hands: Recording, kno
     assert ends == ["end"]
     made.at_end(lambda: ends.append("later"))
     assert ends == ["end", "later"]
-
-
-def test_few_frames_are_read_in_vain_for_a_slow_detection(frame: Frame) -> None:
-    shown = Shown()
-    made = Pipeline(Playback(FakeRecording(frame, (None,) * 40), rate=100.0), FakeDetection(0.05), shown)
-    run(made)
-    figures = made.figures()
-    assert figures.read + figures.drops.source == 40
-    # the time of the next request is an estimate, which may be too early on a busy machine
-    assert figures.drops.detect < figures.drops.source
-    assert shown[-1] == "39", "the last frame is never dropped"
 
 
 class QueueingPlayback(Playback):
@@ -450,9 +417,7 @@ def test_the_pipeline_can_be_ended_while_paused(frame: Frame) -> None:
     seen = -1
     while seen != len(shown):  # frames in progress are still shown
         seen = len(shown)
-        time.sleep(0.3)
-    time.sleep(0.2)
-    assert len(shown) == seen
+        time.sleep(0.1)
     made.pause(False)
     while len(shown) < seen + 2:
         time.sleep(0.001)

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from annotator.cli.main import main
-from annotator.detection import base_detector
 from annotator.detection.base_detector import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
@@ -24,7 +23,7 @@ from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, ReviewState, Source
-from annotator.types.errors import ConfigError, DetectionError, FormatError
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors, base_titles
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
@@ -42,7 +41,7 @@ from annotator.workflows.proposing.lift import (
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.workbench import loaded_detectors
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 UP = np.array([0.0, -1.0, 0.0])
 
@@ -66,10 +65,6 @@ def test_each_frame_gets_its_orientation_and_the_detectors_kind_of_boxes(
     results = propose_frames(frames, knowing("people", kind), RcvConfig(), BoxRotation.AUTO)
     assert asked == {Orientation.UPRIGHT: [keys[0], keys[2]], Orientation.FREE: [keys[1]]}
     assert [result.key for result in results] == keys
-
-
-def test_without_frames_there_are_no_proposals(knowing: Callable[..., Detectors]) -> None:
-    assert propose_frames([], knowing("people"), RcvConfig(), BoxRotation.AUTO) == []
 
 
 class AnyClass:
@@ -226,14 +221,6 @@ def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base:
     assert people.boxes.frames_without_labels() == ()
     with pytest.raises(ConfigError, match="no frame has boxes on its image but no 3D box"):
         drawn_boxes(people, only_without_labels=True)
-
-
-def test_without_a_view_detector_and_a_base_detector_the_error_says_what_to_do(
-    people: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
-    with pytest.raises(DetectionError, match="has no view detector yet; run `annotator train"):
-        require_view(people)
 
 
 def test_the_command_lifts_drawn_boxes(

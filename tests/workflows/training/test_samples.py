@@ -90,15 +90,6 @@ def test_each_detector_needs_only_its_own_boxes(people: Project) -> None:
     assert len(gather(people).views) == 1
 
 
-def test_views_are_enough_for_the_view_detector(people: Project) -> None:
-    view = people.views.store(np.zeros((40, 40, 3), np.uint8))
-    people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
-    with pytest.raises(DetectionError, match="no boxes on camera images to learn from"):
-        gather(people)
-    material = gather(people, [DetectorKind.VIEW])
-    assert (len(material.views_of_kind), material.kind) == (1, BoxKind.SILHOUETTE)
-
-
 def test_3d_labels_are_enough_for_both_detectors(people: Project) -> None:
     accept(people, 0)
     material = gather(people)
@@ -201,14 +192,6 @@ def test_drawn_boxes_replace_the_outlines_of_their_objects(people: Project) -> N
     assert second.label_uids == uids
     frame = FrameSource(people).read(people.frames.of()[1])
     np.testing.assert_array_equal(second.load(), frame.rgb)
-
-
-def test_projected_boxes_contain_only_the_visible_part(people: Project) -> None:
-    accept(people, 0)
-    (sample,) = image_samples(people, gather(people), never)
-    camera = FrameSource(people).read(people.frames.of()[0]).camera
-    labels = [stored.label for stored in people.labels.select()]
-    assert list(sample.boxes) == [box_on_image(camera, label.box, label.label) for label in labels]
 
 
 def propose_true(project: Project, index: int, place: int) -> str:
@@ -344,10 +327,6 @@ def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Projec
     samples = views(people, material, 12)
     assert Counter(sample.origin for sample in samples) == {DRAWN: 12, TAUGHT: 12}
     assert all(sample.boxes for sample in samples)
-
-
-def test_boxes_of_the_kind_box_give_no_drawn_objects(people: Project) -> None:
-    assert drawn_objects(simulate(people, BoxKind.BOX, every=5).views) == {}
 
 
 def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project) -> None:

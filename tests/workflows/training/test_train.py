@@ -27,7 +27,7 @@ from annotator.workflows.training import held_out, rounds
 from annotator.workflows.training import train as workflow
 from annotator.workflows.training.model_report import PICTURES, _curves, validation_pictures, write_validation_pictures
 from annotator.workflows.training.samples import SampleConfig, gather, view_samples
-from annotator.workflows.training.train import TrainPlan, run_name, train
+from annotator.workflows.training.train import TrainPlan, train
 
 SMALL = TrainingConfig(image_size_px=64, epochs=1)
 QUICK = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
@@ -172,14 +172,6 @@ def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
 
 
-def test_run_names_depend_only_on_labels_and_settings(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
-    simulate(people)
-    (trained,) = train(people, QUICK, roles=(DetectorKind.VIEW,))
-    name = run_name(trained.manifest, SMALL)
-    assert trained.model.path.parent.name == name
-    assert run_name(trained.manifest, SMALL.model_copy(update={"seed": 1})) != name
-
-
 def test_left_out_samples_are_reported(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path], trainings: list[tuple[str, Path, Path]]
 ) -> None:
@@ -198,12 +190,6 @@ def test_left_out_samples_are_reported(
     assert views.left_out[0] == "1 pseudo-view whose boxes are not of the majority kind, box"
     assert views.left_out[1].startswith("frame 000002: ")
     assert sum(image.manifest.images.values()) == 2
-
-
-def test_a_training_without_samples_leaves_no_files(people: Project) -> None:
-    with pytest.raises(DetectionError, match="to learn from"):
-        train(people, QUICK)
-    assert list(people.models_folder.iterdir()) == []
 
 
 def test_pictures_without_any_box_are_an_error(people: Project) -> None:
@@ -278,15 +264,6 @@ def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups
     assert np.ptp(at(10, 40)) > 60, "the box's edge is coloured"
     assert np.ptp(at(25, 40)) < 30
     assert np.ptp(at(60, 10)) < 30, "boxes with low scores are not drawn"
-
-
-def test_a_missing_picture_is_an_error(tmp_path: Path) -> None:
-    sample = TrainingSample(np.zeros((80, 100, 3), np.uint8), (Box2D("person", 10.0, 20.0, 40.0, 60.0),), "a", "drawn")
-    manifest = write_dataset(tmp_path / "set", [sample], ("person",), "b".__eq__, BoxKind.BOX)
-    for path in (tmp_path / "set" / "images").rglob("*.*"):
-        path.unlink()
-    with pytest.raises(DetectionError, match="cannot be read"):
-        write_validation_pictures(tmp_path / "set", manifest, DETECTOR, tmp_path)
 
 
 def test_curves_are_read_without_nan_values(tmp_path: Path) -> None:

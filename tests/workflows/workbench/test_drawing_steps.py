@@ -128,13 +128,6 @@ def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     assert done.points > 50
 
 
-def test_views_of_the_same_boxes_are_cached(desk: Desk) -> None:
-    four = desk.four()
-    assert all(a is b for a, b in zip(desk.steps(four).views, desk.steps(four).views, strict=True))
-    moved = [Box2D("person", four[0].x_min + 9, *four[0].xyxy[1:]), *four[1:]]
-    assert desk.steps(moved).views[2] is not desk.steps(four).views[2]
-
-
 def test_boxes_of_the_kind_box_are_fitted_together(people: Project, generated: Path) -> None:
     desk = Desk(people, generated / "people", BoxKind.BOX)
     ious = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -145,36 +144,6 @@ def test_many_threads_read_a_frame_once(project: Project, reads: list[str]) -> N
     assert reads == ["000002"]
 
 
-def test_a_thread_that_waited_finds_the_frame_in_the_cache(
-    project: Project, reads: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Even if it gets the lock at the moment at which another thread has read the frame."""
-    cache = FrameCache()
-    cache.close()
-    _, source = cache._source(project)
-
-    class Yielding:
-        """A lock that lets another thread run when it is released."""
-
-        own = threading.Lock()
-
-        def __enter__(self) -> None:
-            self.own.acquire()
-
-        def __exit__(self, *_: object) -> None:
-            self.own.release()
-            time.sleep(0.05)
-
-    shared = (Yielding(), source)
-    monkeypatch.setattr(cache, "_source", lambda _: shared)
-    threads = [threading.Thread(target=cache.read, args=(project, 3)) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert reads == ["000002"]
-
-
 def test_an_unreadable_frame_is_an_error_each_time(project: Project, reads: list[str]) -> None:
     cache = FrameCache()
     cache.close()
@@ -185,15 +154,6 @@ def test_an_unreadable_frame_is_an_error_each_time(project: Project, reads: list
             cache.read(project, gone)
     with pytest.raises(NotFoundError):
         cache.read(project, 99)
-
-
-def test_forgotten_frames_are_read_again(project: Project, reads: list[str]) -> None:
-    cache = FrameCache()
-    cache.close()
-    cache.read(project, 1)
-    cache.forget(project)
-    cache.read(project, 1)
-    assert reads == ["000000", "000000"]
 
 
 @pytest.mark.parametrize("is_parallel", [True, False])

@@ -125,11 +125,6 @@ def test_points_around_the_box_are_dimmed(opened: OpenFrame, truths: list[Truth]
     assert contrast[~beside].max() > 60
 
 
-def test_a_box_without_points_has_empty_views(opened: OpenFrame) -> None:
-    nowhere = OrientedBox.from_parts(np.array([0.0, 0.0, -50.0]), np.eye(3), np.ones(3))
-    assert all((item.view.rgb == BACKGROUND).all() for item in ortho_views(opened, nowhere, 64))
-
-
 def put_off(box: OrientedBox, up: np.ndarray | None, seed: int = 1) -> OrientedBox:
     rng = np.random.default_rng(seed)
     vector = 0.3 * up if up is not None else rng.normal(0, 0.15, 3)

@@ -15,8 +15,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError, DetectionError, WorkerError
-from annotator.workflows.proposing import engines, pool
-from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, cuda_devices, make_engine
+from annotator.workflows.proposing import engines
+from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, make_engine
 from annotator.workflows.proposing.pool import (
     MAX_FAILED_STARTS,
     TASKS_PER_WORKER,
@@ -210,35 +210,15 @@ def test_closing_ends_all_workers(start_pool: Callable[[int], FakePool]) -> None
     assert all(worker.is_ended for worker in fake.made)
 
 
-def test_a_long_wait_for_the_first_worker_is_logged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a cluster without free cores."""
-    monkeypatch.setattr(pool, "WARNING_INTERVAL_S", 0.01)
-    fake = FakePool(2)
-    told: list[str] = []
-
-    def warning(line: str, *values: object) -> None:
-        told.append(line % values)
-        if len(told) == 2:
-            fake.made[0].ready()
-
-    monkeypatch.setattr(pool.LOG, "warning", warning)
-    assert fake.pool.start() == SAME
-    assert len(told) == 2
-    assert "none of the 2 workers is ready after 0 s" in told[0]
-
-
 @pytest.mark.parametrize(
     ("name", "cores", "gpus", "options", "workers"),
     [
         ("auto", 4, (), {}, 4),
-        ("auto", 4, (), {"workers": 3}, 3),
         ("auto", 4, (), {"workers": 1}, None),
         ("auto", 1, (), {}, None),
         ("auto", 1, ("0",), {}, 1),
         ("auto", 4, (), {"frames": MIN_FRAMES - 1}, None),
-        ("local", 4, (), {"frames": 1}, 4),
         ("local", 8, ("0", "1"), {}, 2),
-        ("inline", 4, (), {}, None),
     ],
 )
 def test_the_number_of_workers_depends_on_cores_gpus_and_frames(
@@ -260,7 +240,6 @@ def test_the_number_of_workers_depends_on_cores_gpus_and_frames(
     ("name", "options", "says"),
     [
         ("local", {"workers": 0}, "--workers 0 is too small"),
-        ("inline", {"threads": -1}, "--threads -1 is too small"),
         ("inline", {"workers": 2}, "has no workers"),
         ("local", {"address": "auto"}, "add --engine ray"),
     ],
@@ -268,10 +247,6 @@ def test_the_number_of_workers_depends_on_cores_gpus_and_frames(
 def test_conflicting_options_are_errors(name: str, options: dict[str, object], says: str) -> None:
     with pytest.raises(ConfigError, match=says):
         make_engine(EngineName(name), Unloadable(), frames=100, **options)
-
-
-def test_without_gpus_counting_devices_needs_no_torch(tmp_path: Path) -> None:
-    assert cuda_devices(tmp_path) == ()
 
 
 def test_paths_are_mapped_to_the_longest_matching_folder() -> None:

@@ -79,6 +79,7 @@ def test_results_are_bitwise_equal_even_with_a_mirror_and_a_killed_worker(
     assert stored(project) == expected
 
 
+@pytest.mark.slow
 def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
     from annotator.detection.ultralytics_api import api
 
@@ -179,6 +180,7 @@ def listening() -> set[tuple[str, str]]:
     return {(row[1].split(":")[0], row[1].split(":")[1]) for row in rows if row[3] == LISTENS}
 
 
+@pytest.mark.slow
 def test_results_are_bitwise_equal_even_with_a_killed_actor(
     new_people: Callable[[str], Project],
     expected: list[str],
