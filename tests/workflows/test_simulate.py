@@ -16,7 +16,7 @@ import pytest
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.project import BoxRotation, Origin, Project
+from annotator.project import BoxRotation, Origin, Project, create_project
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
 from annotator.rcv.whole_box import Offered, SeenObject
@@ -284,11 +284,21 @@ def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
 
 
 @pytest.fixture
-def drawn(people: Project, monkeypatch: pytest.MonkeyPatch) -> Project:
+def drawn(
+    copy_project: Callable[[Path], Project],
+    made_once: Callable[[str, Callable[[Path], object]], Path],
+    generated: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Project:
     """People drawn as they are seen, in a project without a detector."""
+
+    def fill(folder: Path) -> None:
+        with create_project(folder, "project0", ("person",)) as project:
+            recording = register_recording(project, open_recording(generated / "people"))
+            simulate_recording(project, recording.id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
+
     monkeypatch.setattr(simulate, "ready_view", lambda project: None)
-    simulate_recording(people, people.recordings.all()[0].id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
-    return people
+    return copy_project(made_once("drawn project", fill) / "project0")
 
 
 def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, generated: Path) -> None:

@@ -94,6 +94,11 @@ def outlines(project: Project, index: int) -> tuple[Box2D, ...]:
     return tuple(box for box in boxes if box is not None)
 
 
+def quick(project: Project) -> RcvConfig:
+    """For tests in which the quality of proposals does not matter."""
+    return rcv_config(project).model_copy(update={"max_steps": 1})
+
+
 def test_drawn_boxes_become_proposals(people: Project, base: ReadyDetector) -> None:
     with pytest.raises(ConfigError, match="has no boxes on its images; give --boxes or --detector, or draw some"):
         drawn_boxes(people)
@@ -136,10 +141,10 @@ def test_boxes_of_a_coco_file_are_lifted_with_their_classes_mapped(
     given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"})
     assert given.other_classes == {"cat": 1}
     assert list(given.silhouettes) == [people.frames.of()[0].id]
-    lift(people, given, base, rcv_config(people))
+    lift(people, given, base, quick(people))
     assert json.loads(people.jobs.all()[-1].config)["image_box_kind"] == BoxKind.SILHOUETTE
     given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"}, BoxKind.BOX)
-    done = lift(people, given, base, rcv_config(people))
+    done = lift(people, given, base, quick(people))
     assert (done.done, done.proposals) == (1, len(boxes))
 
 
@@ -156,8 +161,8 @@ def test_a_detector_of_any_origin_takes_the_place_of_the_image_detector(
         assert {box.label for box in boxes} == {"human"}
     other = RenamedDetector(known, ["person"], {})
     assert image.fingerprint != other.fingerprint != known.fingerprint
-    done = annotate(people, Detectors(other, base, base.box_kind, True), rcv_config(people))
-    assert (done.done, done.failures) == (len(people.frames.of()), 0)
+    done = annotate(people, Detectors(other, base, base.box_kind, True), quick(people), limit=1)
+    assert (done.done, done.failures) == (1, 0)
     assert done.proposals >= done.done
     with pytest.raises(ConfigError, match="the detector has none of the classes person, but hand"):
         RenamedDetector(knowing("hands").image, people.config.classes, {})
@@ -170,7 +175,7 @@ def test_a_view_detector_that_does_not_know_the_class_is_refused(
     stored = people.frames.of()[0]
     given = GivenBoxes("test", {stored.id: outlines(people, 0)}, {})
     with pytest.raises(ConfigError, match="the project's view detector was not trained on person"):
-        lift(people, given, hands, rcv_config(people))
+        lift(people, given, hands, quick(people))
     assert not people.jobs.all()
 
 
@@ -183,7 +188,7 @@ def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
     (folder / "depth" / f"{frames[0].key}.png").write_bytes(b"broken")
     given = GivenBoxes("test", {frames[k].id: outlines(people, 1) for k in (0, 1)}, {})
     seen: list[tuple[int, int]] = []
-    done = lift(people, given, base, rcv_config(people), lambda k, n: seen.append((k, n)))
+    done = lift(people, given, base, quick(people), lambda k, n: seen.append((k, n)))
     assert (done.done, done.failures) == (1, 1)
     assert done.failed[0][0] == frames[0].key
     assert seen == [(1, 2), (2, 2)]
@@ -191,7 +196,7 @@ def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
 
 def test_labels_and_exports_name_the_base_detector(people: Project, base: ReadyDetector, tmp_path: Path) -> None:
     stored = people.frames.of()[1]
-    lift(people, GivenBoxes("test", {stored.id: outlines(people, 1)}, {}), base, rcv_config(people))
+    lift(people, GivenBoxes("test", {stored.id: outlines(people, 1)}, {}), base, quick(people))
     (run,) = people.jobs.all()
     assert base_titles(people) == {run.id: TITLE}
     report = export_project(

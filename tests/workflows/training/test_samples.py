@@ -475,10 +475,10 @@ def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project
 
 
 def test_generated_views_are_about_the_share_that_was_asked_for() -> None:
-    own = [TrainingSample(np.zeros((64, 64, 3), np.uint8), (), "1/1", "drawn")] * 100
+    own = [TrainingSample(np.zeros((64, 64, 3), np.uint8), (), "1/1", "drawn")] * 40
     assert list(with_generated(own, 0.0, 64, 0)) == own
     samples, others = (list(with_generated(own, 0.5, 64, seed)) for seed in (0, 1))
-    assert samples[:100] == own
-    assert 50 < len(samples) - 100 < 200
-    assert {sample.origin for sample in samples[100:]} == {"generated"}
-    assert not {sample.group for sample in samples[100:]} & {sample.group for sample in others[100:]}
+    assert samples[:40] == own
+    assert 20 < len(samples) - 40 < 80
+    assert {sample.origin for sample in samples[40:]} == {"generated"}
+    assert not {sample.group for sample in samples[40:]} & {sample.group for sample in others[40:]}

@@ -66,19 +66,6 @@ def engine_of(source: DetectorSource, workers: int = 2) -> Engine:
     return local_engine(source, workers, 1, Storage())
 
 
-def test_results_are_bitwise_equal_even_with_a_mirror_and_a_killed_worker(
-    new_people: NewPeople, expected: list[str], knowing: Knowing, tmp_path: Path, generated: Path
-) -> None:
-    project, once = new_people("local"), tmp_path / "once"
-    source = HarmfulPair(knowing("people"), deadly=("000002",), once=once)
-    elsewhere = Storage(((generated, generated.as_uri()),), cache_mb=50)
-    with closing(local_engine(source, 2, 1, elsewhere)) as engine:
-        done = annotate_with(project, engine, CONFIG)
-    assert once.exists(), "a worker has killed itself"
-    assert (done.done, done.failed) == (5, [])
-    assert stored(project) == expected
-
-
 @pytest.mark.slow
 def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, knowing: Knowing, tmp_path: Path) -> None:
     from annotator.detection.ultralytics_api import api
@@ -97,11 +84,13 @@ def test_results_of_a_real_network_are_bitwise_equal(new_people: NewPeople, know
     assert all("Box2D" in text and "view_disagreement" in text for text in here), "boxes were detected and used"
 
 
-def test_a_frame_that_kills_every_worker_is_stored_as_failed(
-    new_people: NewPeople, expected: list[str], knowing: Knowing
+def test_a_frame_that_kills_every_worker_is_stored_as_failed_and_the_others_are_bitwise_equal(
+    new_people: NewPeople, expected: list[str], knowing: Knowing, generated: Path
 ) -> None:
     project = new_people("deadly")
-    with closing(engine_of(HarmfulPair(knowing("people"), deadly=("000004",)))) as engine:
+    # read through a mirror
+    elsewhere = Storage(((generated, generated.as_uri()),), cache_mb=50)
+    with closing(local_engine(HarmfulPair(knowing("people"), deadly=("000004",)), 1, 1, elsewhere)) as engine:
         done = annotate_with(project, engine, CONFIG)
     ((key, reason),) = done.failed
     assert (done.done, key) == (4, "000004")
@@ -128,8 +117,8 @@ def test_a_killed_driver_leaves_no_workers_and_a_restart_continues(
         driver.wait()
     wait_for(lambda: not is_alive(pid), "the worker outlives its driver")
     project.close()
-    with open_project(project.path) as again, closing(engine_of(GivenDetectors(knowing("people")), 1)) as engine:
-        done = annotate_with(again, engine, CONFIG)
+    with open_project(project.path) as again:
+        done = annotate_with(again, InlineEngine(GivenDetectors(knowing("people"))), CONFIG)
         assert done.skipped + done.done == 5 and done.skipped > 0
         assert stored(again) == expected
         assert again.problems() == []
