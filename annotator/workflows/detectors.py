@@ -97,9 +97,6 @@ def active_detectors(project: Project, *, backend: Backend = "auto", threads: in
 
     Args:
         backend, threads: as for `load_detector`.
-
-    Raises:
-        ConfigError, DetectionError, FormatError: as `load_detector`; or one of them has not been trained yet.
     """
     image, view = image_model(project), view_model(project)
     return Detectors(
@@ -157,11 +154,7 @@ def own_model(project: Project, model: StoredModel) -> UsedModel:
 
 
 def base_model() -> UsedModel:
-    """The base detector.
-
-    Raises:
-        DetectionError: this installation has none.
-    """
+    """The base detector."""
     return UsedModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
 
 
@@ -220,20 +213,12 @@ def stand_in(project: Project) -> str | None:
 
 
 def view_model(project: Project) -> UsedModel:
-    """As `used_model` for the view detector.
-
-    Raises:
-        DetectionError: there is none, and no base detector.
-    """
+    """As `used_model` for the view detector."""
     return used_model(project, DetectorKind.VIEW) or _raise_untrained(project, DetectorKind.VIEW)
 
 
 def image_model(project: Project) -> UsedModel:
-    """The project's active image detector.
-
-    Raises:
-        DetectionError: none has been trained yet.
-    """
+    """The project's active image detector."""
     return own_model(project, active_model(project, DetectorKind.IMAGE))
 
 
@@ -244,11 +229,7 @@ def _raise_untrained(project: Project, role: DetectorKind) -> NoReturn:
 
 
 def active_model(project: Project, role: DetectorKind) -> StoredModel:
-    """Returns the project's active model of a role.
-
-    Raises:
-        DetectionError: none has been trained yet.
-    """
+    """Returns the project's active model of a role."""
     model = project.models.active(role)
     if model is None:
         _raise_untrained(project, role)

@@ -81,11 +81,7 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
 
 
 def only_class(recording: Recording, classes: Sequence[str]) -> str:
-    """Returns the class of the objects in masks without boxes.
-
-    Raises:
-        ConfigError: the project has several classes.
-    """
+    """Returns the class of the objects in masks without boxes."""
     if len(classes) != 1:
         raise ConfigError(
             f"{recording.path}: has masks but no true boxes, so the class of an object ({', '.join(classes)}) is "
@@ -95,11 +91,7 @@ def only_class(recording: Recording, classes: Sequence[str]) -> str:
 
 
 def require_boxes_for(kind: BoxKind, recording: Recording) -> None:
-    """Checks that the recording has true boxes if the operator needs them.
-
-    Raises:
-        ConfigError: the operator `box` on a recording with masks only.
-    """
+    """Checks that the recording has true boxes if the operator needs them."""
     if kind is BoxKind.BOX and has_masks(recording) and not has_truth(recording):
         raise ConfigError(
             f"{recording.path}: the operator `box` needs true boxes, but the recording has only masks; "

@@ -105,9 +105,6 @@ class Playback:
         Args:
             rate: frames per second; None = as recorded; infinite = as fast as frames can be read.
             read: reads a frame by its key; None = as the recording's files give it.
-
-        Raises:
-            ConfigError: a rate of zero or less.
         """
         if rate is not None and not rate > 0:
             raise ConfigError(f"cannot play at {rate:g} frames per second; give more than 0")

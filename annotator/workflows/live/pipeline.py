@@ -309,9 +309,6 @@ class Pipeline:
             record: receives all detected frames.
             max_frames: end after this number of frames of the source; None = when the source ends.
             report: called with a message for each frame that cannot be read.
-
-        Raises:
-            ConfigError: `max_frames` is less than 1.
         """
         if max_frames is not None and max_frames < 1:
             raise ConfigError(f"cannot show {max_frames} frames; give 1 or more")
@@ -350,11 +347,7 @@ class Pipeline:
             slot.close(empty=True)
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Waits for the end; returns False after `timeout_s` seconds.
-
-        Raises:
-            AnnotatorError: a stage has failed.
-        """
+        """Waits for the end; returns False after `timeout_s` seconds."""
         if not self.ended.wait(timeout_s):
             return False
         if self._error is not None:

@@ -187,11 +187,7 @@ class Recorder:
 
 
 def require_recordable(recording: Recording) -> None:
-    """Checks that a played recording can be recorded again without loss.
-
-    Raises:
-        ConfigError: the frames are not a sequence, or have no camera images.
-    """
+    """Checks that a played recording can be recorded again without loss."""
     if not recording.is_sequence:
         raise ConfigError(
             f"{recording.path}: its frames ({recording.format}) do not follow each other in time, and may come from "
@@ -278,9 +274,6 @@ def require_unused_path(project: Project, out: Path) -> None:
     """Checks that the project has no recording at `out`, not even one whose folder was removed.
 
     All live recordings use the same frame keys, so the labels of an old recording would be assigned to the new frames.
-
-    Raises:
-        ConfigError: the project has a recording at `out`.
     """
     path = out.resolve()
     for known in project.recordings.all():

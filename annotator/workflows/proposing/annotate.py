@@ -272,11 +272,7 @@ def annotate_with(
 
 
 def require_limit(limit: int | None) -> None:
-    """Checks a limit.
-
-    Raises:
-        ConfigError: it is below 1.
-    """
+    """Checks a limit."""
     if limit is not None and limit < 1:
         raise ConfigError(f"a limit of {limit} frames is too small; give 1 or more")
 

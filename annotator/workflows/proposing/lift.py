@@ -99,9 +99,6 @@ def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBox
 
     Args:
         only_without_labels: only those on frames that have no 3D box yet.
-
-    Raises:
-        ConfigError: there are none.
     """
     drawn = [on_image for on_image in project.boxes.on_images() if on_image.boxes]
     boxes = {on_image.frame_id: on_image.boxes for on_image in drawn}
@@ -164,9 +161,6 @@ class RenamedDetector:
         Args:
             classes: of the project.
             names: as for `boxes_of_file`.
-
-        Raises:
-            ConfigError: the detector has none of the project's classes.
         """
         self._detector = detector
         self._names = {label: names.get(label, label) for label in detector.labels}
@@ -209,9 +203,6 @@ def lift(
     Args:
         view: the project's view detector or the base detector.
         config: the project's settings.
-
-    Raises:
-        ConfigError: the view detector does not know a class of the boxes.
     """
     begin = time.perf_counter()
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
@@ -250,11 +241,7 @@ def _kind(boxes: GivenBoxes, frame_id: int) -> BoxKind:
 
 
 def require_known(view: ReadyDetector, labels: Collection[str]) -> None:
-    """Checks that a view detector can measure objects of all these classes.
-
-    Raises:
-        ConfigError: it cannot.
-    """
+    """Checks that a view detector can measure objects of all these classes."""
     unknown = [] if view.class_agnostic else sorted(set(labels) - set(view.labels))
     if unknown:
         raise ConfigError(

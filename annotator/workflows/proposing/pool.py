@@ -209,11 +209,7 @@ class WorkerPool:
         return self._identity
 
     def start_all(self) -> Identity:
-        """As `start`, but returns when all workers are ready.
-
-        Raises:
-            AnnotatorError: as `start`.
-        """
+        """As `start`, but returns when all workers are ready."""
         identity = self.start()
         while not all(slot.is_ready for slot in self._slots.values()):
             self._handle(self._events.get())
@@ -225,11 +221,7 @@ class WorkerPool:
         self._distribute()
 
     def wait(self, timeout_s: float) -> Answer | None:
-        """Waits for the next answer; returns None after `timeout_s` seconds.
-
-        Raises:
-            WorkerError: workers die before they are ready.
-        """
+        """Waits for the next answer; returns None after `timeout_s` seconds."""
         if not self._answers:
             try:
                 self._handle(self._events.get(timeout=timeout_s))

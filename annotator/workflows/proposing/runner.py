@@ -46,11 +46,7 @@ class Engine(Protocol):
     def window(self) -> int: ...
 
     def start(self) -> Identity:
-        """Starts the workers, unless they run already. Returns when the first is ready.
-
-        Raises:
-            AnnotatorError: a worker cannot load the detectors, or none can be started.
-        """
+        """Starts the workers, unless they run already. Returns when the first is ready."""
         ...
 
     def submit(self, task: Task) -> None:
@@ -58,11 +54,7 @@ class Engine(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> Answer | None:
-        """Waits for the next answer; returns None after `timeout_s` seconds.
-
-        Raises:
-            WorkerError: the workers keep dying.
-        """
+        """Waits for the next answer; returns None after `timeout_s` seconds."""
         ...
 
     def close(self) -> None:
@@ -190,11 +182,7 @@ class InlineEngine:
         return 1
 
     def start(self) -> Identity:
-        """Loads the detectors.
-
-        Raises:
-            AnnotatorError: they cannot be loaded.
-        """
+        """Loads the detectors."""
         return self._ready().identity
 
     def submit(self, task: Task) -> None:

@@ -201,11 +201,7 @@ def is_url(place: str) -> bool:
 
 
 def parse_elsewhere(words: Sequence[str]) -> tuple[tuple[Path, str], ...]:
-    """Parses options of the form FOLDER=PLACE.
-
-    Raises:
-        ConfigError: an option has another form.
-    """
+    """Parses options of the form FOLDER=PLACE."""
     pairs = []
     for word in words:
         folder, equals, other = word.partition("=")
@@ -219,9 +215,6 @@ def scratch_folder() -> Path:
     """Creates and returns the user's own temporary folder, which only the user can write to.
 
     It holds unpacked weights and cached recordings.
-
-    Raises:
-        WorkerError: it cannot be created, or other users can write to it.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"annotator-{user}"
@@ -241,11 +234,7 @@ class DetectorSource(Protocol):
     """A picklable description of a pair of detectors."""
 
     def load(self, threads: int | None) -> Detectors:
-        """Loads the detectors, each with a number of processor threads (None = all cores).
-
-        Raises:
-            AnnotatorError: they cannot be loaded.
-        """
+        """Loads the detectors, each with a number of processor threads (None = all cores)."""
         ...
 
 
@@ -283,11 +272,7 @@ class TrainedDetectors:
     trained: bool = False
 
     def load(self, threads: int | None) -> Detectors:
-        """Loads the detectors.
-
-        Raises:
-            DetectionError, FormatError: as `load_detector`.
-        """
+        """Loads the detectors."""
         return Detectors(
             load_detector(self.image, self.backend, threads=threads, names=self.names[0]),
             load_detector(self.view, self.backend, threads=threads, names=self.names[1]),
@@ -299,11 +284,7 @@ class TrainedDetectors:
 
 
 def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDetectors:
-    """Describes the project's active detectors without loading them.
-
-    Raises:
-        DetectionError: one of them has not been trained yet.
-    """
+    """Describes the project's active detectors without loading them."""
     image, view = image_model(project), view_model(project)
     kinds = (view.class_agnostic, image.box_kind)
     names = (image.names, view.names)
@@ -334,9 +315,6 @@ class _Files:
 
         Files that exist are kept, so exports made beside them are reused. Missing files are written again: systems
         delete old temporary files. Several processes may call this at the same time.
-
-        Raises:
-            DetectionError: they cannot be written.
         """
         digest = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for _, content in self.contents))
         target = folder / digest.hexdigest()[:24]
@@ -372,21 +350,13 @@ class PackedDetectors:
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
-        """Reads the weights.
-
-        Raises:
-            DetectionError: they cannot be read.
-        """
+        """Reads the weights."""
         image, view = _Files.of(trained.image), _Files.of(trained.view)
         kinds = (trained.class_agnostic, trained.image_kind)
         return cls(image, view, trained.box_kind, trained.backend, *kinds, trained.names, trained.trained)
 
     def load(self, threads: int | None) -> Detectors:
-        """Writes the files into the machine's temporary folder, where they stay, and loads the detectors.
-
-        Raises:
-            DetectionError, FormatError: as `load_detector`.
-        """
+        """Writes the files into the machine's temporary folder, where they stay, and loads the detectors."""
         folder = scratch_folder() / "detectors"
         image, view = self.image.unpacked(folder), self.view.unpacked(folder)
         kinds = (self.class_agnostic, self.image_kind)

@@ -517,11 +517,7 @@ def _stretch_from(timeline: Timeline, frame_id: int, label: Label, forward: bool
 
 
 def _reviewed(timeline: Timeline, tracks: Collection[int] | None) -> list[list[KeyFrame]]:
-    """Returns the reviewed boxes of each object, in order; each box without a track is an object.
-
-    Raises:
-        ConfigError: there is none, or a track has two of them in a frame.
-    """
+    """Returns the reviewed boxes of each object, in order; each box without a track is an object."""
     project, recording_id = timeline.project, timeline.recording_id
     indices = {frame.id: index for index, frame in enumerate(timeline.frames)}
     stored = project.labels.select(states=REVIEWED, recordings=[recording_id])

@@ -190,11 +190,7 @@ def interpolate_back(
 
 
 def key_frames(project: Project, frames: Sequence[StoredFrame], recording_id: int, track_id: int) -> list[KeyFrame]:
-    """Returns the key frames of a track, in order.
-
-    Raises:
-        ConfigError: two reviewed boxes of the track in one frame.
-    """
+    """Returns the key frames of a track, in order."""
     indices = {frame.id: index for index, frame in enumerate(frames)}
     keys: dict[int, KeyFrame] = {}
     for stored in project.labels.select(states=REVIEWED, recordings=[recording_id], tracks=[track_id]):
@@ -212,11 +208,7 @@ def key_frames(project: Project, frames: Sequence[StoredFrame], recording_id: in
 def _chosen(
     keys: list[KeyFrame], frames: Sequence[StoredFrame], track_id: int, first: str | None, last: str | None
 ) -> list[KeyFrame]:
-    """Returns the key frames from `first` to `last`.
-
-    Raises:
-        NotFoundError, ConfigError: as `interpolate`.
-    """
+    """Returns the key frames from `first` to `last`."""
     by_key = {frame.key: index for index, frame in enumerate(frames)}
     ends = []
     for name in (first, last):

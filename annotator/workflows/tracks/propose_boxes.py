@@ -192,11 +192,7 @@ def match_proposals(labels: Sequence[Label], proposals: Sequence[Proposal]) -> l
 
 
 def boxes_of(project: Project, recording_id: int, track_id: int) -> list[tuple[StoredFrame, Label]]:
-    """Returns the labels of a track with their frames, in the order of the recording, rejected ones included.
-
-    Raises:
-        NotFoundError: no such recording.
-    """
+    """Returns the labels of a track with their frames, in the order of the recording, rejected ones included."""
     recording = project.recordings.get(recording_id)
     frames = {frame.id: frame for frame in project.frames.of([recording.id])}
     stored = project.labels.select(recordings=[recording.id], tracks=[track_id])

@@ -44,9 +44,6 @@ def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector
         dataset: the folder of its dataset.
         manifest: of that dataset.
         model: the folder of the model.
-
-    Raises:
-        DetectionError: an image cannot be read or written.
     """
     pictures = [_read(dataset / name) for name in _chosen(manifest)]
     detections = detector.detect(pictures)

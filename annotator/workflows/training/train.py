@@ -90,11 +90,7 @@ class Run:
         return self.project.models_folder / self.role.value
 
     def write(self, samples: Iterable[TrainingSample]) -> DatasetManifest:
-        """Writes the training set, which replaces the last one of this role.
-
-        Raises:
-            ConfigError, DetectionError, FormatError: as `write_dataset`.
-        """
+        """Writes the training set, which replaces the last one of this role."""
         held_out = held_out_groups(self.project) if self.holds_out else frozenset()
         return write_dataset(self._folder / DATASET, samples, self.classes, held_out.__contains__, self.kind)
 
@@ -304,9 +300,6 @@ def _check_start(project: Project, role: DetectorKind, config: TrainingConfig) -
 
     Whether that training used the present labels is known only once the dataset is written; if not, the training
     itself raises the error.
-
-    Raises:
-        ConfigError, DetectionError: as `check_start`.
     """
     try:
         check_start(config)

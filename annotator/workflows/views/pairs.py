@@ -61,20 +61,12 @@ _PLACES: TypeAdapter[tuple[ViewPlace, ...]] = TypeAdapter(tuple[ViewPlace, ...])
 
 
 def write_places(pictures: Path, places: Sequence[ViewPlace]) -> None:
-    """Writes `views.json` into a folder of images.
-
-    Raises:
-        FormatError: the file cannot be written.
-    """
+    """Writes `views.json` into a folder of images."""
     write_text(pictures / SIDECAR, _PLACES.dump_json(tuple(places), indent=1).decode())
 
 
 def read_places(pictures: Path) -> dict[str, ViewPlace]:
-    """Reads `views.json` of a folder of images, by file name; empty if there is none.
-
-    Raises:
-        FormatError: `views.json` is damaged.
-    """
+    """Reads `views.json` of a folder of images, by file name; empty if there is none."""
     file = pictures / SIDECAR
     if not file.is_file():
         return {}

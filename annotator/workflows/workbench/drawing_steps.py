@@ -267,9 +267,6 @@ def label_steps(
         kind: what the boxes measure.
         axes: rows = axes of the second step's front view, if a box was drawn on that step; None = not decided yet.
         fit: suggests boxes; None = no suggestions.
-
-    Raises:
-        ConfigError: more than four boxes.
     """
     if len(boxes) > MAX_BOXES:
         raise ConfigError(f"an object has {MAX_BOXES} boxes on its views, not {len(boxes)}")

@@ -76,21 +76,13 @@ class ShownFrame:
 
 
 def present_page(project: Project, frame_id: int, opened: OpenFrame) -> FramePage:
-    """Returns the stored state of a frame; only what changed since the last call is read.
-
-    Raises:
-        NotFoundError: no such frame.
-    """
+    """Returns the stored state of a frame; only what changed since the last call is read."""
     opened.page = page = read_page(project, frame_id, opened.page)
     return page
 
 
 def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame:
-    """Returns the present state of a frame; what depends on a label is computed again only if the label has changed.
-
-    Raises:
-        NotFoundError: no such frame.
-    """
+    """Returns the present state of a frame; what depends on a label is computed again only if the label has changed."""
     page = present_page(project, frame_id, opened)
     labels, objects = opened.newest(
         "shown", page.frame.revision, lambda: (_shown_labels(page, opened), shown_objects(page))

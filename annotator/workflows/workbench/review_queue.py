@@ -128,9 +128,6 @@ def queue(
         most: number of items to return; None = all.
         attribute: only proposals with these values of an attribute; ignored by TEACH.
         source: only proposals of objects that this source sees; ignored by TEACH.
-
-    Raises:
-        NotFoundError: no such recording.
     """
     if recording is not None:
         project.recordings.get(recording)
