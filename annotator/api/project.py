@@ -28,7 +28,15 @@ from annotator.recordings import parse_options
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
-from annotator.workflows.detectors import Detectors, Names, active_model, image_model, load_detector, view_model
+from annotator.workflows.detectors import (
+    Detectors,
+    Names,
+    active_model,
+    image_model,
+    load_detector,
+    trained_detectors,
+    view_model,
+)
 from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
@@ -38,7 +46,7 @@ from annotator.workflows.live.detection import Detected
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import propose_image_boxes
-from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors, trained_detectors
+from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 

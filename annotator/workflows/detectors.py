@@ -92,23 +92,6 @@ def load_detector(
     return YoloDetector(weights, config)
 
 
-def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
-    """Loads the project's active detectors.
-
-    Args:
-        backend, threads: as for `load_detector`.
-    """
-    image, view = image_model(project), view_model(project)
-    return Detectors(
-        load_detector(image.path, backend, threads=threads, names=image.names),
-        load_detector(view.path, backend, threads=threads, names=view.names),
-        view.box_kind,
-        view.class_agnostic,
-        image.box_kind,
-        view.trained,
-    )
-
-
 @dataclass(frozen=True)
 class UsedModel:
     """The detector that a project uses for a role.
@@ -139,6 +122,38 @@ class UsedModel:
     def described(self) -> str:
         """For people: which detector it is."""
         return self.name or f"project's detector {self.path.parent.name}"
+
+
+@dataclass(frozen=True)
+class TrainedDetectors:
+    """A pair of trained detectors that is not loaded yet; can be pickled.
+
+    Attributes:
+        backend: as for `load_detector`.
+    """
+
+    image: UsedModel
+    view: UsedModel
+    backend: Backend = "auto"
+
+    def load(self, threads: int | None = None) -> Detectors:
+        """Loads the detectors, each with a number of processor threads (None = all cores)."""
+        image, view = (
+            load_detector(model.path, self.backend, threads=threads, names=model.names)
+            for model in (self.image, self.view)
+        )
+        kinds = (self.view.box_kind, self.view.class_agnostic, self.image.box_kind)
+        return Detectors(image, view, *kinds, self.view.trained)
+
+
+def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDetectors:
+    """Describes the project's active detectors without loading them."""
+    return TrainedDetectors(image_model(project), view_model(project), backend)
+
+
+def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
+    """Loads the project's active detectors; `backend` and `threads` as for `load_detector`."""
+    return trained_detectors(project, backend).load(threads)
 
 
 def own_model(project: Project, model: StoredModel) -> UsedModel:

@@ -29,7 +29,7 @@ from annotator.web.jobs.records import (
     TrainRequest,
 )
 from annotator.web.uploads import find_upload, remove_upload
-from annotator.workflows.detectors import used_model
+from annotator.workflows.detectors import trained_detectors, used_model
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.importing import (
     BoxFormat,
@@ -47,7 +47,6 @@ from annotator.workflows.importing.new_attributes import values_of_labels, value
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
-from annotator.workflows.proposing.tasks import trained_detectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.rounds import FIRST_PART_S

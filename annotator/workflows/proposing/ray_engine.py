@@ -13,6 +13,7 @@ from typing import Any
 from annotator.detection.backends.cores import usable_cores
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
+from annotator.workflows.detectors import TrainedDetectors
 from annotator.workflows.proposing.engines import cuda_devices, environment
 from annotator.workflows.proposing.pool import (
     TASKS_PER_WORKER,
@@ -26,15 +27,7 @@ from annotator.workflows.proposing.pool import (
     fault_of,
 )
 from annotator.workflows.proposing.runner import TaskRunner
-from annotator.workflows.proposing.tasks import (
-    Answer,
-    DetectorSource,
-    Identity,
-    PackedDetectors,
-    Storage,
-    Task,
-    TrainedDetectors,
-)
+from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, PackedDetectors, Storage, Task
 
 # Read by Ray when it is imported. The first one switches usage reports off; the second one lets actors without a GPU
 # keep the machine's CUDA_VISIBLE_DEVICES.

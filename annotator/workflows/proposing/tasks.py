@@ -13,7 +13,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, runtime_checkable
 
@@ -21,18 +21,16 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
-from annotator.detection.config import Backend
 from annotator.detection.trained import MODEL_NAME
 from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.project.config import BoxRotation
-from annotator.project.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.warm_start import WarmStart
 from annotator.recordings import stored_options
 from annotator.types import NO_CORRECTION, BoxKind, Correction
 from annotator.types.errors import ConfigError, DetectionError, WorkerError
-from annotator.workflows.detectors import Detectors, Names, image_model, load_detector, view_model
+from annotator.workflows.detectors import Detectors, TrainedDetectors
 from annotator.workflows.frame_source import OpenedRecording, open_stored
 
 
@@ -250,48 +248,6 @@ class GivenDetectors:
 
 
 @dataclass(frozen=True)
-class TrainedDetectors:
-    """The weights files of a project's detectors.
-
-    Attributes:
-        image, view: weights files, in the folders of their trainings.
-        box_kind: what the boxes of the view detector measure.
-        backend: as for `load_detector`.
-        class_agnostic, image_kind: as in `Detectors`.
-        names: as in `UsedModel`, of both.
-        trained: as in `Detectors`.
-    """
-
-    image: Path
-    view: Path
-    box_kind: BoxKind
-    backend: Backend = "auto"
-    class_agnostic: bool = False
-    image_kind: BoxKind = BoxKind.BOX
-    names: tuple[Names, Names] = ((), ())
-    trained: bool = False
-
-    def load(self, threads: int | None) -> Detectors:
-        """Loads the detectors."""
-        return Detectors(
-            load_detector(self.image, self.backend, threads=threads, names=self.names[0]),
-            load_detector(self.view, self.backend, threads=threads, names=self.names[1]),
-            self.box_kind,
-            self.class_agnostic,
-            self.image_kind,
-            self.trained,
-        )
-
-
-def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDetectors:
-    """Describes the project's active detectors without loading them."""
-    image, view = image_model(project), view_model(project)
-    kinds = (view.class_agnostic, image.box_kind)
-    names = (image.names, view.names)
-    return TrainedDetectors(image.path, view.path, view.box_kind, backend, *kinds, names, view.trained)
-
-
-@dataclass(frozen=True)
 class _Files:
     """The weights of a training and the file beside them, by name and content."""
 
@@ -332,33 +288,20 @@ class _Files:
 
 @dataclass(frozen=True)
 class PackedDetectors:
-    """Trained detectors with the content of their files, for machines without access to the project's folder.
+    """Trained detectors with the content of their files, for machines without access to the project's folder."""
 
-    Attributes:
-        image, view: files of the two trainings.
-        box_kind, backend, class_agnostic, image_kind, names, trained: as in `TrainedDetectors`.
-    """
-
+    trained: TrainedDetectors
     image: _Files
     view: _Files
-    box_kind: BoxKind
-    backend: Backend
-    class_agnostic: bool = False
-    image_kind: BoxKind = BoxKind.BOX
-    names: tuple[Names, Names] = ((), ())
-    trained: bool = False
 
     @classmethod
     def of(cls, trained: TrainedDetectors) -> PackedDetectors:
         """Reads the weights."""
-        image, view = _Files.of(trained.image), _Files.of(trained.view)
-        kinds = (trained.class_agnostic, trained.image_kind)
-        return cls(image, view, trained.box_kind, trained.backend, *kinds, trained.names, trained.trained)
+        return cls(trained, _Files.of(trained.image.path), _Files.of(trained.view.path))
 
     def load(self, threads: int | None) -> Detectors:
         """Writes the files into the machine's temporary folder, where they stay, and loads the detectors."""
         folder = scratch_folder() / "detectors"
-        image, view = self.image.unpacked(folder), self.view.unpacked(folder)
-        kinds = (self.class_agnostic, self.image_kind)
-        files = TrainedDetectors(image, view, self.box_kind, self.backend, *kinds, self.names, self.trained)
-        return files.load(threads)
+        image = replace(self.trained.image, path=self.image.unpacked(folder))
+        view = replace(self.trained.view, path=self.view.unpacked(folder))
+        return replace(self.trained, image=image, view=view).load(threads)

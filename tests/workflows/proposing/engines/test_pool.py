@@ -15,6 +15,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind
 from annotator.types.errors import ConfigError, DetectionError, WorkerError
+from annotator.workflows.detectors import TrainedDetectors, UsedModel
 from annotator.workflows.proposing import engines
 from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, make_engine
 from annotator.workflows.proposing.pool import (
@@ -37,7 +38,6 @@ from annotator.workflows.proposing.tasks import (
     RecordingSpec,
     Storage,
     Task,
-    TrainedDetectors,
     parse_elsewhere,
     scratch_folder,
 )
@@ -266,7 +266,8 @@ def test_invalid_mappings_are_errors(word: str) -> None:
 def test_weights_are_unpacked_once_into_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "training"
     folder.mkdir()
-    trained = TrainedDetectors(folder / "detector.pt", folder / "detector.pt", BoxKind.BOX)
+    model = UsedModel(folder / "detector.pt", BoxKind.BOX, False, "f")
+    trained = TrainedDetectors(model, model)
     with pytest.raises(DetectionError, match="train the detector again"):
         PackedDetectors.of(trained)
     (folder / "detector.pt").write_bytes(b"weights")
