@@ -55,8 +55,6 @@ def copy_next(
 
     Args:
         uid: the label, reviewed or not.
-        revision: of the frame, as shown to the operator.
-        author: the operator, who can undo this as one action.
         read: reads a frame; the box is then moved and turned with the points inside, if these are found again.
 
     Raises:
@@ -146,10 +144,7 @@ def carry_correction(
 
     Args:
         uid: the reviewed label.
-        revision: of its frame, as shown to the operator.
         was: its box before it was corrected.
-        author: the operator, who can undo this as one action.
-        effort: the operator's effort for this action.
 
     Returns:
         The changed frames, in order, with their receipts.

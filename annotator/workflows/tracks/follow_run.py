@@ -83,8 +83,6 @@ class FollowRun:
             objects: the stretches of each object.
             view: the project's view detector, if any; it is used for the classes that it was trained on, and for boxes
                 of the kind that it measures.
-            author: the operator, who can undo this.
-            effort: the operator's effort for this action.
         """
         self._timeline, self._view, self._author = timeline, view, author
         self._effort, self._limits = effort, limits
@@ -424,7 +422,6 @@ def follow_recording(
 
     Args:
         view: the project's view detector, if any (`view_with_classes`).
-        author: the operator, who can undo this.
         tracks: track ids; None = all reviewed boxes.
         forward, backward: whether to go on after the last, and before the first reviewed box.
         progress: called with (frames done, frames), counted for each object and direction.
@@ -461,12 +458,9 @@ def follow_from_frame(
     Reviewed boxes without a track that they come to get theirs.
 
     Args:
-        revision: of the frame, as shown to the operator.
         view: the project's view detector, if any (`view_with_classes`).
-        author: the operator, who can undo this.
         uid: a label; None = all reviewed labels of the frame.
         forward: False = backward in time.
-        effort: the operator's effort for this action.
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.

@@ -96,10 +96,8 @@ def interpolate(
     Reviewed and rejected labels stay; unreviewed proposals of the same object are replaced.
 
     Args:
-        author: the operator, who can undo this.
         first, last: keys of two key frames, the earlier one first; None = the first or the last key frame.
         fit: fits each new box to its frame's points.
-        effort: the operator's effort for this action.
 
     Raises:
         NotFoundError: no such recording or frame.
@@ -156,9 +154,6 @@ def interpolate_back(
     effort: Effort | None = None,
 ) -> Interpolated:
     """Runs `interpolate` from the previous key frame to a reviewed label.
-
-    Args:
-        revision: of the label's frame, as shown to the operator.
 
     Raises:
         StaleRevisionError: the frame was changed in the meantime.

@@ -204,9 +204,6 @@ def accept_boxes(
 ) -> tuple[tuple[int, Receipt], ...]:
     """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt.
 
-    Args:
-        effort: the operator's effort for this action.
-
     Raises:
         ConfigError: there is no box, or one of them is no proposal (any more).
         NotFoundError: no such frame or label.
