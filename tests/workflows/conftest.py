@@ -73,7 +73,7 @@ def hands(
 
     def fill(folder: Path) -> None:
         settings = ProjectSettings(rotation=BoxRotation.FREE)
-        with create_project(folder, "project0", ("hand",), settings=settings) as project:
+        with create_project(folder, "hands0", ("hand",), settings=settings) as project:
             register_recording(project, open_recording(generated / "hands"))
 
-    return copy_project(made_once("hands project", fill) / "project0")
+    return copy_project(made_once("hands project", fill) / "hands0")

@@ -17,10 +17,12 @@ from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.manifest import read_manifest
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
-from annotator.project import Project, WriteContext
+from annotator.project import Project, WriteContext, create_project
 from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
+from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
 from annotator.workflows.training import held_out, rounds
@@ -62,6 +64,22 @@ def simulate(project: Project, kind: BoxKind = BoxKind.BOX) -> None:
     simulate_recording(project, project.recordings.all()[0].id, kind, RcvConfig(), every=2)
 
 
+@pytest.fixture
+def drawn(
+    copy_project: Callable[[Path], Project],
+    made_once: Callable[[str, Callable[[Path], object]], Path],
+    generated: Path,
+) -> Project:
+    """People with boxes on three of five frames."""
+
+    def fill(folder: Path) -> None:
+        with create_project(folder, "project0", ("person",)) as project:
+            register_recording(project, open_recording(generated / "people"))
+            simulate(project)
+
+    return copy_project(made_once("drawn boxes", fill) / "project0")
+
+
 @pytest.mark.parametrize("kind", list(BoxKind))
 def test_both_detectors_are_trained_registered_and_active(
     people: Project, trainings: list[tuple[str, Path, Path]], kind: BoxKind
@@ -88,78 +106,73 @@ def test_both_detectors_are_trained_registered_and_active(
 
 
 def test_the_same_labels_and_settings_give_the_same_run(
-    people: Project, trainings: list[tuple[str, Path, Path]]
+    drawn: Project, trainings: list[tuple[str, Path, Path]]
 ) -> None:
-    simulate(people)
-    first, second = (train(people, QUICK) for _ in range(2))
+    first, second = (train(drawn, QUICK) for _ in range(2))
     assert [call[2] for call in trainings[:2]] == [call[2] for call in trainings[2:]]
     assert [result.model.id for result in first] == [result.model.id for result in second]
-    assert len(people.models.all()) == 2, "no second model is registered"
+    assert len(drawn.models.all()) == 2, "no second model is registered"
 
 
 def test_a_finished_training_does_not_need_its_initial_weights(
-    people: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drawn: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    simulate(people)
     plan = TrainPlan(
         image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=QUICK.samples
     )
     with pytest.raises(ConfigError, match=r"gone\.pt: no such weights file"):
-        train(people, plan, roles=(DetectorKind.IMAGE,))
+        train(drawn, plan, roles=(DetectorKind.IMAGE,))
     with monkeypatch.context() as there:
         there.setattr(workflow, "check_start", lambda config: None)
-        (first,) = train(people, plan, roles=(DetectorKind.IMAGE,))
+        (first,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
     first.result.write(first.model.path.parent)
-    (again,) = train(people, plan, roles=(DetectorKind.IMAGE,))
+    (again,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
     assert again.model.id == first.model.id
 
 
-def test_other_labels_or_settings_give_another_run(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
-    simulate(people)
-    train(people, QUICK, roles=(DetectorKind.IMAGE,))
-    train(people, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
-    stored = people.frames.of()[1]
+def test_other_labels_or_settings_give_another_run(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+    train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
+    train(drawn, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
+    stored = drawn.frames.of()[1]
     box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
-    people.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
-    (last,) = train(people, QUICK, roles=(DetectorKind.IMAGE,))
+    drawn.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
+    (last,) = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
     assert len({call[2] for call in trainings}) == 3
-    assert people.models.active(DetectorKind.IMAGE) == last.model
-    assert people.models.active(DetectorKind.VIEW) is None
-    back = train(people, QUICK, roles=(DetectorKind.IMAGE,))[0]
+    assert drawn.models.active(DetectorKind.IMAGE) == last.model
+    assert drawn.models.active(DetectorKind.VIEW) is None
+    back = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))[0]
     assert back.model.id == last.model.id
 
 
-def test_an_image_detector_is_continued_on_new_labels(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+def test_an_image_detector_is_continued_on_new_labels(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     def trained(**changes: object) -> TrainedModel:
-        (result,) = train(people, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
+        (result,) = train(drawn, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
         result.result.write(result.model.path.parent)
         return result.result
 
-    simulate(people)
     first = trained()
     assert first.config.pretrained == "auto"
     assert trained().weights == first.weights, "the same labels give the same detector"
-    stored = people.frames.of()[1]
+    stored = drawn.frames.of()[1]
     box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
-    people.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
+    drawn.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
     second = trained()
     assert second.config.pretrained == first.weights
     assert trained().weights == second.weights, "the same labels give the same detector"
     for changes in ({"image_size_px": 96}, {"pretrained": "never"}, {"model": "yolov8n"}):
         assert trained(**changes).config.pretrained != second.weights
-        model = next(m for m in people.models.all(DetectorKind.IMAGE) if m.path == second.weights)
-        people.models.activate(model.id)
+        model = next(m for m in drawn.models.all(DetectorKind.IMAGE) if m.path == second.weights)
+        drawn.models.activate(model.id)
 
 
 def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
-    people: Project, trainings: list[tuple[str, Path, Path]], monkeypatch: pytest.MonkeyPatch
+    drawn: Project, trainings: list[tuple[str, Path, Path]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    simulate(people)
-    (first,) = train(people, QUICK, roles=(DetectorKind.IMAGE,))
+    (first,) = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
     first.result.write(first.model.path.parent)
     learned = frozenset(entry.group for entry in first.manifest.entries if entry.split == "train")
     monkeypatch.setattr(rounds, "held_out_groups", lambda project: learned)
-    (other,) = train(people, replace(QUICK, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
+    (other,) = train(drawn, replace(QUICK, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
     assert other.result.config.pretrained == "auto"
 
 

@@ -199,11 +199,6 @@ def test_without_ray_the_error_says_what_to_install(
         RayEngine(GivenDetectors(knowing("people")), 1, 1, Storage())
 
 
-def test_importing_the_module_does_not_import_ray() -> None:
-    code = "import sys, annotator.workflows.proposing.ray_engine; sys.exit('ray' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], timeout=400).returncode == 0
-
-
 def test_lost_actors_are_replaced_but_not_those_with_a_broken_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
