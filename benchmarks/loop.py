@@ -5,7 +5,7 @@
 
 With one folder, every second frame is for training and the others for testing. The ground truth is used only by the
 simulated operator on the training frames and to score the proposals on the test frames. The operator `silhouette` draws
-what is seen, and then confirms those of the offered whole boxes that fit (`workflows.simulate_whole`). It works with
+what is seen, and then confirms those of the offered whole boxes that fit (`workflows.simulate`). It works with
 masks only; there are then no whole boxes, and the scores that need true boxes are null.
 """
 

@@ -22,7 +22,6 @@ from annotator.rcv.warm_start import WarmStart
 from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import orientation_for
-from annotator.workflows.live.source import Taken
 
 # The whole image is used once in this many frames, and for this many frames after an object was lost in its region.
 WHOLE_EVERY = 5
@@ -149,6 +148,20 @@ def _is_cut(region: Region, box: Box2D) -> bool:
 
 # Maximum age of the boxes that a recursion starts from, seconds.
 MAX_SEED_AGE_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A frame from a source.
+
+    Attributes:
+        taken_s: when the camera took it, or when it was due in playback; `time.perf_counter`.
+        read_s: time to read it, seconds.
+    """
+
+    frame: Frame
+    taken_s: float
+    read_s: float
 
 
 @dataclass(frozen=True, eq=False)

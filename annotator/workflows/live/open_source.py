@@ -17,8 +17,9 @@ from annotator.recordings.kinect.device import KinectDevice
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.frame_source import OpenedRecording, open_stored
+from annotator.workflows.live.detection import Taken
+from annotator.workflows.live.pipeline import Source
 from annotator.workflows.live.recorder import require_recordable
-from annotator.workflows.live.source import Source, Taken
 
 
 class KinectSource:

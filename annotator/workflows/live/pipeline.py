@@ -24,8 +24,7 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from annotator.types.errors import ConfigError, DeviceError, FrameError
-from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.source import Source, Taken
+from annotator.workflows.live.detection import Detected, Taken
 
 WINDOW_S = 5.0
 
@@ -262,6 +261,37 @@ class Demand:
             return 0.0
         ends_s = self._started_s + statistics.median(self._durations_s)
         return ends_s - statistics.median(self._reads_s or [0.0]) - SPARE_S - time.perf_counter()
+
+
+@runtime_checkable
+class Source(Protocol):
+    """A camera, or a played recording. Read by one thread."""
+
+    @property
+    def name(self) -> str:
+        """The name shown to the operator."""
+
+    @property
+    def gives_newest(self) -> bool:
+        """True if `read` returns the newest frame; False if unread frames queue up."""
+
+    @property
+    def skipped(self) -> int:
+        """Number of frames left out to keep the frame rate."""
+
+    def read(self, stop: threading.Event) -> Taken | None:
+        """Waits for the next frame; returns None at the end, or when `stop` is set.
+
+        Raises:
+            FrameError: this frame cannot be read; the next one may be readable.
+            DeviceError: the camera is disconnected or delivers no frames.
+        """
+
+    def resume(self) -> None:
+        """Discards frames that are old by now; called after a pause."""
+
+    def close(self) -> None:
+        """Releases the camera."""
 
 
 @runtime_checkable

@@ -23,10 +23,9 @@ from annotator.types import Box2D, Detector, Frame, Image, Region
 from annotator.types.errors import ConfigError, DeviceError, FrameError, RecordingError
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live import detection, pipeline
-from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection
+from annotator.workflows.live.detection import MAX_SEED_AGE_S, WHOLE_EVERY, Detected, LiveDetection, Taken
 from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import SPARE_S, Demand, Drops, Meter, Pipeline, Slot, summary_line
-from annotator.workflows.live.source import Taken
 
 
 @pytest.fixture
