@@ -1,25 +1,31 @@
 """A frame as the page shows it: labels with outline, point count and doubt, drawn objects, and how the cloud lies on
-the image.
+the image; and a bag before it is added: its topics, and the cloud of its first frame over the image.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from annotator.geometry.edges import visible_edges
+from annotator.geometry.projection import inside_image, project
 from annotator.geometry.thinning import thin
 from annotator.project import Project, StoredLabel, StoredRecording, ViewBoxes
 from annotator.project.adjusting.adjustment import Up
 from annotator.project.overview import FramePage, read_page
 from annotator.project.sources.covering import covered_by
+from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.virtual_image import has_virtual_image
+from annotator.recordings.ros.topics import TopicReport
 from annotator.recordings.times import has_times, recorded_times
 from annotator.types import Box2D, Frame, ReviewState
+from annotator.types.errors import InputError, MissingExtraError
+from annotator.workflows.inspect import bag_topics
 from annotator.workflows.rigs import OtherLabel
 from annotator.workflows.views.pairs import ObjectViews, front_and_side, outlines, views_by_object
 from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
@@ -216,3 +222,63 @@ def _images(project: Project, cache: FrameCache, recording_id: int, key: str) ->
 def _vector(up: np.ndarray) -> Up:
     x, y, z = up.tolist()
     return x, y, z
+
+
+WIDTH_PX = 640
+JPEG_QUALITY = 80
+NEAREST_M = 0.05
+
+
+@dataclass(frozen=True)
+class BagPreview:
+    """A bag as it would be read.
+
+    Attributes:
+        frames: their number; 0 if it cannot be read.
+        notes: what the reader says about it.
+        problem: why it cannot be read; "" if it can.
+        jpeg: its first frame; None if that cannot be read.
+    """
+
+    topics: tuple[TopicReport, ...]
+    frames: int
+    notes: tuple[str, ...]
+    problem: str
+    jpeg: bytes | None
+
+
+def preview_bag(path: Path, options: ReaderOptions) -> BagPreview:
+    """Opens a bag and draws its first frame.
+
+    Raises:
+        RecordingError: its files cannot be read.
+        MissingExtraError: the library that reads bags is not installed.
+    """
+    topics = bag_topics(path, options)
+    try:
+        recording = open_recording(path, options)
+        jpeg, problem = _drawn(recording.frame(0)), ""
+    except MissingExtraError:
+        raise
+    except InputError as error:
+        return BagPreview(topics, 0, (), str(error), None)
+    return BagPreview(topics, len(recording), recording.notes, problem, jpeg)
+
+
+def _drawn(frame: Frame) -> bytes:
+    """Returns the image with the points of the cloud, near ones red, as a JPEG file."""
+    import cv2
+
+    scale = min(WIDTH_PX / frame.camera.width_px, 1.0)
+    size = (max(round(frame.camera.width_px * scale), 1), max(round(frame.camera.height_px * scale), 1))
+    picture = cv2.cvtColor(cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
+    xyz_m = frame.cloud.xyz_m[frame.cloud.xyz_m[:, 2] > NEAREST_M]
+    px = project(frame.camera, xyz_m)
+    seen = np.flatnonzero(inside_image(frame.camera, px))
+    # near points last, so that they are visible
+    seen = seen[np.argsort(-xyz_m[seen, 2], kind="stable")]
+    column, row = np.floor((px[seen] + 0.5) * scale).astype(np.int64).T
+    near = np.linspace(0, 255, len(seen)).astype(np.uint8)
+    colors = cv2.applyColorMap(near[:, None], cv2.COLORMAP_JET)[:, 0]
+    picture[np.clip(row, 0, size[1] - 1), np.clip(column, 0, size[0] - 1)] = colors
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
