@@ -1,4 +1,4 @@
-"""Linking of boxes into tracks, and track ids."""
+"""Linking of boxes into tracks, track ids, boxes at one place, and smoothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated operator: five boxes per object from the ground truth, stored like an operator's."""
+"""The simulated operator: five boxes per object from the ground truth, and whole boxes that it confirms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report's text and JSON."""
+"""The report of `annotator doctor`: facts, missing and broken packages, self-tests, crashes and hangs, and its JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tracks of objects: linking, continuing into the next frame, and filling between key frames."""
+"""Tracks of objects: linking, continuing into other frames, filling between key frames, carrying corrections on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A training starts from the best detector on held-out frames that does not know them."""
+"""What a training starts from, its parts, and which detector is used afterwards: held-out frames decide."""
 
 from __future__ import annotations
 

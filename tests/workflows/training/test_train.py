@@ -1,4 +1,4 @@
-"""The training workflow: samples, stored files and registered models. The training itself is replaced."""
+"""The training workflow: samples, stored files, registered models, stops. The training itself is replaced."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Views along a box's own axes, fitting a box again, and copying boxes of the previous frame."""
+"""Views along a box's own axes and contact sheets, fitting a box again, and copying boxes of the previous frame."""
 
 from __future__ import annotations
 

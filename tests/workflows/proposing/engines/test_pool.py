@@ -1,4 +1,4 @@
-"""Distribution of tasks, also after workers died, with fake workers instead of processes."""
+"""Distribution of tasks, also after workers died, with fake workers; the choice of the engine; what workers load."""
 
 from __future__ import annotations
 
