@@ -32,12 +32,12 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, BoxKind, Frame, Image
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.detectors import Detectors, load_detector
+from annotator.workflows.detectors import Detectors, base_model, load_detector, trained_detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate_with
-from annotator.workflows.proposing.engines.choose import EngineName, make_engine
-from annotator.workflows.proposing.engines.engine import Engine
-from annotator.workflows.proposing.engines.pool import WorkerPool
-from annotator.workflows.proposing.engines.sources import DetectorSource, GivenDetectors, trained_detectors
+from annotator.workflows.proposing.engines import EngineName, make_engine
+from annotator.workflows.proposing.pool import WorkerPool
+from annotator.workflows.proposing.runner import Engine
+from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
 from benchmarks.report import Table, finish, guarded
 
 PRESET, LABEL = "people", "person"
@@ -174,7 +174,7 @@ def prepare_job(args: Arguments, folder: Path) -> Job:
         trained, stored = trained_detectors(project, args.backend), project.config
     recording = open_recording(args.recording)
     frames = min(args.frames, len(recording))
-    with_base = replace(trained, view=base_weights(), box_kind=BoxKind.BOX, class_agnostic=True) if has_base() else None
+    with_base = replace(trained, view=base_model()) if has_base() else None
     return Job(trained, with_base, recording, stored.classes, stored.settings.rotation, config, frames)
 
 

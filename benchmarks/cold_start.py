@@ -128,8 +128,6 @@ class Arguments:
     """Length of each training in epochs, in place of minutes, for comparisons on a busy machine."""
     generated: float = GENERATED_SHARE
     """Share of generated views in each training."""
-    pasted: float = SampleConfig().pasted
-    """Share of views of pasted objects among those of the project."""
     untrained: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Train nothing: taught objects only give the typical sizes of their classes to the base detector."""
     min_points: int = 20
@@ -337,7 +335,7 @@ def after(
         plan = TrainPlan(minutes=args.minutes, generated_share=args.generated, decides=False)
         plan = replace(
             plan,
-            samples=SampleConfig(seed=args.seed, pasted=args.pasted),
+            samples=SampleConfig(seed=args.seed),
             view=plan.view.model_copy(update={"epochs": args.epochs}),
         )
         begin = time.perf_counter()

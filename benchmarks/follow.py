@@ -24,8 +24,8 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Frame, OrientedBox, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.follow_frames import Follower, Moment
-from annotator.workflows.workbench.review_priority import doubt
+from annotator.workflows.tracks.follow_objects import Follower, Moment
+from annotator.workflows.workbench.review_queue import doubt
 from benchmarks.cold_start import check_orientation, orientation_of, with_up
 from benchmarks.report import Table, finish, guarded
 

@@ -35,9 +35,8 @@ from annotator.workflows.detectors import (
     view_model,
 )
 from annotator.workflows.live.detection import Detected, LiveDetection
-from annotator.workflows.live.pipeline import Pipeline
-from annotator.workflows.live.playback import Playback, Repeat
-from annotator.workflows.live.rates import Figures
+from annotator.workflows.live.open_source import Playback, Repeat
+from annotator.workflows.live.pipeline import Figures, Pipeline
 from annotator.workflows.settings import rcv_config
 from benchmarks import loop
 from benchmarks.report import Table, finish, guarded

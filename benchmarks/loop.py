@@ -5,7 +5,7 @@
 
 With one folder, every second frame is for training and the others for testing. The ground truth is used only by the
 simulated operator on the training frames and to score the proposals on the test frames. The operator `silhouette` draws
-what is seen, and then confirms those of the offered whole boxes that fit (`workflows.simulate_whole`). It works with
+what is seen, and then confirms those of the offered whole boxes that fit (`workflows.simulate`). It works with
 masks only; there are then no whole boxes, and the scores that need true boxes are null.
 """
 
@@ -36,11 +36,10 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors, active_detectors
 from annotator.workflows.proposing.annotate import TASK_FRAMES
-from annotator.workflows.proposing.propose_frames import propose_frames
+from annotator.workflows.proposing.lift import propose_frames
 from annotator.workflows.recorded.reading import has_masks, has_truth, load_mask, load_truth
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.simulate import require_boxes_for, simulate_recording
-from annotator.workflows.simulate_whole import confirm_whole_boxes
+from annotator.workflows.simulate import confirm_whole_boxes, require_boxes_for, simulate_recording
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import VIEW_DEFAULTS, TrainPlan, image_defaults, train
 from benchmarks.report import Table, finish, guarded
@@ -160,10 +159,6 @@ class Arguments:
     default."""
     views: int = SampleConfig().views
     """Approximate number of pseudo-views to generate from objects with 3D boxes."""
-    pasted: float = SampleConfig().pasted
-    """Share of views of pasted objects among these."""
-    pasted_images: float = SampleConfig().pasted_images
-    """Share of camera images with a pasted object."""
     project: Path | None = None
     """Folder in which to keep the project. If it exists, its detectors are used, for example to compare strategies."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -329,7 +324,7 @@ def _label(
 
 def plan(args: Arguments) -> TrainPlan:
     """The settings of both training runs."""
-    samples = SampleConfig(views=args.views, pasted=args.pasted, pasted_images=args.pasted_images)
+    samples = SampleConfig(views=args.views)
     changes = dict[str, object](epochs=args.epochs)
     if args.model is not None:
         changes["model"] = args.model

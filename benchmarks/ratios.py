@@ -39,8 +39,7 @@ from annotator.rcv.starts import start_rivals
 from annotator.rcv.typical_size.sizes import TypicalSize
 from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PointCloud, PseudoView, Truth
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.live.detection import LiveDetection
-from annotator.workflows.live.source import Taken
+from annotator.workflows.live.detection import LiveDetection, Taken
 from annotator.workflows.warm_up import BOX, warm_frame
 from benchmarks.report import Table, finish, guarded
 

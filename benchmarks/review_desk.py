@@ -18,9 +18,9 @@ from annotator.types import Label, OrientedBox, ReviewState
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import MIN_VISIBLE_POINTS
-from annotator.workflows.workbench.apply_changes import apply_changes
-from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.ortho_views import ortho_views
+from annotator.workflows.workbench.contact_sheet import ortho_views
+from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.save_object import apply_changes
 from benchmarks.review_moves import VIEW_PX, Bill
 
 AUTHOR = "simulated operator"

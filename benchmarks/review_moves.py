@@ -19,7 +19,7 @@ from jaxtyping import Float64
 from annotator.geometry.iou import iou_3d_pairs
 from annotator.rcv.axes import with_axes_like
 from annotator.types import OrientedBox
-from annotator.workflows.workbench.ortho_views import AXES, MARGIN, Axis
+from annotator.workflows.workbench.contact_sheet import AXES, MARGIN, Axis
 
 # The keystroke-level model: how long an expert takes for a routine task that is done without errors.
 #

@@ -35,13 +35,13 @@ from annotator.rcv.operator import draw_object
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, BoxKind, Label, OrientedBox, PseudoView
 from annotator.types.errors import ConfigError
-from annotator.workflows.tracks.carry_correction import carry_correction
-from annotator.workflows.tracks.follow_recording import follow_from_frame
+from annotator.workflows.tracks.copy_next import carry_correction
+from annotator.workflows.tracks.follow_run import follow_from_frame
 from annotator.workflows.training.held_out import inaccurate
 from annotator.workflows.workbench.contact_sheet import picture
 from annotator.workflows.workbench.drawing_steps import frame_config, label_config, label_steps
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view, view_with_classes
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import find_box, refit
 from benchmarks.review_desk import AUTHOR, Desk, Thing
 from benchmarks.review_moves import CHORD_S, CLICK_S, DRAG_S, KEY_S, SHIFT_CLICK_S, Bill, M, moves, plan, shaky

@@ -37,8 +37,6 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["train", "p", "--image-size", "4096"], "--image-size must be less than or equal to 2048, not 4096"),
         (["train", "p", "--seed", "-1"], "--seed must be greater than or equal to 0, not -1"),
         (["train", "p", "--views", "-5"], "--views must be greater than or equal to 1, not -5"),
-        (["train", "p", "--pasted", "1.5"], "--pasted must be less than 1, not 1.5"),
-        (["train", "p", "--pasted-images", "-1"], "--pasted-images must be greater than or equal to 0, not -1"),
         (["demo", "d", "--frames", "1"], "--frames must be 2 or more, not 1"),
         (["demo", "d", "--seed", "-1"], "--seed must be 0 or more, not -1"),
         (["demo", "--image-pictures", "0"], "--image-pictures must be 1 or more, not 0"),

@@ -28,18 +28,25 @@ from annotator.recordings import parse_options
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Label, ReviewState
 from annotator.types.errors import ArgumentError
 from annotator.workflows.add_recordings import ALL, add_recordings
-from annotator.workflows.detectors import Detectors, Names, active_model, image_model, load_detector, view_model
+from annotator.workflows.detectors import (
+    Detectors,
+    Names,
+    active_model,
+    image_model,
+    load_detector,
+    trained_detectors,
+    view_model,
+)
 from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import ImportedLabels, import_labels
 from annotator.workflows.live.detection import Detected
-from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.batch_store import AnnotateSummary
-from annotator.workflows.proposing.engines.choose import EngineName, make_engine
-from annotator.workflows.proposing.engines.sources import DetectorSource, GivenDetectors, trained_detectors
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
+from annotator.workflows.proposing.engines import EngineName, make_engine
+from annotator.workflows.proposing.lift import propose_image_boxes
+from annotator.workflows.proposing.tasks import DetectorSource, GivenDetectors
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config
 
@@ -201,7 +208,7 @@ class Project:
         boxes = image_boxes_of(frames, image_boxes, image_detector)
         pair = self._pair(image_detector, image_kind_of(image_detector, image_kind))
         config, rotation = pair.settings(self._config()), self.stored.config.settings.rotation
-        proposals = propose_image_boxes(several, boxes, pair.view, config, rotation, pair.compute) if several else []
+        proposals = propose_image_boxes(several, boxes, pair.view, config, rotation) if several else []
         return proposals[0] if isinstance(frames, Frame) else proposals
 
     def watch(self, frames: Iterable[Frame]) -> Iterator[Detected]:

@@ -15,9 +15,8 @@ from annotator.types import Box2D, BoxKind, Detector, Frame, Image, PseudoView, 
 from annotator.types.amounts import amount
 from annotator.types.errors import ArgumentError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.live.detection import Detected, LiveDetection
-from annotator.workflows.live.source import Taken
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.live.detection import Detected, LiveDetection, Taken
+from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.settings import checked_config
 
 ImageDetector = Detector | Callable[[Frame], Sequence[Box2D]]

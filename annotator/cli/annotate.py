@@ -17,12 +17,10 @@ from annotator.detection.config import Backend
 from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy
 from annotator.types.amounts import amount
-from annotator.workflows.detectors import stand_in
-from annotator.workflows.proposing.annotate import annotate_with, require_limit
-from annotator.workflows.proposing.batch_store import AnnotateSummary
-from annotator.workflows.proposing.engines.choose import EngineName, make_engine
-from annotator.workflows.proposing.engines.sources import trained_detectors
-from annotator.workflows.proposing.engines.storage import CACHE_MB, Storage, parse_elsewhere
+from annotator.workflows.detectors import stand_in, trained_detectors
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with, require_limit
+from annotator.workflows.proposing.engines import EngineName, make_engine
+from annotator.workflows.proposing.tasks import CACHE_MB, Storage, parse_elsewhere
 from annotator.workflows.settings import editable, rcv_config
 
 SHOWN_FAILURES = 10

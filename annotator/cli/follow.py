@@ -9,7 +9,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.types.amounts import amount
-from annotator.workflows.tracks.follow_recording import follow_recording
+from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.workbench.loaded_detectors import view_with_classes
 
 AUTHOR = "annotator follow"

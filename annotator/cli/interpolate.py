@@ -12,10 +12,9 @@ from annotator.cli.projects import open_named
 from annotator.project import Project
 from annotator.types.amounts import amount
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
-from annotator.workflows.tracks.interpolate import interpolate
+from annotator.workflows.tracks.interpolate import FitBox, box_fitter, interpolate
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ready_view
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 AUTHOR = "annotator interpolate"
 

@@ -45,7 +45,7 @@ def run(
     from annotator.web.live.run import LiveOptions, run_live
     from annotator.web.settings import ServerSettings
     from annotator.web.tokens import with_token
-    from annotator.workflows.live.rates import summary_line
+    from annotator.workflows.live.pipeline import summary_line
 
     options = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
     settings = ServerSettings(projects_root(projects).resolve(), (), host, port)

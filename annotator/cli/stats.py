@@ -83,7 +83,7 @@ def _progress(progress: Progress) -> Iterator[tuple[str, object]]:
         left = forecast.hours_left
         yield (
             "  work left",
-            f"{duration(left.expected)} (between {duration(left.low)} and {duration(left.high)} in 8 of 10 cases)",
+            f"{duration(left.expected)} ({duration(left.low)} to {duration(left.high)} at the latest rates)",
         )
 
 

@@ -44,8 +44,6 @@ def run(
     model: Annotated[str | None, arg(help_behavior_hint=f"(default: {VIEW_DEFAULTS.model})")] = None,
     weights: str = "auto",
     views: int = SampleConfig().views,
-    pasted: float = SampleConfig().pasted,
-    pasted_images: float = SampleConfig().pasted_images,
     seed: Seed = 0,
     projects: Projects = None,
 ) -> None:
@@ -67,13 +65,11 @@ def run(
         weights: initial weights: auto = the best view detector so far, else pretrained ones if found or downloadable,
             else random; never = random; or a path.
         views: approximate number of pseudo-views to generate from objects with 3D boxes.
-        pasted: share of these views that show objects cut out of other frames, 0 to below 1.
-        pasted_images: share of the camera images that show an object cut out of another frame, 0 to below 1.
     """
     start = weights if weights in ("auto", "never") else Path(weights)
     shared = {"model": model, "pretrained": start, "seed": seed}
     with _errors_by_flag():
-        samples = SampleConfig(views=views, seed=seed, pasted=pasted, pasted_images=pasted_images)
+        samples = SampleConfig(views=views, seed=seed)
     _check_minutes(minutes)
     plan = TrainPlan(
         image=_with(image_defaults(minutes), of_image=True, epochs=image_epochs, image_size_px=image_size, **shared),

@@ -27,7 +27,7 @@ from annotator.types.errors import ConfigError, DetectionError, StaleRevisionErr
 from annotator.workflows.exporting import ExportReport, export_project
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import AUTHOR
-from annotator.workflows.tracks.follow_recording import follow_recording
+from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
 
 

@@ -20,8 +20,7 @@ from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.evaluating.demo_scores import Scores, score_project
 from annotator.workflows.exporting import ExportReport, export_project
-from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.proposing.batch_store import AnnotateSummary
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import Drawn, simulate_recording
 from annotator.workflows.training.samples import SampleConfig

@@ -7,17 +7,111 @@ over costs.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.optimize import linear_sum_assignment
 
 from annotator.geometry.iou import iou_3d_matrix
-from annotator.tracking.config import TrackingConfig
-from annotator.tracking.motion import predicted
 from annotator.types import OrientedBox
+
+
+class TrackingConfig(BaseModel):
+    """Settings; lengths are shares of an object's longest side, times are in frames (`frame_times`).
+
+    Attributes:
+        reach: maximum distance from the predicted position, per frame.
+        reach_new: the same for an object with only one box, whose motion is unknown.
+        most_frames: maximum number of missed frames over which `reach` grows.
+        max_gap: a track ends after this many missed frames.
+        max_size_ratio: maximum ratio between a side of two boxes of one object.
+        motion_boxes: number of last boxes from which the motion is estimated.
+        window: boxes within this many frames before and after a box smooth its rotation.
+        change_ratio: if the mean squared successive difference of a side's lengths is below this multiple of their
+            variance (2 for independent values), the side varies in time and gets no common length.
+        least_for_change: minimum number of boxes for this test.
+        reviewed_weight: weight of a reviewed box; a proposal has 1.
+        least_motion: minimum distance travelled, in longest sides, for the motion to determine the front.
+        least_along: minimum mean cosine between motion and length axis to count as moving forward or backward.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    reach: float = Field(0.5, gt=0)
+    reach_new: float = Field(1.0, gt=0)
+    most_frames: float = Field(3.0, ge=1)
+    max_gap: float = Field(5.0, ge=1)
+    max_size_ratio: float = Field(2.5, gt=1)
+    motion_boxes: int = Field(4, ge=2)
+    window: float = Field(2.0, ge=0)
+    change_ratio: float = Field(0.7, ge=0, le=2)
+    least_for_change: int = Field(5, ge=3)
+    reviewed_weight: float = Field(4.0, ge=1)
+    least_motion: float = Field(0.5, gt=0)
+    least_along: float = Field(0.7, gt=0, le=1)
+
+
+def frame_times(times_ns: Sequence[int | None]) -> Float64[np.ndarray, "n"]:
+    """The times of a recording's frames in units of the median interval between frames, from 0.
+
+    Args:
+        times_ns: in order. If one is unknown, or they do not increase, equal intervals are assumed.
+    """
+    count = np.arange(len(times_ns), dtype=np.float64)
+    if len(times_ns) < 2 or any(time is None for time in times_ns):
+        return count
+    first = times_ns[0]
+    # differences first, since float64 cannot represent nanoseconds since the epoch
+    passed = np.array([float(time - first) for time in times_ns if time is not None and first is not None])
+    steps = np.diff(passed)
+    return count if (steps <= 0).any() else passed / np.median(steps)
+
+
+def predicted(boxes: Sequence[OrientedBox], times: Sequence[float], time: float) -> OrientedBox:
+    """An object's last box, moved to its predicted position at `time`.
+
+    Args:
+        boxes: one or more boxes of the object, in order of time; a line is fitted to their centres.
+        times: times of the boxes.
+        time: time of the prediction.
+    """
+    last = boxes[-1]
+    passed = np.asarray(times) - np.mean(times)
+    if not passed.any():
+        return last
+    centers = np.array([box.center_m for box in boxes])
+    velocity = passed @ (centers - centers.mean(axis=0)) / (passed @ passed)
+    center = last.center_m + velocity * (time - times[-1])
+    return OrientedBox.from_parts(center, last.rotation, last.size_m)
+
+
+# Minimum exact 3D IoU; a box that was drawn by hand and one that was followed may differ much.
+SAME_PLACE_IOU = 0.3
+
+
+def overlap_at_place(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> Float64[np.ndarray, "n m"]:
+    """The exact 3D IoU of the pairs of boxes that stand at the same place; 0 for all others.
+
+    Two boxes do if their IoU is 0.3 or more, or if each contains the other's centre: the IoU of a long box with itself
+    is small after a turn.
+    """
+    if not first or not second:
+        return np.zeros((len(first), len(second)))
+    iou = np.maximum(iou_3d_matrix(first, second), np.finfo(np.float64).tiny)
+    is_same = (iou >= SAME_PLACE_IOU) | (_contains_centers(first, second) & _contains_centers(second, first).T)
+    return np.where(is_same, iou, 0.0)
+
+
+def _contains_centers(boxes: Sequence[OrientedBox], others: Sequence[OrientedBox]) -> Bool[np.ndarray, "n m"]:
+    """Which boxes contain the centres of which others."""
+    centers = np.array([other.center_m for other in others])
+    inside = [(np.abs((centers - box.center_m) @ box.rotation) <= box.size_m / 2).all(axis=1) for box in boxes]
+    return np.array(inside)
+
 
 # The cost of a box that is out of reach; far above all other costs.
 NEVER = 1e6
@@ -140,3 +234,39 @@ def _unlike(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> Floa
     """The largest absolute logarithm of the ratios of sides; sides are compared in the order of their lengths."""
     a, b = (np.log(np.sort([box.size_m for box in boxes], axis=1)) for boxes in (first, second))
     return np.abs(a[:, None] - b[None]).max(axis=2)
+
+
+def numbered(given: Sequence[int | None], before: Sequence[Sequence[int]], first: int = 1) -> list[int]:
+    """An id for each track, for those of its boxes that have none from an operator or a file; all are unique.
+
+    So a box never gets the given id of another object, which may be in the same frame.
+
+    Args:
+        given: the id of each track from an operator or a file, or None. One that several tracks have, such as a
+            person and a chair, is the id of neither.
+        before: the ids of each track's boxes from an earlier linking. A track reuses its most frequent id. If
+            several tracks compete for an id, the one with the most boxes of this id gets it.
+        first: the lowest new id.
+    """
+    used = {number for number in given if number is not None}
+    times = Counter(given)
+    given = [None if times[number] > 1 else number for number in given]
+    candidates = [
+        (count, -place, number)
+        for place, numbers in enumerate(before)
+        if given[place] is None
+        for number, count in Counter(numbers).items()
+    ]
+    ids: dict[int, int] = {}
+    for _, negative_place, number in sorted(candidates, reverse=True):
+        if -negative_place not in ids and number not in used:
+            ids[-negative_place] = number
+            used.add(number)
+    fresh = max([first - 1, *used])
+    for place, given_id in enumerate(given):
+        if given_id is not None:
+            ids[place] = given_id
+        elif place not in ids:
+            fresh += 1
+            ids[place] = fresh
+    return [ids[place] for place in range(len(given))]

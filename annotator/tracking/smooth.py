@@ -10,14 +10,55 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64, Int
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
-from annotator.tracking.config import TrackingConfig
-from annotator.tracking.relabel import are_upright, nearest_change, relabelled, relabellings
+from annotator.tracking.link import TrackingConfig
 from annotator.types import OrientedBox
+from annotator.types.errors import GeometryError
+
+# Cost of a side ratio of e, relative to a rotation by one radian.
+SIZE_COST = 0.5
+# Boxes whose z axes differ by less than this, radians, count as upright on the same ground.
+SAME_UP_RAD = float(np.deg2rad(15))
+
+
+@cache
+def relabellings(is_upright: bool) -> Float64[np.ndarray, "k 3 3"]:
+    """The rotations that relabel a box's axes, the identity first: all 24, or the 4 that keep z."""
+    every = np.rint(Rotation.create_group("O").as_matrix())
+    chosen = every[every[:, 2, 2] == 1] if is_upright else every
+    identity = np.abs(chosen - np.eye(3)).sum(axis=(1, 2))
+    return chosen[np.argsort(identity, kind="stable")]
+
+
+def relabelled(box: OrientedBox, change: Float64[np.ndarray, "3 3"]) -> OrientedBox:
+    """The same box with relabelled axes; the columns of `change` are the new axes in terms of the old ones."""
+    return OrientedBox.from_parts(box.center_m, box.rotation @ change, np.abs(change).T @ box.size_m)
+
+
+def nearest_change(
+    box: OrientedBox, reference: OrientedBox, changes: Float64[np.ndarray, "k 3 3"]
+) -> Float64[np.ndarray, "3 3"]:
+    """The relabelling that makes a box most similar to a reference, in rotation and size."""
+    rotations = box.rotation @ changes
+    cosines = (np.einsum("kij,ij->k", rotations, reference.rotation) - 1) / 2
+    sizes = np.abs(changes).transpose(0, 2, 1) @ box.size_m
+    cost = np.arccos(np.clip(cosines, -1, 1)) + SIZE_COST * np.abs(np.log(sizes / reference.size_m)).sum(axis=1)
+    best: Float64[np.ndarray, "3 3"] = changes[np.argmin(cost)]
+    return best
+
+
+def are_upright(boxes: Sequence[OrientedBox]) -> bool:
+    """True if the z axes of all boxes are nearly parallel, as for boxes that stand on the ground."""
+    up = np.array([box.rotation[:, 2] for box in boxes])
+    middle = up.sum(axis=0)
+    length = float(np.linalg.norm(middle))
+    return length > 0 and bool((up @ middle >= np.cos(SAME_UP_RAD) * length).all())
+
 
 # Half a turn about z: swaps front and back.
 FLIP = np.diag([-1.0, -1.0, 1.0])
@@ -169,3 +210,31 @@ def _around(times: Float64[np.ndarray, "n"], place: int, config: TrackingConfig)
     """The indices of a symmetric window around a box; symmetric so that a uniform change is preserved at the ends."""
     reach = min(config.window, times[place] - times[0], times[-1] - times[place])
     return np.flatnonzero(np.abs(times - times[place]) <= reach + 1e-9)
+
+
+def between(
+    first: OrientedBox, last: OrientedBox, first_time: float, last_time: float, times: Sequence[float]
+) -> list[OrientedBox]:
+    """Boxes between two known boxes: centre and size by linear interpolation, the rotation by slerp.
+
+    The axes of the last box are first relabelled to be as similar to the first box as possible. Otherwise, if front and
+    back were swapped, the boxes in between would make half a turn.
+
+    Args:
+        times: strictly between `first_time` and `last_time`.
+
+    Raises:
+        GeometryError: a time is not between the two.
+    """
+    if any(not first_time < time < last_time for time in times):
+        raise GeometryError(
+            "only frames between the two known boxes can be filled; choose an earlier and a later frame"
+        )
+    last = relabelled(last, nearest_change(last, first, relabellings(are_upright([first, last]))))
+    turn = Slerp([0.0, 1.0], Rotation.concatenate([first.T_camera_box.rotation, last.T_camera_box.rotation]))
+    boxes = []
+    for share in ((time - first_time) / (last_time - first_time) for time in times):
+        center = (1 - share) * first.center_m + share * last.center_m
+        size = (1 - share) * first.size_m + share * last.size_m
+        boxes.append(OrientedBox.from_parts(center, turn(share).as_matrix(), np.asarray(size)))
+    return boxes

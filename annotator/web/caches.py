@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from annotator.project import Project
+from annotator.workflows.workbench.contact_sheet import SheetPictures
+from annotator.workflows.workbench.drawing_steps import WholeBoxes
 from annotator.workflows.workbench.frame_cache import FrameCache
 from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
-from annotator.workflows.workbench.sheet_pictures import SheetPictures
-from annotator.workflows.workbench.whole_boxes import WholeBoxes
 
 # The image of a pseudo-view takes some 30 kB.
 MOST_IMAGES = 1000

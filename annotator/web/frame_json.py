@@ -37,9 +37,9 @@ from annotator.web.schemas import (
 )
 from annotator.workflows.detectors import base_titles
 from annotator.workflows.rigs import OtherLabel, Rigs, Sibling
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
-from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.review_priority import doubt
+from annotator.workflows.workbench.review_queue import doubt
 
 LOG = logging.getLogger("annotator.web")
 

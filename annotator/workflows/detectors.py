@@ -13,13 +13,11 @@ from annotator.detection.base_detector import NAME, TITLE, base_weights, has_bas
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
-from annotator.gpu.compute import torch_compute
 from annotator.project import Statistics
 from annotator.project.classes.attributes import renamed_over
 from annotator.project.jobs import Run
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
-from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
@@ -56,16 +54,6 @@ class Detectors:
     def backends(self) -> tuple[str, str]:
         """The backends of the image and the view detector, e.g. ("openvino", "openvino"); "" if unknown."""
         return str(getattr(self.image, "backend", "")), str(getattr(self.view, "backend", ""))
-
-    @property
-    def compute(self) -> Compute:
-        """The device that draws and clusters points: the view detector's CUDA device, else the processor (numpy).
-
-        Raises:
-            ComputeError: the device cannot be used.
-        """
-        device = self.view.device if isinstance(self.view, YoloDetector) else "cpu"
-        return torch_compute(device) if device.startswith("cuda") else NUMPY
 
 
 def load_detector(
@@ -104,26 +92,6 @@ def load_detector(
     return YoloDetector(weights, config)
 
 
-def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
-    """Loads the project's active detectors.
-
-    Args:
-        backend, threads: as for `load_detector`.
-
-    Raises:
-        ConfigError, DetectionError, FormatError: as `load_detector`; or one of them has not been trained yet.
-    """
-    image, view = image_model(project), view_model(project)
-    return Detectors(
-        load_detector(image.path, backend, threads=threads, names=image.names),
-        load_detector(view.path, backend, threads=threads, names=view.names),
-        view.box_kind,
-        view.class_agnostic,
-        image.box_kind,
-        view.trained,
-    )
-
-
 @dataclass(frozen=True)
 class UsedModel:
     """The detector that a project uses for a role.
@@ -156,6 +124,38 @@ class UsedModel:
         return self.name or f"project's detector {self.path.parent.name}"
 
 
+@dataclass(frozen=True)
+class TrainedDetectors:
+    """A pair of trained detectors that is not loaded yet; can be pickled.
+
+    Attributes:
+        backend: as for `load_detector`.
+    """
+
+    image: UsedModel
+    view: UsedModel
+    backend: Backend = "auto"
+
+    def load(self, threads: int | None = None) -> Detectors:
+        """Loads the detectors, each with a number of processor threads (None = all cores)."""
+        image, view = (
+            load_detector(model.path, self.backend, threads=threads, names=model.names)
+            for model in (self.image, self.view)
+        )
+        kinds = (self.view.box_kind, self.view.class_agnostic, self.image.box_kind)
+        return Detectors(image, view, *kinds, self.view.trained)
+
+
+def trained_detectors(project: Project, backend: Backend = "auto") -> TrainedDetectors:
+    """Describes the project's active detectors without loading them."""
+    return TrainedDetectors(image_model(project), view_model(project), backend)
+
+
+def active_detectors(project: Project, *, backend: Backend = "auto", threads: int | None = None) -> Detectors:
+    """Loads the project's active detectors; `backend` and `threads` as for `load_detector`."""
+    return trained_detectors(project, backend).load(threads)
+
+
 def own_model(project: Project, model: StoredModel) -> UsedModel:
     """A model of the project; a training that started from the base detector gives a class-agnostic one."""
     class_agnostic = model.labels == AGNOSTIC and model.labels != project.config.classes
@@ -169,11 +169,7 @@ def own_model(project: Project, model: StoredModel) -> UsedModel:
 
 
 def base_model() -> UsedModel:
-    """The base detector.
-
-    Raises:
-        DetectionError: this installation has none.
-    """
+    """The base detector."""
     return UsedModel(base_weights(), BoxKind.BOX, True, NAME, NAME)
 
 
@@ -232,20 +228,12 @@ def stand_in(project: Project) -> str | None:
 
 
 def view_model(project: Project) -> UsedModel:
-    """As `used_model` for the view detector.
-
-    Raises:
-        DetectionError: there is none, and no base detector.
-    """
+    """As `used_model` for the view detector."""
     return used_model(project, DetectorKind.VIEW) or _raise_untrained(project, DetectorKind.VIEW)
 
 
 def image_model(project: Project) -> UsedModel:
-    """The project's active image detector.
-
-    Raises:
-        DetectionError: none has been trained yet.
-    """
+    """The project's active image detector."""
     return own_model(project, active_model(project, DetectorKind.IMAGE))
 
 
@@ -256,11 +244,7 @@ def _raise_untrained(project: Project, role: DetectorKind) -> NoReturn:
 
 
 def active_model(project: Project, role: DetectorKind) -> StoredModel:
-    """Returns the project's active model of a role.
-
-    Raises:
-        DetectionError: none has been trained yet.
-    """
+    """Returns the project's active model of a role."""
     model = project.models.active(role)
     if model is None:
         _raise_untrained(project, role)

@@ -3,6 +3,10 @@
 The operator `silhouette` draws around the object's visible points, as a person does. The operator `box` stands for
 imported 3D labels (RCV paper, Fig. 5): it projects the true box onto the same images and views, and stores it as an
 imported 3D label. `silhouette` also works for recordings with masks but no boxes.
+
+Whole boxes of the objects that were drawn as they are seen are confirmed, never corrected: the operator looks at the
+offered boxes one after the other, and confirms the one that fits best if its IoU with the true box is at least
+`FITS_IOU`. A person sees whether a box fits on the image, the views and in 3D; the true box stands for that.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.geometry.projection import project
-from annotator.project import REVIEWED, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project import REVIEWED, NewLabel, Origin, Project, StoredFrame, WriteContext
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.normals import frame_with_normals
 from annotator.rcv.operator import DrawnObject, draw_object
@@ -27,7 +31,9 @@ from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source, Truth
 from annotator.types.errors import ConfigError
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.reading import has_masks, has_truth, is_labelled, load_mask, load_truth
-from annotator.workflows.views.places import geometry_of
+from annotator.workflows.views.pairs import geometry_of
+from annotator.workflows.workbench.drawing_steps import WholeBoxes
+from annotator.workflows.workbench.loaded_detectors import ready_view
 
 AUTHOR = "simulated operator"
 # Objects with fewer points are too hard to see.
@@ -75,11 +81,7 @@ def visible_objects(recording: Recording, index: int, frame: Frame, classes: Seq
 
 
 def only_class(recording: Recording, classes: Sequence[str]) -> str:
-    """Returns the class of the objects in masks without boxes.
-
-    Raises:
-        ConfigError: the project has several classes.
-    """
+    """Returns the class of the objects in masks without boxes."""
     if len(classes) != 1:
         raise ConfigError(
             f"{recording.path}: has masks but no true boxes, so the class of an object ({', '.join(classes)}) is "
@@ -89,11 +91,7 @@ def only_class(recording: Recording, classes: Sequence[str]) -> str:
 
 
 def require_boxes_for(kind: BoxKind, recording: Recording) -> None:
-    """Checks that the recording has true boxes if the operator needs them.
-
-    Raises:
-        ConfigError: the operator `box` on a recording with masks only.
-    """
+    """Checks that the recording has true boxes if the operator needs them."""
     if kind is BoxKind.BOX and has_masks(recording) and not has_truth(recording):
         raise ConfigError(
             f"{recording.path}: the operator `box` needs true boxes, but the recording has only masks; "
@@ -258,3 +256,69 @@ def _import_boxes(project: Project, frame_id: int, objects: Sequence[TaughtObjec
     ]
     if new:
         project.labels.create(frame_id, new, context)
+
+
+# Boxes with at least this IoU fit, as in the review of the demo.
+FITS_IOU = 0.5
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """What the simulated operator did.
+
+    Attributes:
+        objects: drawn objects for which whole boxes were offered.
+        confirmed: objects of which one was confirmed.
+        actions: keys pressed: one for each further box looked at, and one to confirm.
+        mean_iou: of the confirmed boxes with the true ones; NaN without any.
+    """
+
+    objects: int
+    confirmed: int
+    actions: int
+    mean_iou: float
+
+
+def confirm_whole_boxes(
+    project: Project, recording_id: int, progress: Callable[[int, int], None] | None = None
+) -> Confirmed:
+    """Confirms whole boxes in the frames of a recording, once all of them are drawn; objects with a label are left out.
+
+    Args:
+        progress: called with (frames done, frames with drawn objects).
+
+    Raises:
+        RecordingError: the recording has no truth, or cannot be read.
+        FrameError: a frame cannot be read; those before it are done.
+        DetectionError, FormatError: the view detector cannot be loaded.
+    """
+    source, offers, detector = FrameSource(project), WholeBoxes(project), ready_view(project)
+    recording = source.recording(recording_id)
+    indices = {key: index for index, key in enumerate(recording.keys)}
+    labelled = project.boxes.frames_with_images()
+    frames = [one for one in project.frames.of([recording_id]) if one.index is not None and one.id in labelled]
+    known = {(label.frame_id, label.image_box) for label in project.labels.select(recordings=[recording_id])}
+    objects = actions = 0
+    ious: list[float] = []
+    for number, stored in enumerate(frames, 1):
+        frame = source.read(stored)
+        new = []
+        for item in visible_objects(recording, indices[stored.key], frame, project.config.classes):
+            image_box = image_box_of(frame, item, BoxKind.SILHOUETTE)
+            if image_box is None or (stored.id, image_box) in known:
+                continue
+            offered = offers.of(frame, stored, image_box, detector)
+            fits = [iou_3d(item.box, one.box) for one in offered]
+            objects += bool(fits)
+            actions += max(len(fits) - 1, 0)
+            if fits and max(fits) >= FITS_IOU:
+                box = offered[fits.index(max(fits))].box
+                new.append(NewLabel(item.label, box, origin=Origin.DRAWN, image_box=image_box))
+                ious.append(max(fits))
+        if new:
+            revision = project.frames.get(stored.id).revision
+            project.labels.create(stored.id, new, WriteContext(revision, AUTHOR, Source.MANUAL))
+        if progress is not None:
+            progress(number, len(frames))
+    mean = sum(ious) / len(ious) if ious else float("nan")
+    return Confirmed(objects, len(ious), actions + len(ious), mean)

@@ -113,7 +113,7 @@ def _load(recording: Path) -> None:
     from annotator.recordings import open_recording
     from annotator.types import BoxKind
     from annotator.workflows.detectors import Detectors
-    from annotator.workflows.proposing.engines.sources import GivenDetectors
+    from annotator.workflows.proposing.tasks import GivenDetectors
     from annotator.workflows.recorded.reading import load_truth
 
     api()  # imported by its own name, ultralytics would write to the standard output on a new machine

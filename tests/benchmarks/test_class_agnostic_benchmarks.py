@@ -20,7 +20,7 @@ from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.types import Box2D, BoxKind, DetectorKind, Image
 from annotator.types.errors import ConfigError, DetectionError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.tracks.follow_frames import Follower
+from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.training.train import TrainPlan
 from benchmarks import cold_start, follow
 

@@ -19,7 +19,7 @@ from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind, Frame
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing.propose_frames import propose_frames
+from annotator.workflows.proposing.lift import propose_frames
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.training.samples import gather
 from benchmarks import loop

@@ -21,8 +21,8 @@ from annotator.formats.rcv import read_rcv
 from annotator.recordings import open_recording
 from annotator.types import Box2D
 from annotator.types.errors import ConfigError
-from annotator.workflows.proposing.batch_store import AnnotateSummary
-from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.proposing.annotate import AnnotateSummary
+from annotator.workflows.proposing.tasks import GivenDetectors
 
 Capture = pytest.CaptureFixture[str]
 

@@ -23,7 +23,7 @@ from annotator.project.review import By
 from annotator.project.sources import Brought
 from annotator.types import Correction, ReviewState, Source
 from annotator.types.errors import HistoryError, ProjectError
-from annotator.workflows.workbench.review_priority import FORMULA
+from annotator.workflows.workbench.review_queue import FORMULA
 
 
 def bring(project: Project, frame: int, source: str, *boxes: NewLabel) -> tuple[int, int, int]:

@@ -14,7 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.follow_object import FollowConfig, Followed, FollowStop, Look, follow_object
 from annotator.types import Box2D, Frame, Image, OrientedBox, PointCloud
-from annotator.workflows.workbench.review_priority import doubt
+from annotator.workflows.workbench.review_queue import doubt
 
 UP = np.array([0.0, -1.0, 0.0])
 UPRIGHT = RcvConfig(orientation=Orientation.UPRIGHT)

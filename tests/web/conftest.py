@@ -14,7 +14,7 @@ from room_server import live, web_settings
 
 from annotator.types import BoxKind
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.tracks.follow_frames import Follower
+from annotator.workflows.tracks.follow_objects import Follower
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
 
 __all__ = ["live", "web_settings"]

@@ -14,8 +14,8 @@ from annotator.web.jobs import work
 from annotator.web.jobs.job_context import JobContext, Outcome
 from annotator.web.jobs.records import BoxesRequest, ProposeRequest, TrainRequest
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing.engines.inline import InlineEngine
-from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.proposing.runner import InlineEngine
+from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 

@@ -16,10 +16,9 @@ from annotator.web.live.page import LivePage
 from annotator.web.live.run import live_app
 from annotator.web.serve import Running
 from annotator.web.settings import ServerSettings
-from annotator.workflows.live.detection import Detected
+from annotator.workflows.live.detection import Detected, Taken
+from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import Pipeline
-from annotator.workflows.live.playback import Playback, Repeat
-from annotator.workflows.live.source import Taken
 from annotator.workflows.recorded.reading import load_truth
 
 

@@ -13,7 +13,7 @@ from drawing import Scene
 
 from annotator.project.boxes import png
 from annotator.types import BoxKind, DetectorKind
-from annotator.workflows.workbench import open_frame
+from annotator.workflows.workbench import frame_cache
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def test_one_request_stores_a_drag_and_answers_with_all_that_follows(
     live: Live, generated: Path, counting: CountingDetector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encoded: list[int] = []
-    monkeypatch.setattr(open_frame, "png", lambda rgb: encoded.append(1) or png(rgb))
+    monkeypatch.setattr(frame_cache, "png", lambda rgb: encoded.append(1) or png(rgb))
     scene = Scene.of(generated / "people", 0, ["person"])
     image_box = scene.image_box(0)
     body = {"revision": 0, "image_boxes": [image_box], "object": {"image_box": image_box, "boxes": []}}

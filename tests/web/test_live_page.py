@@ -24,9 +24,8 @@ from annotator.web.live.overlay import BOX_COLOR, LOST_COLOR, draw_detections, e
 from annotator.web.live.page import LivePage, table
 from annotator.web.settings import ServerSettings
 from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.pipeline import Pipeline
-from annotator.workflows.live.playback import Playback
-from annotator.workflows.live.rates import Drops, Meter
+from annotator.workflows.live.open_source import Playback
+from annotator.workflows.live.pipeline import Drops, Meter, Pipeline
 from annotator.workflows.recorded.reading import load_truth
 
 TOKEN = "0123456789abcdef-live"

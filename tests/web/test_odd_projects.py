@@ -34,7 +34,7 @@ from annotator.web.leftovers import clear_leftovers
 from annotator.web.schemas import Box3DJson
 from annotator.web.server_lock import hold_server_lock
 from annotator.web.settings import ServerSettings
-from annotator.workflows.workbench import sheet_pictures
+from annotator.workflows.workbench import contact_sheet
 
 if TYPE_CHECKING:
     import httpx
@@ -107,7 +107,7 @@ def test_nothing_of_a_replaced_database_is_taken_for_that_of_the_new_one(
     for project, revision in ((old, 58), (new, 3), (new, 3)):
         context.hub.frame_changed(project, 1, revision, "Ada")
     assert [event["revision"] for event in sent if event["type"] == "frame"] == [57, 58, 3]
-    monkeypatch.setattr(sheet_pictures, "picture", lambda *_: np.zeros((2, 2, 3), np.uint8))
+    monkeypatch.setattr(contact_sheet, "picture", lambda *_: np.zeros((2, 2, 3), np.uint8))
     assert context.caches.sheets.get(new, frame, box) != picture
     context.close()
 

@@ -17,8 +17,8 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.web.follow_runs import FollowRequest, FollowRuns
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.follow_frames import Follower
-from annotator.workflows.tracks.follow_recording import follow_from_frame
+from annotator.workflows.tracks.follow_objects import Follower
+from annotator.workflows.tracks.follow_run import follow_from_frame
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetectors
 
 if TYPE_CHECKING:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +12,11 @@ import pytest
 
 from annotator.project import Project
 from annotator.project.classes import edit
+from annotator.rcv.warm_start import is_warm
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError
 from annotator.workflows.detectors import active_detectors, image_model, load_detector
+from annotator.workflows.warm_up import warm_up
 
 
 def register(project: Project, role: DetectorKind, content: bytes = b"no weights") -> Path:
@@ -37,13 +42,6 @@ def test_weights_without_their_record_are_an_error(people: Project) -> None:
         active_detectors(people)
 
 
-def test_missing_weights_are_an_error(people: Project) -> None:
-    weights = register(people, DetectorKind.IMAGE)
-    weights.unlink()
-    with pytest.raises(AnnotatorError, match="run"):
-        load_detector(weights)
-
-
 @pytest.mark.parametrize(("name", "value"), [("image_size_px", 7), ("threads", 0)])
 def test_a_setting_out_of_range_is_named(tmp_path: Path, name: str, value: object) -> None:
     settings: dict[str, Any] = {"image_size_px": 96, name: value}
@@ -60,3 +58,39 @@ def test_a_detector_follows_classes_that_were_changed_after_its_training(people:
     people.change_classes(lambda config: edit.add_class(config, "child"), "ann")
     people.change_classes(lambda config: edit.remove_class(config, "adult"), "ann")
     assert image_model(people).names == (("person", None),)
+
+
+# In a process of its own, because other tests call compiled functions, too. Functions called from Python have
+# signatures; private ones are called only by these.
+COMPILED = """
+import json, pkgutil
+from importlib import import_module
+from annotator.geometry import kernels as of_geometry
+from annotator.rcv import kernels as of_rcv
+from annotator.workflows.warm_up import warm_up
+
+warm_up()
+compiled = {}
+for package in (of_geometry, of_rcv):
+    for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+        for name, value in vars(import_module(module.name)).items():
+            if hasattr(value, "signatures") and not name.startswith("_"):
+                compiled[name] = [str(getattr(types[0], "dtype", "")) for types in value.signatures]
+print(json.dumps(compiled))
+"""
+
+
+def test_all_compiled_functions_are_called() -> None:
+    ran = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True, check=True)
+    compiled = json.loads(ran.stdout)
+    assert [name for name, called in compiled.items() if not called] == []
+    assert {"draw_views", "refine", "intersection_volumes", "point_evidence", "outlines"} <= compiled.keys()
+    # float32 for clouds, float64 for corners
+    assert set(compiled["points_in_box"]) == {"float32", "float64"}
+
+
+def test_objects_are_found_in_all_ways() -> None:
+    found = [[is_warm(proposal) for proposal in result.proposals] for result in warm_up()]
+    by_classes, class_agnostic = found[:4], found[4:]
+    assert by_classes == [[False], [True]] * 2
+    assert class_agnostic == [[False]] * 4

@@ -16,7 +16,7 @@ from annotator.rcv.config import FitConfig, RcvConfig, Strategy, ViewConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.settings import editable, rcv_config
 from annotator.workflows.training import train
 

@@ -1,4 +1,4 @@
-"""The simulated operator: five boxes per object from the ground truth, stored like an operator's."""
+"""The simulated operator: five boxes per object from the ground truth, and whole boxes that it confirms."""
 
 from __future__ import annotations
 
@@ -6,28 +6,40 @@ import json
 import shutil
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 import cv2
 import numpy as np
 import pytest
 
+from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains
-from annotator.project import BoxRotation, Project
+from annotator.project import BoxRotation, Origin, Project, create_project
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.teach import TaughtObject
+from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
-from annotator.types import BoxKind, OrientedBox, PseudoView, ReviewState, Source
+from annotator.types import Box2D, BoxKind, Correction, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.workflows.add_recordings import add_recordings, register_recording
+from annotator.web.caches import Caches
+from annotator.workflows import simulate
+from annotator.workflows.add_recordings import move_recording, register_recording
+from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.simulate import (
+    FITS_IOU,
     MIN_VISIBLE_POINTS,
     _is_inside,
+    confirm_whole_boxes,
     draw_frame,
     simulate_recording,
     visible_objects,
 )
+from annotator.workflows.training.samples import gather
+from annotator.workflows.workbench import drawing_steps as workbench
+from annotator.workflows.workbench.drawing_steps import WholeBoxes
 
 
 def simulated(project: Project, kind: BoxKind, every: int = 1):
@@ -65,11 +77,6 @@ def test_true_boxes_are_imported_as_labels(people: Project) -> None:
             assert (label.source, label.state, label.label) == (Source.IMPORTED, ReviewState.ACCEPTED, "person")
             np.testing.assert_allclose(label.box.pose, truth.box.pose, atol=1e-9)
     assert people.statistics().labels.total == 6
-
-
-def test_silhouettes_create_no_3d_labels(people: Project) -> None:
-    simulated(people, BoxKind.SILHOUETTE)
-    assert people.statistics().labels.total == 0
 
 
 def test_silhouettes_on_the_image_enclose_the_mask(people: Project) -> None:
@@ -264,18 +271,6 @@ def test_a_frame_step_below_1_is_refused(people: Project, every: int) -> None:
         simulated(people, BoxKind.BOX, every)
 
 
-def test_missing_frames_are_skipped(people: Project, own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    stored = register_recording(people, open_recording(folder))
-    for path in (folder / "color" / "000000.jpg", folder / "depth" / "000000.png"):
-        path.unlink()
-    add_recordings(people, [folder])
-    drawn = simulate_recording(people, stored.id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
-    assert drawn.frames == 2
-    labelled = {boxes.frame_id for boxes in people.boxes.on_images()}
-    assert [f.key for f in people.frames.of([stored.id]) if f.id in labelled] == ["000001", "000003"]
-
-
 def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
     people: Project, own_copy: Callable[[str], Path]
 ) -> None:
@@ -288,8 +283,107 @@ def test_a_broken_frame_is_an_error_and_earlier_boxes_are_kept(
     assert people.statistics().image_boxes.pictures == 1
 
 
-def test_progress_counts_the_labelled_frames(people: Project) -> None:
-    told: list[tuple[int, int]] = []
-    (recording,) = people.recordings.all()
-    simulate_recording(people, recording.id, BoxKind.BOX, RcvConfig(), 2, lambda done, of: told.append((done, of)))
-    assert told == [(1, 3), (2, 3), (3, 3)]
+@pytest.fixture
+def drawn(
+    copy_project: Callable[[Path], Project],
+    made_once: Callable[[str, Callable[[Path], object]], Path],
+    generated: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Project:
+    """People drawn as they are seen, in a project without a detector."""
+
+    def fill(folder: Path) -> None:
+        with create_project(folder, "project0", ("person",)) as project:
+            recording = register_recording(project, open_recording(generated / "people"))
+            simulate_recording(project, recording.id, BoxKind.SILHOUETTE, RcvConfig(), every=2)
+
+    monkeypatch.setattr(simulate, "ready_view", lambda project: None)
+    return copy_project(made_once("drawn project", fill) / "project0")
+
+
+def test_boxes_that_fit_become_labels_beside_the_silhouettes(drawn: Project, generated: Path) -> None:
+    recording, silhouettes = drawn.recordings.all()[0].id, drawn.boxes.on_views()
+    confirmed = confirm_whole_boxes(drawn, recording)
+    labels = drawn.labels.select()
+    assert confirmed.objects == 9 and 0 < confirmed.confirmed == len(labels) <= 9
+    assert confirmed.actions >= confirmed.confirmed
+    assert drawn.boxes.on_views() == silhouettes
+    truths = open_recording(generated / "people")
+    for stored in labels:
+        assert (stored.origin, stored.label.box_kind) == (Origin.DRAWN, BoxKind.BOX)
+        assert stored.image_box is not None and stored.image_box in drawn.boxes.on_image(stored.frame_id).boxes
+        index = [frame.id for frame in drawn.frames.of()].index(stored.frame_id)
+        true_boxes = [truth.box for truth in load_truth(truths, index, truths.frame(index))]
+        assert max(iou_3d(stored.label.box, box) for box in true_boxes) >= FITS_IOU
+    assert gather(drawn).whole.keys() == {(stored.frame_id, stored.image_box) for stored in labels}
+
+
+def test_only_objects_with_all_silhouettes_have_whole_boxes(drawn: Project) -> None:
+    stored = drawn.frames.of()[0]
+    image_box = drawn.boxes.on_image(stored.id).boxes[0]
+    offers = WholeBoxes(drawn)
+    frame = FrameSource(drawn).read(stored)
+    assert offers.of(frame, stored, image_box, None)
+    never_drawn = Box2D(image_box.label, 1.0, 1.0, 9.0, 9.0)
+    assert offers.of(frame, stored, never_drawn, None) == []
+
+
+def test_another_setting_for_the_rotation_applies_at_once(drawn: Project) -> None:
+    stored = drawn.frames.of()[0]
+    image_box, frame = drawn.boxes.on_image(stored.id).boxes[0], FrameSource(drawn).read(stored)
+    offers = WholeBoxes(drawn)
+    upright = offers.of(frame, stored, image_box, None)
+    drawn.configure(settings=drawn.config.settings.model_copy(update={"rotation": BoxRotation.FREE}))
+    free = offers.of(frame, stored, image_box, None)
+    expected = WholeBoxes(drawn).of(frame, stored, image_box, None)
+    assert [one.box.size_m.tolist() for one in free] == [one.box.size_m.tolist() for one in expected]
+    assert [one.box.size_m.tolist() for one in free] != [one.box.size_m.tolist() for one in upright]
+
+
+def test_a_correction_of_the_calibration_applies_at_once(drawn: Project) -> None:
+    stored = drawn.frames.of()[0]
+    image_box, offers = drawn.boxes.on_image(stored.id).boxes[0], WholeBoxes(drawn)
+    before = offers.of(FrameSource(drawn).read(stored), stored, image_box, None)
+    drawn.adjustments.correct(stored.recording_id, Correction(shift_m=(0.0, 0.0, 0.2)), "Ann")
+    frame = FrameSource(drawn).read(stored)
+    corrected = [one.box.center_m.tolist() for one in offers.of(frame, stored, image_box, None)]
+    assert corrected == [one.box.center_m.tolist() for one in WholeBoxes(drawn).of(frame, stored, image_box, None)]
+    assert corrected != [one.box.center_m.tolist() for one in before]
+
+
+def test_frames_of_a_moved_recording_are_read_at_their_new_place(
+    drawn: Project, own_copy: Callable[[str], Path]
+) -> None:
+    caches, recording, here = Caches(), drawn.recordings.all()[0].id, own_copy("people")
+    move_recording(drawn, recording, here, "Ann")
+    first, second = [frame for frame in drawn.frames.of() if drawn.boxes.on_views_of(frame.id)][:2]
+    offers = caches.whole_boxes(drawn)
+    assert offers._objects(first)
+    there = here.rename(here.with_name("there"))
+    move_recording(drawn, recording, there, "Ann")
+    caches.frames.forget(drawn)  # as the server does
+    assert offers._objects(second)
+    caches.close()
+
+
+def test_a_long_search_does_not_block_another_operators(drawn: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored = drawn.frames.of()[0]
+    one, other = drawn.boxes.on_image(stored.id).boxes[:2]
+    offers, frame = WholeBoxes(drawn), FrameSource(drawn).read(stored)
+    searching, go_on = Event(), Event()
+
+    def search(seen: SeenObject, *_: object) -> list[Offered]:
+        if seen.image_box == one:
+            searching.set()
+            assert go_on.wait(60)
+        return []
+
+    monkeypatch.setattr(workbench, "whole_boxes", search)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(offers.of, frame, stored, one, None)
+        try:
+            assert searching.wait(60)
+            assert pool.submit(offers.of, frame, stored, other, None).result(60) == []
+        finally:
+            go_on.set()
+        assert first.result(60) == []

@@ -1,7 +1,8 @@
-"""Effort per box in the order in which the boxes were labelled: does the loop get faster?"""
+"""Effort per box in the order in which the boxes were labelled (does the loop get faster?), and what is left."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -9,11 +10,14 @@ from itertools import pairwise
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.project.progress.action_log import UNTOUCHED, box_effort
+from annotator.project.progress.action_log import UNTOUCHED, Action, box_effort
+from annotator.project.progress.frames_left import Frames
 from annotator.project.progress.reviewed import ReviewedBox
 
 # Points of the curve at most, and boxes of a point at least: fewer say nothing.
 MOST_GROUPS, FEWEST_BOXES = 20, 10
+# Frames done last from which the rate is taken, and the parts of them whose rates give its range.
+LATEST_FRAMES, PARTS, FEWEST_FRAMES = 100, 4, 10
 
 
 class PaceGroup(BaseModel):
@@ -55,6 +59,42 @@ class Pace(BaseModel):
     latest: PaceGroup | None
 
 
+class Interval(BaseModel):
+    """An expected value and its range."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    low: float
+    expected: float
+    high: float
+
+
+class Forecast(BaseModel):
+    """The work that is left, at the rate of the latest work.
+
+    Attributes:
+        frames_done: reviewed, labelled as empty, or finalised.
+        frames_left: with open proposals, or without labels.
+        frames_found_empty: in which the latest pass has found nothing; no work is expected for them.
+        proposals_open: number.
+        boxes_left: the open proposals, and as many boxes in each bare frame as in those done last; None with fewer than
+            10 frames or boxes to judge by.
+        boxes_an_hour: at work, breaks left out, in the frames done last, with the slowest and the fastest quarter of
+            them; None as before.
+        hours_left: the boxes left at these rates; None as before.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    frames_done: int
+    frames_left: int
+    frames_found_empty: int
+    proposals_open: int
+    boxes_left: float | None
+    boxes_an_hour: Interval | None
+    hours_left: Interval | None
+
+
 def pace_of(boxes: Sequence[ReviewedBox]) -> Pace:
     """The pace of all accepted and edited boxes with counted effort."""
     done = [box for box in boxes if box.decided is not None and box.effort is not None and not box.is_rejected]
@@ -69,6 +109,46 @@ def pace_of(boxes: Sequence[ReviewedBox]) -> Pace:
         groups=groups,
         earliest=_group(done[:quarter]) if quarter else None,
         latest=_group(done[-quarter:]) if quarter else None,
+    )
+
+
+def forecast(
+    frames: Frames, actions: Sequence[Action], at_work_s: Sequence[float], boxes: Sequence[ReviewedBox]
+) -> Forecast:
+    """The work left; `at_work_s` of each action, as from `seconds_at_work`."""
+    seconds: dict[int, float] = defaultdict(float)
+    last_ns: dict[int, int] = {}
+    for action, spent in zip(actions, at_work_s, strict=True):
+        for frame_id in action.frames:
+            seconds[frame_id] += spent / len(action.frames)
+            last_ns[frame_id] = action.time_ns
+    kept: dict[int, int] = defaultdict(int)
+    for box in boxes:
+        kept[box.frame_id] += box.origin is not None
+    latest = sorted((id for id in last_ns if id in frames.done), key=lambda id: last_ns[id])[-LATEST_FRAMES:]
+    done, hours = (np.array([of[id] for id in latest], np.float64) for of in (kept, seconds))
+    hours /= 3600
+    proposals = sum(frames.open_proposals.values())
+    boxes_left = rate = hours_left = None
+    if len(latest) >= FEWEST_FRAMES and done.sum() >= FEWEST_BOXES and hours.sum() > 0:
+        boxes_left = float(proposals + len(frames.bare) * done.mean())
+        parts = [
+            (float(done[part].sum()), float(hours[part].sum()))
+            for part in np.array_split(np.arange(len(latest)), PARTS)
+        ]
+        rates = [count / spent for count, spent in parts if count and spent]
+        rate = Interval(low=min(rates), expected=float(done.sum() / hours.sum()), high=max(rates))
+        hours_left = Interval(
+            low=boxes_left / rate.high, expected=boxes_left / rate.expected, high=boxes_left / rate.low
+        )
+    return Forecast(
+        frames_done=len(frames.done),
+        frames_left=len(frames.bare) + len(frames.open_proposals),
+        frames_found_empty=frames.found_empty,
+        proposals_open=proposals,
+        boxes_left=boxes_left,
+        boxes_an_hour=rate,
+        hours_left=hours_left,
     )
 
 

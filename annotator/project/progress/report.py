@@ -12,9 +12,8 @@ from sqlalchemy import Connection, func, select
 from annotator.project.database.schema import events, frame_results, frames
 from annotator.project.progress.action_log import UNTOUCHED, EffortStatistics, effort_of, read_log
 from annotator.project.progress.days import WorkOfDay, seconds_at_work, work_by_day
-from annotator.project.progress.forecast import Forecast, forecast
 from annotator.project.progress.frames_left import read_frames
-from annotator.project.progress.pace import Pace, pace_of
+from annotator.project.progress.pace import Forecast, Pace, forecast, pace_of
 from annotator.project.progress.quality import ProposalQuality, quality_of
 from annotator.project.progress.reviewed import read_reviewed
 from annotator.project.recordings import removed_recordings
@@ -93,6 +92,6 @@ def _read(connection: Connection) -> Review:
             days=days,
             pace=pace_of(boxes),
             proposals=quality_of(boxes),
-            forecast=forecast(read_frames(connection), actions, at_work_s, boxes, days),
+            forecast=forecast(read_frames(connection), actions, at_work_s, boxes),
         ),
     )

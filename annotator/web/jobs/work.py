@@ -29,7 +29,7 @@ from annotator.web.jobs.records import (
     TrainRequest,
 )
 from annotator.web.uploads import find_upload, remove_upload
-from annotator.workflows.detectors import used_model
+from annotator.workflows.detectors import trained_detectors, used_model
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.importing import (
     BoxFormat,
@@ -44,10 +44,8 @@ from annotator.workflows.importing import (
     read_labels,
 )
 from annotator.workflows.importing.new_attributes import values_of_labels, values_of_pictures
-from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.batch_store import AnnotateSummary
-from annotator.workflows.proposing.engines.choose import EngineName, make_engine
-from annotator.workflows.proposing.engines.sources import trained_detectors
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
+from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.settings import rcv_config

@@ -14,8 +14,7 @@ from annotator.web.viewport.content import SceneContent, ShownBox
 from annotator.web.viewport.scene import Scene
 from annotator.web.viewport.server import HOST, silence, start_viser
 from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.pipeline import Pipeline
-from annotator.workflows.live.rates import Figures
+from annotator.workflows.live.pipeline import Figures, Pipeline
 
 if TYPE_CHECKING:
     import viser

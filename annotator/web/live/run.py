@@ -23,11 +23,8 @@ from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.workflows.detectors import active_detectors, stand_in
 from annotator.workflows.live.detection import LiveDetection
 from annotator.workflows.live.open_source import open_source
-from annotator.workflows.live.pipeline import Pipeline
-from annotator.workflows.live.rates import Figures
-from annotator.workflows.live.recorder import Recorder
-from annotator.workflows.live.source import Source
-from annotator.workflows.live.store_session import Stored, require_unused_path, store
+from annotator.workflows.live.pipeline import Figures, Pipeline, Source
+from annotator.workflows.live.recorder import Recorder, Stored, require_unused_path, store
 from annotator.workflows.settings import rcv_config
 
 # Maximum number of unreadable frames that are logged one by one.

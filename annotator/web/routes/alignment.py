@@ -16,8 +16,8 @@ from annotator.web.context import Context, Ctx, Operator
 from annotator.web.schemas import CameraJson, Effort, RowId, Schema, Unit3
 from annotator.workflows.recorded.calibration import correct_calibration
 from annotator.workflows.recorded.up_direction import estimate_recording_up
-from annotator.workflows.workbench.alignment import alignment
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.frame_state import alignment
 
 router = APIRouter(tags=["alignment"])
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from annotator.recordings.options import parse_options
 from annotator.recordings.ros.topics import TopicReport
 from annotator.web.context import Ctx, Operator
-from annotator.workflows.workbench.bag_preview import preview_bag
+from annotator.workflows.workbench.frame_state import preview_bag
 
 router = APIRouter(tags=["recordings"])
 

@@ -17,7 +17,7 @@ from annotator.web.errors import error_response
 from annotator.web.frame_changes import ChangesIn
 from annotator.web.frame_json import frame_response, frame_row, frame_state, stale_response
 from annotator.web.schemas import Effort, FrameListJson, FrameStateJson, RowId, Schema
-from annotator.workflows.workbench.apply_changes import apply_changes
+from annotator.workflows.workbench.save_object import apply_changes
 
 router = APIRouter(tags=["frames"])
 

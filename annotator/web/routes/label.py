@@ -32,8 +32,8 @@ from annotator.web.schemas import (
     ViewJson,
 )
 from annotator.workflows.workbench.drawing_steps import Labelling, frame_config, label_object
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.save_object import ObjectDrawn, save_object, suggested_image_boxes
 
 router = APIRouter(tags=["label"])

@@ -30,12 +30,12 @@ from annotator.web.schemas import (
     SuggestionJson,
     ViewJson,
 )
-from annotator.workflows.workbench.copy_boxes import copy_boxes
+from annotator.workflows.workbench.contact_sheet import ortho_views
 from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import Readiness
-from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.ortho_views import ortho_views
 from annotator.workflows.workbench.refit import RCV, find_box, refit
+from annotator.workflows.workbench.save_object import copy_boxes
 
 router = APIRouter(tags=["review"])
 

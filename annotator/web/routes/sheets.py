@@ -20,7 +20,7 @@ from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.routes.tracks import TrackId
 from annotator.web.schemas import Effort, RowId, Schema, Uid
-from annotator.workflows.tracks.previous_boxes import boxes_of
+from annotator.workflows.tracks.propose_boxes import boxes_of
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 
 router = APIRouter(tags=["sheets"])

@@ -16,14 +16,12 @@ from annotator.web.follow_runs import Direction, FollowRequest, FollowRunJson
 from annotator.web.frame_json import frame_state, stale_response
 from annotator.web.routes.frames import STALE
 from annotator.web.schemas import Box3DJson, Effort, FrameStateJson, RowId, Schema, Uid
-from annotator.workflows.tracks.carry_correction import carry_correction
-from annotator.workflows.tracks.copy_next import copy_next
-from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
-from annotator.workflows.tracks.follow_recording import follow_from_frame
-from annotator.workflows.tracks.interpolate import interpolate_back
-from annotator.workflows.tracks.previous_boxes import boxes_of
+from annotator.workflows.tracks.copy_next import carry_correction, copy_next
+from annotator.workflows.tracks.follow_run import follow_from_frame
+from annotator.workflows.tracks.interpolate import FitBox, box_fitter, interpolate_back
+from annotator.workflows.tracks.propose_boxes import boxes_of
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 router = APIRouter(tags=["tracks"])
 

@@ -22,8 +22,8 @@ from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor
 from annotator.web.viewport.proxy import forward_http, forward_socket
 from annotator.web.viewport.viewports import Viewport, Viewports
 from annotator.workflows.workbench.drawing_steps import label_object
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import present_page
-from annotator.workflows.workbench.open_frame import OpenFrame
 
 
 @asynccontextmanager

@@ -10,8 +10,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from annotator import __version__
-from annotator.workflows.doctor import packages, self_test
-from annotator.workflows.doctor.machine import machine
+from annotator.workflows.doctor import facts, self_test
+from annotator.workflows.doctor.facts import machine
 from annotator.workflows.doctor.report import Line, Report, State, without_home
 
 Check = Callable[[Path], Iterator[Line]]
@@ -21,20 +21,19 @@ REPORT_IT = "report this, with the whole output"
 
 CHECKS: Mapping[str, Check] = {
     "machine": machine,
-    "required": packages.required,
+    "required": facts.required,
     # before torch, because this check sets environment variables that torch and ultralytics read when they are loaded
-    "ultralytics": packages.ultralytics,
-    "torch": packages.torch,
-    "openvino": packages.openvino,
-    "onnxruntime": packages.onnxruntime,
-    "numba": packages.numba,
-    "open3d": packages.open3d,
-    "extras": packages.extras,
-    "kinect": packages.kinect,
-    "choices": packages.choices,
-    "base detector": packages.base_detector,
+    "ultralytics": facts.ultralytics,
+    "torch": facts.torch,
+    "openvino": facts.openvino,
+    "onnxruntime": facts.onnxruntime,
+    "numba": facts.numba,
+    "open3d": facts.open3d,
+    "extras": facts.extras,
+    "kinect": facts.kinect,
+    "choices": facts.choices,
+    "base detector": facts.base_detector,
     "backends": self_test.backends,
-    "gpu": self_test.gpu,
 }
 
 

@@ -34,8 +34,7 @@ from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.rigs import Rigs
-from annotator.workflows.views.outlines import drawn_of, outlines
-from annotator.workflows.views.places import ViewPlace, write_places
+from annotator.workflows.views.pairs import ViewPlace, drawn_of, outlines, write_places
 
 # Thinner boxes are left out, pixels.
 MIN_SIDE_PX = 1.0

@@ -20,7 +20,7 @@ from annotator.workflows.importing.image_boxes import Stored, checked_images, st
 from annotator.workflows.importing.image_values import ImageValues, TakenValues
 from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
 from annotator.workflows.importing.view_boxes import checked_views, store_on_view
-from annotator.workflows.views.places import ViewPlace, read_places
+from annotator.workflows.views.pairs import ViewPlace, read_places
 
 
 @dataclass(frozen=True)

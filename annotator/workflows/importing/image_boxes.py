@@ -24,7 +24,7 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.boxes_3d import Importer
 from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
 from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
-from annotator.workflows.views.follow_image_boxes import view_followers
+from annotator.workflows.views.write_pictures import view_followers
 
 # Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
 ROUNDED_PX = 0.01

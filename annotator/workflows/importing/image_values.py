@@ -16,7 +16,7 @@ from annotator.types.label import AttributeValue
 from annotator.workflows.importing.boxes_3d import Importer
 from annotator.workflows.importing.image_boxes import OnImage
 from annotator.workflows.importing.picture_labels import PictureLabels
-from annotator.workflows.views.outlines import drawn_of, outlines
+from annotator.workflows.views.pairs import drawn_of, outlines
 
 
 @dataclass

@@ -18,7 +18,7 @@ from annotator.types.errors import FormatError, StaleRevisionError
 from annotator.workflows.importing.boxes_3d import AUTHOR
 from annotator.workflows.importing.image_boxes import Stored
 from annotator.workflows.importing.picture_labels import PictureLabels
-from annotator.workflows.views.places import ViewPlace
+from annotator.workflows.views.pairs import ViewPlace
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,221 @@
-"""Opens a source of live frames by name."""
+"""Sources of live frames: an Azure Kinect, and a recording that is played at its frame rate."""
 
 from __future__ import annotations
 
+import itertools
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
+
 from annotator.project import Project
-from annotator.recordings import open_recording
-from annotator.types.errors import ConfigError
+from annotator.recordings import Recording, open_recording
+from annotator.recordings.kinect.device import KinectDevice
+from annotator.types import Frame
+from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.frame_source import OpenedRecording, open_stored
-from annotator.workflows.live.kinect import KinectSource
-from annotator.workflows.live.playback import Playback, Repeat
+from annotator.workflows.live.detection import Taken
+from annotator.workflows.live.pipeline import Source
 from annotator.workflows.live.recorder import require_recordable
-from annotator.workflows.live.source import Source
+
+
+class KinectSource:
+    """A `Source` of the frames of a device.
+
+    Attributes:
+        skipped: 0, since late frames are dropped by the pipeline.
+        gives_newest: False, since the driver queues unread frames.
+    """
+
+    skipped = 0
+    gives_newest = False
+
+    def __init__(self, which: str | None = None) -> None:
+        """
+        Args:
+            which: as for `KinectDevice`.
+
+        Raises:
+            DeviceError: there is no such device, or it cannot be used.
+        """
+        self._device = KinectDevice(which)
+
+    @property
+    def name(self) -> str:
+        return self._device.name
+
+    def read(self, stop: threading.Event) -> Taken | None:
+        """As `Source.read`."""
+        arrived = self._device.next_frame(stop)
+        if arrived is None:
+            return None
+        return Taken(arrived.frame, arrived.arrived_s, time.perf_counter() - arrived.arrived_s)
+
+    def resume(self) -> None:
+        """Discards the frames in the driver's queue."""
+        self._device.skip_old()
+
+    def close(self) -> None:
+        """Releases the device."""
+        self._device.close()
+
+
+# Frames per second of recordings without times: 10 for a LiDAR, 30 for RGB-D cameras.
+RATE_BY_FORMAT = {"kitti_object": 10.0, "kitti_tracking": 10.0, "kitti_raw": 10.0, "cloud_folder": 10.0}
+DEFAULT_RATE = 30.0
+# Longer gaps in a recording are shortened to this, seconds.
+MAX_GAP_S = 1.0
+# A frame is left out if the next one is due within this time: the smaller of a number of seconds and a share of the gap
+# between the two. At 30 frames per second and random read times, frames are then 9 ms old on average instead of 17 ms,
+# for 1 ms of waiting.
+PATIENCE_S, PATIENCE_SHARE = 0.010, 0.25
+
+
+class Repeat(StrEnum):
+    """What follows the last frame."""
+
+    NO = "no"
+    AGAIN = "again"
+    BACK = "back"
+    """Backwards to the first frame and forwards again, so that motion has no jump."""
+
+
+class Playback:
+    """A `Source` that plays a recording. A frame is left out if the next one is due or nearly due.
+
+    Attributes:
+        recording: the recording.
+        gives_newest: True, since late frames are left out.
+        skipped: number of frames left out.
+    """
+
+    gives_newest = True
+
+    def __init__(
+        self,
+        recording: Recording,
+        *,
+        rate: float | None = None,
+        repeat: Repeat = Repeat.NO,
+        read: Callable[[str], Frame] | None = None,
+    ) -> None:
+        """
+        Args:
+            rate: frames per second; None = as recorded; infinite = as fast as frames can be read.
+            read: reads a frame by its key; None = as the recording's files give it.
+        """
+        if rate is not None and not rate > 0:
+            raise ConfigError(f"cannot play at {rate:g} frames per second; give more than 0")
+        self.recording = recording
+        self.skipped = 0
+        self._read = read
+        self._gap_s = None if rate is None else 1 / rate
+        self._times_s = None if rate is not None else times_s(recording)
+        self._order = _order(len(recording), repeat)
+        self._next = next(self._order, None)
+        self._due_s: float | None = None
+        self._broken_in_a_row = 0
+
+    @property
+    def name(self) -> str:
+        return self.recording.name
+
+    @property
+    def rate(self) -> float:
+        """Frames per second; with recorded times, from their median gap."""
+        if self._times_s is None or len(self._times_s) < 2:
+            gap_s = self._gap_s if self._gap_s is not None else 1 / default_rate(self.recording)
+            return np.inf if gap_s == 0 else 1 / gap_s
+        return 1 / max(float(np.median(np.abs(np.diff(self._times_s)))), 1e-9)
+
+    def read(self, stop: threading.Event) -> Taken | None:
+        """As `Source.read`.
+
+        Raises:
+            FrameError: this frame cannot be read.
+            RecordingError: none of the recording's frames can be read.
+        """
+        due = self._wait_for_next(stop)
+        if due is None:
+            return None
+        index, taken_s = due
+        begin = time.perf_counter()
+        try:
+            frame = self._frame(index)
+        except FrameError as error:
+            self._broken_in_a_row += 1
+            if self._broken_in_a_row >= len(self.recording):
+                count = len(self.recording)
+                raise RecordingError(
+                    f"{self.recording.path}: none of its frames can be read ({count} tried): {error}"
+                ) from error
+            raise
+        self._broken_in_a_row = 0
+        return Taken(frame, taken_s, time.perf_counter() - begin)
+
+    def _frame(self, index: int) -> Frame:
+        return self.recording.frame(index) if self._read is None else self._read(self.recording.keys[index])
+
+    def resume(self) -> None:
+        """Makes the next frame due now."""
+        self._due_s = None
+
+    def close(self) -> None:
+        """Does nothing: a recording has no open files."""
+
+    def _wait_for_next(self, stop: threading.Event) -> tuple[int, float] | None:
+        """Waits until the next frame is due; returns its index and due time. Skips frames that are too late.
+
+        Returns None at the end, or when `stop` is set.
+        """
+        while self._next is not None:
+            now = time.perf_counter()
+            # at full speed no frame is late
+            index, due_s = self._next, now if self._due_s is None or self._gap_s == 0 else self._due_s
+            self._next = next(self._order, None)
+            gap_s = 0.0 if self._next is None else self._gap(index, self._next)
+            self._due_s = due_s + gap_s
+            if gap_s and self._due_s <= now + min(PATIENCE_S, PATIENCE_SHARE * gap_s):
+                self.skipped += 1
+                continue
+            if stop.wait(max(due_s - now, 0.0)):
+                return None
+            return index, due_s
+        return None
+
+    def _gap(self, index: int, following: int) -> float:
+        """Returns the time between two successively played frames, seconds."""
+        if self._gap_s is not None:
+            return self._gap_s
+        if self._times_s is None or abs(following - index) != 1:  # from the last one to the first
+            return 1 / self.rate
+        return min(abs(self._times_s[following] - self._times_s[index]), MAX_GAP_S)
+
+
+def times_s(recording: Recording) -> Sequence[float] | None:
+    """Returns the time of each frame, seconds on an arbitrary clock; None unless all times are recorded."""
+    times_ns: Sequence[int | None] | None = getattr(recording, "times_ns", None)
+    if times_ns is None or any(each is None for each in times_ns):
+        return None
+    return [1e-9 * each for each in times_ns if each is not None]
+
+
+def default_rate(recording: Recording) -> float:
+    """Returns the frames per second of a recording without times."""
+    return RATE_BY_FORMAT.get(recording.format, DEFAULT_RATE)
+
+
+def _order(frames: int, repeat: Repeat) -> Iterator[int]:
+    indices = range(frames)
+    if repeat is Repeat.NO:
+        return iter(indices)
+    if repeat is Repeat.BACK:
+        return itertools.cycle([*indices, *indices[-2:0:-1]])
+    return itertools.cycle(indices)
+
 
 KINECT = "kinect"
 

@@ -5,26 +5,293 @@
 
 Each stage is a thread. If one ends (the source ends, an error, `stop`), all end. The detectors are prepared on the
 first frame, which takes long: no frame is read in the meantime, and the first one is not measured.
+
+Reading a frame occupies a core for some time (12 ms for an RGB-D image pair), which delays the detectors on a small
+machine. So a source that returns its newest frame on request is read as late as possible, such that the frame is ready
+when detection ends (`Demand`). Both durations are predicted from recent ones.
 """
 
 from __future__ import annotations
 
+import statistics
 import threading
 import time
-from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
 
 from annotator.types.errors import ConfigError, DeviceError, FrameError
-from annotator.workflows.live.detection import Detected
-from annotator.workflows.live.handover import Demand, Slot
-from annotator.workflows.live.rates import Drops, Figures, Meter
-from annotator.workflows.live.source import Source, Taken
+from annotator.workflows.live.detection import Detected, Taken
+
+WINDOW_S = 5.0
+
+
+@dataclass(frozen=True)
+class Drops:
+    """Numbers of dropped frames.
+
+    Attributes:
+        source: left out by the source to keep its frame rate.
+        detect: replaced by a newer frame while the detectors were busy.
+        show: replaced by a newer frame while the display was busy.
+        record: not recorded because the disk was too slow.
+    """
+
+    source: int = 0
+    detect: int = 0
+    show: int = 0
+    record: int = 0
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Measurements of a pipeline; rates, medians and percentiles are those of the window.
+
+    Attributes:
+        fps: shown frames per second; None before two are shown.
+        latency_ms, latency_p95_ms: median and 95th percentile of the time from taking a frame to showing it.
+        stages_ms: median duration of each stage: read, image and view detector, the geometry between them, show.
+        read, detected, shown: numbers of frames since the start.
+        broken: number of frames that could not be read.
+    """
+
+    fps: float | None
+    latency_ms: float | None
+    latency_p95_ms: float | None
+    stages_ms: Mapping[str, float]
+    read: int
+    detected: int
+    shown: int
+    broken: int
+    drops: Drops
+
+
+@dataclass(frozen=True)
+class _Shown:
+    at_s: float
+    latency_s: float
+    stages_s: Mapping[str, float]
+
+
+@dataclass(eq=False)
+class Meter:
+    """Counts frames and measures durations. Thread-safe.
+
+    Attributes:
+        window_s: length of the window of rates and medians, seconds.
+    """
+
+    window_s: float = WINDOW_S
+    read: int = 0
+    detected: int = 0
+    broken: int = 0
+    _shown: int = 0
+    _recent: deque[_Shown] = field(default_factory=deque)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def shown(self, taken_s: float, stages_s: Mapping[str, float], *, is_first: bool = False) -> None:
+        """Notes that a frame is shown now.
+
+        Args:
+            taken_s: when it was taken, `time.perf_counter`.
+            stages_s: duration of each stage, seconds.
+            is_first: count it without its durations, which include preparing the detectors.
+        """
+        now = time.perf_counter()
+        with self._lock:
+            self._shown += 1
+            if is_first:
+                return
+            self._recent.append(_Shown(now, now - taken_s, stages_s))
+            self._forget(now)
+
+    def figures(self, drops: Drops) -> Figures:
+        """Returns the present measurements."""
+        with self._lock:
+            self._forget(time.perf_counter())
+            recent, shown = list(self._recent), self._shown
+        latency_ms = [1e3 * each.latency_s for each in recent]
+        names = dict.fromkeys(name for each in recent for name in each.stages_s)
+        return Figures(
+            fps=_rate([each.at_s for each in recent]),
+            latency_ms=float(np.median(latency_ms)) if recent else None,
+            latency_p95_ms=float(np.percentile(latency_ms, 95)) if recent else None,
+            stages_ms={
+                name: 1e3 * float(np.median([each.stages_s[name] for each in recent if name in each.stages_s]))
+                for name in names
+            },
+            read=self.read,
+            detected=self.detected,
+            shown=shown,
+            broken=self.broken,
+            drops=drops,
+        )
+
+    def _forget(self, now: float) -> None:
+        while self._recent and now - self._recent[0].at_s > self.window_s:
+            self._recent.popleft()
+
+
+def _rate(at_s: list[float]) -> float | None:
+    """Returns the rate of events per second, from their times in order."""
+    return None if len(at_s) < 2 or at_s[-1] <= at_s[0] else (len(at_s) - 1) / (at_s[-1] - at_s[0])
+
+
+def summary_line(figures: Figures) -> str:
+    """Returns the measurements in one line."""
+    rate = "too few frames for a rate" if figures.fps is None else f"{figures.fps:.1f} frames/s"
+    latency = (
+        ""
+        if figures.latency_ms is None
+        else f", {figures.latency_ms:.0f} ms latency (95 %: {figures.latency_p95_ms:.0f})"
+    )
+    drops = figures.drops
+    counts = [f"{count} {name}" for name, count in vars(drops).items() if count]
+    dropped = f"; dropped: {', '.join(counts)}" if counts else ""
+    return f"{rate}{latency}; {figures.shown} shown{dropped}" + (
+        f"; {figures.broken} unreadable" if figures.broken else ""
+    )
+
 
 # Time within which all threads end after `stop`, unless one hangs in a call.
 END_TIMEOUT_S = 20.0
 
 Show = Callable[[Detected], None]
 Report = Callable[[str], None]
+
+
+Item = TypeVar("Item")
+
+# Number of recent durations whose median predicts the next one.
+HISTORY = 9
+# A frame is read this much earlier than predicted, seconds, since a late frame costs more than a slightly older one.
+SPARE_S = 0.003
+
+
+class Slot(Generic[Item]):
+    """Holds one item, which a newer one replaces until it is taken. One thread puts, another takes.
+
+    Attributes:
+        dropped: number of items replaced before they were taken.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._item: Item | None = None
+        self._closed = False
+        self.dropped = 0
+
+    def put(self, item: Item) -> None:
+        """Puts an item without waiting. Does nothing after `close`."""
+        with self._changed:
+            if self._closed:
+                return
+            self.dropped += self._item is not None
+            self._item = item
+            self._changed.notify()
+
+    def take(self) -> Item | None:
+        """Waits for an item and takes it; returns None once the slot is closed and empty."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._item is not None or self._closed)
+            item, self._item = self._item, None
+            return item
+
+    def close(self, *, empty: bool = False) -> None:
+        """Accepts no more items. The present one can still be taken, unless `empty` is set."""
+        with self._changed:
+            self._closed = True
+            if empty:
+                self._item = None
+            self._changed.notify_all()
+
+
+class Demand:
+    """Predicts when detection needs its next frame. Shared by the reading and the detecting thread."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._durations_s: deque[float] = deque(maxlen=HISTORY)
+        self._reads_s: deque[float] = deque(maxlen=HISTORY)
+        self._started_s: float | None = None
+        self._is_waiting = False
+        self._is_closed = False
+
+    def frame_read(self, read_s: float) -> None:
+        """Notes that a frame was read in `read_s` seconds and waits for detection."""
+        with self._changed:
+            self._is_waiting = True
+            self._reads_s.append(read_s)
+
+    def detection_begins(self) -> None:
+        """Notes that detection has taken the waiting frame."""
+        with self._changed:
+            self._is_waiting = False
+            self._started_s = time.perf_counter()
+            self._changed.notify_all()
+
+    def detection_ends(self) -> None:
+        """Notes that detection is finished."""
+        with self._changed:
+            if self._started_s is not None:
+                self._durations_s.append(time.perf_counter() - self._started_s)
+            self._started_s = None
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Makes `wait` return at once, now and later."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+
+    def wait(self) -> None:
+        """Returns when the next frame should be read."""
+        with self._changed:
+            while not self._is_closed and (left_s := self._left_s()) > 0:
+                self._changed.wait(None if left_s == float("inf") else left_s)
+
+    def _left_s(self) -> float:
+        """Returns the time until the next frame should be read, seconds; infinite while a frame waits."""
+        if self._is_waiting:
+            return float("inf")
+        if self._started_s is None or not self._durations_s:
+            return 0.0
+        ends_s = self._started_s + statistics.median(self._durations_s)
+        return ends_s - statistics.median(self._reads_s or [0.0]) - SPARE_S - time.perf_counter()
+
+
+@runtime_checkable
+class Source(Protocol):
+    """A camera, or a played recording. Read by one thread."""
+
+    @property
+    def name(self) -> str:
+        """The name shown to the operator."""
+
+    @property
+    def gives_newest(self) -> bool:
+        """True if `read` returns the newest frame; False if unread frames queue up."""
+
+    @property
+    def skipped(self) -> int:
+        """Number of frames left out to keep the frame rate."""
+
+    def read(self, stop: threading.Event) -> Taken | None:
+        """Waits for the next frame; returns None at the end, or when `stop` is set.
+
+        Raises:
+            FrameError: this frame cannot be read; the next one may be readable.
+            DeviceError: the camera is disconnected or delivers no frames.
+        """
+
+    def resume(self) -> None:
+        """Discards frames that are old by now; called after a pause."""
+
+    def close(self) -> None:
+        """Releases the camera."""
 
 
 @runtime_checkable
@@ -72,9 +339,6 @@ class Pipeline:
             record: receives all detected frames.
             max_frames: end after this number of frames of the source; None = when the source ends.
             report: called with a message for each frame that cannot be read.
-
-        Raises:
-            ConfigError: `max_frames` is less than 1.
         """
         if max_frames is not None and max_frames < 1:
             raise ConfigError(f"cannot show {max_frames} frames; give 1 or more")
@@ -113,11 +377,7 @@ class Pipeline:
             slot.close(empty=True)
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Waits for the end; returns False after `timeout_s` seconds.
-
-        Raises:
-            AnnotatorError: a stage has failed.
-        """
+        """Waits for the end; returns False after `timeout_s` seconds."""
         if not self.ended.wait(timeout_s):
             return False
         if self._error is not None:

@@ -1,4 +1,4 @@
-"""Oriented 3D boxes from 2D boxes on the images, without any training of a view detector.
+"""Oriented 3D boxes of frames in memory, and from 2D boxes on the images, without any training of a view detector.
 
 The 2D boxes come from a file, or are those that were drawn in the project. A 2D detector of any origin takes the place
 of the project's image detector in `annotate` (`RenamedDetector`).
@@ -9,25 +9,63 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.project import Project, StoredFrame
-from annotator.rcv.config import REVISION, RcvConfig
-from annotator.types import Box2D, BoxKind, Detector, Image
+from annotator.project.config import BoxRotation
+from annotator.rcv.config import REVISION, Orientation, RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.propose import propose_from_boxes
+from annotator.types import Box2D, BoxKind, Detector, Frame, Image
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.names import MOST_LISTED, first_few
-from annotator.workflows.detectors import LIFTED_FROM
-from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.detectors import LIFTED_FROM, Detectors
+from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.importing.frame_finder import Renamed
 from annotator.workflows.importing.image_boxes import checked_images
 from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
-from annotator.workflows.proposing.batch_store import AnnotateSummary, Batch
-from annotator.workflows.proposing.engines.runner import failure
-from annotator.workflows.proposing.engines.tasks import FrameAnswer
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
+from annotator.workflows.proposing.runner import failure
+from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+
+
+def propose_frames(
+    frames: Sequence[Frame], detectors: Detectors, config: RcvConfig, rotation: BoxRotation
+) -> list[FrameProposals]:
+    """Returns the proposals of each frame, in the given order.
+
+    Args:
+        config: its orientation and box kind are set here.
+        rotation: the rotations that boxes may have; AUTO depends on the frame's up direction.
+    """
+    image_boxes = detectors.image.detect(frames) if frames else []
+    config = detectors.settings(config)
+    return propose_image_boxes(frames, image_boxes, detectors.view, config, rotation)
+
+
+def propose_image_boxes(
+    frames: Sequence[Frame],
+    image_boxes: Sequence[Sequence[Box2D]],
+    view_detector: Detector,
+    config: RcvConfig,
+    rotation: BoxRotation,
+) -> list[FrameProposals]:
+    """As `propose_frames`, but with given image boxes, one list per frame; sets only the orientation of `config`."""
+    groups: dict[Orientation, list[int]] = defaultdict(list)
+    for index, frame in enumerate(frames):
+        groups[orientation_for(rotation, frame)].append(index)
+    results: dict[int, FrameProposals] = {}
+    for orientation, indices in groups.items():
+        settings = config.model_copy(update={"orientation": orientation})
+        chosen, boxes = [frames[i] for i in indices], [image_boxes[i] for i in indices]
+        done = propose_from_boxes(chosen, boxes, view_detector, settings)
+        results.update(zip(indices, done, strict=True))
+    return [results[index] for index in range(len(frames))]
+
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames)."""
@@ -61,9 +99,6 @@ def drawn_boxes(project: Project, only_without_labels: bool = False) -> GivenBox
 
     Args:
         only_without_labels: only those on frames that have no 3D box yet.
-
-    Raises:
-        ConfigError: there are none.
     """
     drawn = [on_image for on_image in project.boxes.on_images() if on_image.boxes]
     boxes = {on_image.frame_id: on_image.boxes for on_image in drawn}
@@ -126,9 +161,6 @@ class RenamedDetector:
         Args:
             classes: of the project.
             names: as for `boxes_of_file`.
-
-        Raises:
-            ConfigError: the detector has none of the project's classes.
         """
         self._detector = detector
         self._names = {label: names.get(label, label) for label in detector.labels}
@@ -171,9 +203,6 @@ def lift(
     Args:
         view: the project's view detector or the base detector.
         config: the project's settings.
-
-    Raises:
-        ConfigError: the view detector does not know a class of the boxes.
     """
     begin = time.perf_counter()
     require_known(view, {box.label for given in boxes.of_frame.values() for box in given})
@@ -212,11 +241,7 @@ def _kind(boxes: GivenBoxes, frame_id: int) -> BoxKind:
 
 
 def require_known(view: ReadyDetector, labels: Collection[str]) -> None:
-    """Checks that a view detector can measure objects of all these classes.
-
-    Raises:
-        ConfigError: it cannot.
-    """
+    """Checks that a view detector can measure objects of all these classes."""
     unknown = [] if view.class_agnostic else sorted(set(labels) - set(view.labels))
     if unknown:
         raise ConfigError(

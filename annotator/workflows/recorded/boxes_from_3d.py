@@ -23,7 +23,7 @@ from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.frame_subset import share_of
 from annotator.workflows.recorded.labelled_frames import KnownLabels
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.views.places import geometry_of
+from annotator.workflows.views.pairs import geometry_of
 
 # A later import replaces only the boxes of this author.
 AUTHOR = "import of 3D boxes"

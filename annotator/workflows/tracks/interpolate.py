@@ -1,20 +1,57 @@
-"""Interpolates the boxes of a track between its key frames, which are the frames with a reviewed box."""
+"""Interpolates the boxes of a track between its key frames, which are the frames with a reviewed box.
+
+Boxes carried over from other frames can be fitted to the points of the new frame.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from annotator.geometry.iou import iou_3d
 from annotator.project import REVIEWED, Effort, FramePart, Project, Receipt, StoredFrame
-from annotator.tracking.interpolate import between
-from annotator.types import Label
+from annotator.tracking.smooth import between
+from annotator.types import Label, OrientedBox
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
 from annotator.types.label import MOST_TRACK
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.fit_boxes import FitBox
+from annotator.workflows.tracks.link import times_of
 from annotator.workflows.tracks.propose_boxes import NewProposal, part_of, proposal_events
-from annotator.workflows.tracks.times import times_of
+from annotator.workflows.workbench.drawing_steps import frame_config
+from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+from annotator.workflows.workbench.refit import refit
+
+# 3D IoU of the fitted with the given box below which the fit is rejected: it has found another object, or a part.
+MIN_IOU = 0.4
+
+FitBox = Callable[[StoredFrame, OrientedBox, Label], OrientedBox]
+"""(frame, box, label of the object in another frame) -> the box fitted to the frame's points.
+
+The given box if the fit is rejected, or if the detector measures another kind of box than the label's.
+"""
+
+
+def box_fitter(
+    project: Project, open_frame: Callable[[StoredFrame], OpenFrame], detector: ReadyDetector | None
+) -> FitBox:
+    """Returns a function that fits boxes with `refit`.
+
+    Args:
+        open_frame: returns a frame; its errors are passed on.
+        detector: for pseudo-views; without one the sides move to the points inside.
+    """
+
+    def fit(frame: StoredFrame, box: OrientedBox, label: Label) -> OrientedBox:
+        opened = open_frame(frame)
+        config = frame_config(project, opened.frame, detector, label.box_kind)
+        if detector is not None and config.box_kind is not label.box_kind:
+            return box
+        fitted = refit(opened, box, label.label, config, detector).box
+        return fitted if iou_3d(fitted, box) >= MIN_IOU else box
+
+    return fit
 
 
 @dataclass(frozen=True)
@@ -59,10 +96,8 @@ def interpolate(
     Reviewed and rejected labels stay; unreviewed proposals of the same object are replaced.
 
     Args:
-        author: the operator, who can undo this.
         first, last: keys of two key frames, the earlier one first; None = the first or the last key frame.
         fit: fits each new box to its frame's points.
-        effort: the operator's effort for this action.
 
     Raises:
         NotFoundError: no such recording or frame.
@@ -120,9 +155,6 @@ def interpolate_back(
 ) -> Interpolated:
     """Runs `interpolate` from the previous key frame to a reviewed label.
 
-    Args:
-        revision: of the label's frame, as shown to the operator.
-
     Raises:
         StaleRevisionError: the frame was changed in the meantime.
         ConfigError: the label is not reviewed, has no track, or is the first of its track; or as `interpolate`.
@@ -153,11 +185,7 @@ def interpolate_back(
 
 
 def key_frames(project: Project, frames: Sequence[StoredFrame], recording_id: int, track_id: int) -> list[KeyFrame]:
-    """Returns the key frames of a track, in order.
-
-    Raises:
-        ConfigError: two reviewed boxes of the track in one frame.
-    """
+    """Returns the key frames of a track, in order."""
     indices = {frame.id: index for index, frame in enumerate(frames)}
     keys: dict[int, KeyFrame] = {}
     for stored in project.labels.select(states=REVIEWED, recordings=[recording_id], tracks=[track_id]):
@@ -175,11 +203,7 @@ def key_frames(project: Project, frames: Sequence[StoredFrame], recording_id: in
 def _chosen(
     keys: list[KeyFrame], frames: Sequence[StoredFrame], track_id: int, first: str | None, last: str | None
 ) -> list[KeyFrame]:
-    """Returns the key frames from `first` to `last`.
-
-    Raises:
-        NotFoundError, ConfigError: as `interpolate`.
-    """
+    """Returns the key frames from `first` to `last`."""
     by_key = {frame.key: index for index, frame in enumerate(frames)}
     ends = []
     for name in (first, last):

@@ -12,21 +12,38 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 
 from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredLabel, WriteContext
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.project.log.records import BoxRecord
+from annotator.recordings import Recording
 from annotator.recordings.kitti.folder import KittiFolder
-from annotator.tracking.config import TrackingConfig
-from annotator.tracking.link import Seen, Track, link
+from annotator.recordings.times import recorded_times
+from annotator.tracking.link import Seen, Track, TrackingConfig, frame_times, link, numbered
 from annotator.tracking.smooth import TrackBox, smoothed
-from annotator.tracking.track_ids import numbered
 from annotator.types import OrientedBox, ReviewState, Source
 from annotator.types.errors import FinalisedFrameError, StaleRevisionError
 from annotator.types.label import AttributeValue
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.tracks.times import times_of
+
+
+def times_of(recording: Recording, frames: Sequence[StoredFrame]) -> Float64[np.ndarray, "n"]:
+    """Returns the times of some frames of a recording in units of the frame interval (`frame_times`), so that dropped
+    frames are gaps. Without recorded times, these are the frames' indices.
+
+    Args:
+        frames: in the order of the recording.
+
+    Raises:
+        FrameError: the recording's times are broken.
+    """
+    times_ns = recorded_times(recording)
+    if times_ns is None:
+        return np.array([float(frame.index or 0) for frame in frames])
+    return frame_times([times_ns.get(frame.key) for frame in frames])
+
 
 AUTHOR = "tracks"
 LINKED_STATES = (ReviewState.PROPOSED, *REVIEWED)

@@ -29,7 +29,7 @@ from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, Label, Orie
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.detectors import UsedModel, load_detector
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.proposing.propose_frames import propose_image_boxes
+from annotator.workflows.proposing.lift import propose_image_boxes
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import frame_group
 
@@ -85,11 +85,7 @@ def measured_ious(decision: Decision) -> str:
 
 
 def read_decision(folder: Path) -> Decision | None:
-    """Returns the decision beside a model; None for one that was not trained by `annotator train`, or before 0.3.
-
-    Raises:
-        FormatError: it cannot be read.
-    """
+    """Returns the decision beside a model; None for one that was not trained by `annotator train`, or before 0.3."""
     path = folder / DECISION_NAME
     if not path.is_file():
         return None
@@ -160,9 +156,6 @@ class HeldOut:
         """Mean 3D IoU of the boxes that a view detector finds from the objects' boxes on the image.
 
         A class-agnostic detector measures what the labels enclose, since it knows both kinds of boxes.
-
-        Raises:
-            DetectionError, FormatError: the detector cannot be loaded.
         """
         detector = load_detector(model.path, names=model.names)
         view_px = read_trained(model.path.parent).image_size_px

@@ -1,21 +1,120 @@
-"""The report on a trained detector: number of training boxes, training curves, validation images."""
+"""The report on a trained detector: number of training boxes, training curves, and its boxes on validation images."""
 
 from __future__ import annotations
 
 import csv
 import logging
 import math
+import shutil
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import UInt8
+
 from annotator.detection.dataset import GENERATED
-from annotator.detection.manifest import MANIFEST_NAME, read_manifest
+from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_manifest
 from annotator.files import DOCUMENT_BYTES, open_text_file
+from annotator.image_bytes import read_image
 from annotator.project import StoredModel
-from annotator.types.errors import FormatError
+from annotator.types import Box2D, Detector
+from annotator.types.errors import DetectionError, FormatError
 from annotator.workflows.training.held_out import Decision, read_decision
-from annotator.workflows.training.validation_pictures import validation_pictures
+
+FOLDER = "validation"
+PICTURES = 8
+SHOWN_FROM = 0.25
+# Smaller images are enlarged, so that lines and text do not cover the objects.
+LONG_SIDE_PX = 448
+COLOURS_BGR = ((60, 200, 255), (120, 220, 80), (255, 140, 80), (200, 110, 255), (90, 120, 255))
+
+
+@dataclass(frozen=True)
+class _Picture:
+    rgb: UInt8[np.ndarray, "h w 3"]
+
+
+def write_validation_pictures(dataset: Path, manifest: DatasetManifest, detector: Detector, model: Path) -> list[Path]:
+    """Draws a detector's boxes on validation images, and writes these beside the model.
+
+    Args:
+        dataset: the folder of its dataset.
+        manifest: of that dataset.
+        model: the folder of the model.
+    """
+    pictures = [_read(dataset / name) for name in _chosen(manifest)]
+    detections = detector.detect(pictures)
+    folder = model / FOLDER
+    temporary = Path(tempfile.mkdtemp(prefix=f".{FOLDER}.", dir=model))
+    try:
+        for number, (picture, boxes) in enumerate(zip(pictures, detections, strict=True)):
+            _write(temporary / f"{number}.jpg", _drawn(picture.rgb, boxes, manifest.classes))
+        shutil.rmtree(folder, ignore_errors=True)
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return validation_pictures(model)
+
+
+def validation_pictures(model: Path) -> list[Path]:
+    """Returns the validation images beside a model, in order; a model that was not trained here has none."""
+    pictures = (path for path in (model / FOLDER).glob("*.jpg") if path.stem.isdecimal() and not path.is_symlink())
+    return sorted(pictures, key=lambda path: int(path.stem))
+
+
+def _chosen(manifest: DatasetManifest) -> list[str]:
+    """Chooses evenly spaced validation images with boxes."""
+    labelled = [entry.image for entry in manifest.entries if entry.split == manifest.measured_on and entry.boxes]
+    if len(labelled) <= PICTURES:
+        return labelled
+    return [labelled[round(index)] for index in np.linspace(0, len(labelled) - 1, PICTURES)]
+
+
+def _read(path: Path) -> _Picture:
+    import cv2
+
+    try:
+        bgr = read_image(path, cv2.IMREAD_COLOR)
+    except (OSError, ValueError) as error:
+        raise DetectionError(f"{path}: the image cannot be read ({error}); train again") from error
+    return _Picture(np.ascontiguousarray(bgr[..., ::-1]))
+
+
+def _write(path: Path, bgr: UInt8[np.ndarray, "h w 3"]) -> None:
+    import cv2
+
+    if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_JPEG_QUALITY, 90]):
+        raise DetectionError(f"{path}: cannot be written; is the disk full?")
+
+
+def _drawn(
+    rgb: UInt8[np.ndarray, "h w 3"], boxes: Sequence[Box2D], classes: Sequence[str]
+) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """Returns the image, enlarged, with boxes and scores; BGR order."""
+    import cv2
+
+    scale = max(LONG_SIDE_PX / max(rgb.shape[:2]), 1.0)
+    height, width = (round(side * scale) for side in rgb.shape[:2])
+    bgr = cv2.resize(np.ascontiguousarray(rgb[..., ::-1]), (width, height), interpolation=cv2.INTER_LINEAR)
+    for box in boxes:
+        if box.score < SHOWN_FROM:
+            continue
+        colour = COLOURS_BGR[classes.index(box.label) % len(COLOURS_BGR) if box.label in classes else 0]
+        # the centre of the first pixel is (0, 0), in the enlarged image too: hence the shift by half a pixel
+        corners = (np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]]) + 0.5) * scale - 0.5
+        (x_min, y_min), (x_max, y_max) = np.rint(corners).astype(int).tolist()
+        cv2.rectangle(bgr, (x_min, y_min), (x_max, y_max), colour, 2, cv2.LINE_AA)
+        text = f"{box.label} {box.score:.2f}"
+        # OpenCV draws ASCII only
+        text = text.encode("ascii", "replace").decode()
+        place = (max(x_min, 2), y_min - 5 if y_min > 16 else y_max - 5)
+        for thickness, tone in ((3, (0, 0, 0)), (1, colour)):
+            cv2.putText(bgr, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, tone, thickness, cv2.LINE_AA)
+    return bgr
+
 
 LOG = logging.getLogger(__name__)
 CURVES = "curves.csv"

@@ -194,9 +194,6 @@ class Choice:
 
         Args:
             note: what its training started from, for people.
-
-        Raises:
-            DetectionError, FormatError: it cannot be measured.
         """
         new = own_model(self.project, model)
         iou = self.held_out.mean_iou(new) if self.held_out.decides else None

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate, chain
+from itertools import accumulate
+from pathlib import Path
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.dataset import TrainingSample
-from annotator.detection.manifest import DatasetManifest
+from annotator.detection.dataset import TrainingSample, write_dataset
+from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
 from annotator.detection.pretrained import check_start
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.detection.tiles import tiled
-from annotator.detection.trained import MODEL_NAME, TrainedModel
-from annotator.project import Project, StoredModel
+from annotator.detection.trained import MODEL_NAME, RUN_NAME, TrainedModel, read_run
+from annotator.detection.training import train_detector
+from annotator.project import Project, StoredFrame, StoredModel
 from annotator.rcv.config import RcvConfig
-from annotator.types import DetectorKind
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.amounts import amount
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.training.agnostic_samples import MOST_DRAWS, agnostic_samples, with_generated
 from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
-from annotator.workflows.training.pasted_samples import pasted_image_samples, pasted_view_samples
+from annotator.workflows.training.model_report import write_validation_pictures
 from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
     FIRST_PART_S,
@@ -36,17 +39,148 @@ from annotator.workflows.training.rounds import (
     part_seconds,
     starting_config,
 )
-from annotator.workflows.training.run import (
-    LeftOut,
-    Ran,
-    Report,
-    Run,
-    Stop,
-    remove_leftovers,
-    settings_hash,
-    unless_stopped,
+from annotator.workflows.training.samples import (
+    Material,
+    SampleConfig,
+    agnostic_samples,
+    gather,
+    image_samples,
+    view_samples,
+    with_generated,
 )
-from annotator.workflows.training.samples import Material, SampleConfig, gather, image_samples, view_samples
+
+DATASET = "dataset"
+
+Report = Callable[[TrainingProgress], None]
+Stop = Callable[[], bool]
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A finished run: the registered model, which may be inactive, the trained network and its training set."""
+
+    model: StoredModel
+    result: TrainedModel
+    manifest: DatasetManifest
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run of one detector's training.
+
+    Attributes:
+        classes: of the detector.
+        kind: what its boxes measure.
+        holds_out: whether held-out frames only validate; False: all frames train.
+    """
+
+    project: Project
+    role: DetectorKind
+    classes: tuple[str, ...]
+    kind: BoxKind
+    holds_out: bool = True
+    _since_ns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        # classes that are renamed from now on are translated
+        object.__setattr__(self, "_since_ns", self.project.store.clock())
+
+    @property
+    def _folder(self) -> Path:
+        return self.project.models_folder / self.role.value
+
+    def write(self, samples: Iterable[TrainingSample]) -> DatasetManifest:
+        """Writes the training set, which replaces the last one of this role."""
+        held_out = held_out_groups(self.project) if self.holds_out else frozenset()
+        return write_dataset(self._folder / DATASET, samples, self.classes, held_out.__contains__, self.kind)
+
+    def train(self, manifest: DatasetManifest, config: TrainingConfig, report: Report | None, stop: Stop | None) -> Ran:
+        """Trains on the written set, and registers the model without activating it.
+
+        Raises:
+            ConfigError, DetectionError, TrainingStoppedError: as `train_detector`.
+        """
+        dataset, out = self._folder / DATASET, self._folder / run_name(manifest, config)
+        try:
+            result = train_detector(dataset, out, config, report, self.role, stop)
+        except TrainingStoppedError:
+            if config.seconds is not None:  # its settings depend on the clock, so no later run continues it
+                shutil.rmtree(out, ignore_errors=True)
+            raise
+        model_manifest = out / MANIFEST_NAME
+        # the next training overwrites the dataset; the model keeps the list of its labels
+        shutil.copyfile(dataset / MANIFEST_NAME, model_manifest)
+        detector = load_detector(result.weights)
+        write_validation_pictures(dataset, manifest, detector, out)
+        return Ran(self._registered(result, model_manifest, detector.fingerprint), result, manifest)
+
+    def _registered(self, result: TrainedModel, manifest: Path, fingerprint: str) -> StoredModel:
+        """Registers the model, unless it is registered already."""
+        for known in self.project.models.all(self.role):
+            if known.fingerprint == fingerprint and known.path.resolve() == result.weights.resolve():
+                return known
+        return self.project.models.register(
+            self.role,
+            result.weights,
+            labels=result.classes,
+            box_kind=self.kind,
+            metrics=result.metrics.model_dump(exclude={"measured_on"}),
+            fingerprint=fingerprint,
+            manifest=manifest,
+            activate=False,
+            created_ns=self._since_ns,
+        )
+
+
+@dataclass(eq=False)
+class LeftOut:
+    """Collects messages on data left out."""
+
+    lines: list[str] = field(default_factory=list)
+
+    def skip(self, stored: StoredFrame, error: FrameError) -> None:
+        """Adds a frame that cannot be read, once."""
+        line = f"frame {stored.key}: {error}"
+        if line not in self.lines:
+            self.lines.append(line)
+
+
+def unless_stopped(samples: Iterable[TrainingSample], check_stop: Callable[[], None]) -> Iterator[TrainingSample]:
+    """Yields the samples; `check_stop` is called after each and may raise to end that."""
+    for sample in samples:
+        yield sample
+        check_stop()
+
+
+def remove_leftovers(project: Project, role: DetectorKind) -> None:
+    """Removes what killed trainings of a role left: incomplete training sets, and timed runs without a model."""
+    folder = project.models_folder / role.value
+    registered = {model.path.parent.resolve() for model in project.models.all(role)}
+    leftovers = list(folder.glob(f".{DATASET}.part-*"))
+    for run in (path.parent for path in folder.glob(f"*/{RUN_NAME}")):
+        if run.resolve() not in registered and _is_timed(run):
+            leftovers.append(run)
+    for path in leftovers:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_timed(folder: Path) -> bool:
+    try:
+        run = read_run(folder)
+    except FormatError:  # reported by a training that would continue it
+        return False
+    return run is not None and run.is_timed
+
+
+def run_name(manifest: DatasetManifest, config: TrainingConfig) -> str:
+    """Returns the folder name of a training, which depends on the labels and settings only."""
+    return f"{manifest.sha256[:12]}-{settings_hash(config)}"
+
+
+def settings_hash(config: TrainingConfig) -> str:
+    """Hash of the settings of a run."""
+    return hashlib.sha256(config.model_dump_json().encode()).hexdigest()[:8]
+
 
 # Objects are small in camera images, hence the larger input; and there are fewer images than pseudo-views.
 IMAGE_DEFAULTS = TrainingConfig(image_size_px=192, pictures_seen=2800)
@@ -166,9 +300,6 @@ def _check_start(project: Project, role: DetectorKind, config: TrainingConfig) -
 
     Whether that training used the present labels is known only once the dataset is written; if not, the training
     itself raises the error.
-
-    Raises:
-        ConfigError, DetectionError: as `check_start`.
     """
     try:
         check_start(config)
@@ -186,9 +317,7 @@ def _train_image(
         left_out.lines.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
     real = image_samples(project, material, left_out.skip)
-    held_out, rcv = _held_out(project, plan), plan.rcv or rcv_config(project)
-    pasted = pasted_image_samples(project, material, rcv, plan.samples, held_out, left_out.skip)
-    written = run.write(unless_stopped(chain(real, pasted), partial(_check_stop, stop)))
+    written = run.write(unless_stopped(real, partial(_check_stop, stop)))
     config = image_config(project, plan.image, written.sha256, plan.decides)
     ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
@@ -282,14 +411,9 @@ class _ViewTraining:
         """The project's views, and generated ones if the detector at the start is class-agnostic."""
         project, material, rcv, skip = self.project, self.material, self.rcv, self.left_out.skip
         agnostic = origin is not None and origin.class_agnostic
-        most_draws = MOST_DRAWS if agnostic else drawing.most_draws
-        held_out = _held_out(project, self.plan)
-        views = pasted_view_samples(project, material, rcv, drawing, most_draws, held_out, agnostic, skip)
-        pasted = list(unless_stopped(views, self._check_stop))
-        rest = drawing.without(len(pasted))
         if origin is None or not agnostic:
-            return chain(pasted, view_samples(project, material, rcv, rest, skip))
-        own = chain(pasted, agnostic_samples(project, material, rcv, rest, load_detector(origin.path), skip))
+            return view_samples(project, material, rcv, drawing, skip)
+        own = agnostic_samples(project, material, rcv, drawing, load_detector(origin.path), skip)
         return with_generated(own, self.plan.generated_share, self.view_px, drawing.seed)
 
 
@@ -300,11 +424,6 @@ def _check_stop(stop: Stop | None) -> None:
     """
     if stop is not None and stop():
         raise TrainingStoppedError("training was stopped; train again to begin anew or to resume")
-
-
-def _held_out(project: Project, plan: TrainPlan) -> frozenset[str]:
-    """The groups of the frames that do not train."""
-    return held_out_groups(project) if plan.decides else frozenset()
 
 
 def _in_part(report: Report, part: int, parts: int, step: TrainingProgress) -> None:

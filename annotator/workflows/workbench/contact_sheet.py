@@ -1,20 +1,160 @@
-"""The contact sheet of a track: a small picture of each of its boxes, along its own axes, to be accepted together."""
+"""Small pictures of 3D boxes along their own axes: the three views to edit a box in, and the contact sheet of a track.
+
+The object is seen from above, from its front, and from its right: a view shows the nearest points of the side that it
+is named after. Points outside the box are dimmed. The pictures of contact sheets, whose boxes are accepted together,
+are drawn ahead, those of the selected track first, and kept.
+"""
 
 from __future__ import annotations
 
+import logging
+import threading
+from collections import OrderedDict, defaultdict, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.thinning import thin
-from annotator.project import Effort, FramePart, Project, Receipt, WriteContext
+from annotator.project import Effort, FramePart, Project, Receipt, StoredFrame, WriteContext
+from annotator.project.boxes import png
 from annotator.project.log.event_types import LabelAccepted
-from annotator.types import Frame, OrientedBox, ReviewState
-from annotator.types.errors import ConfigError
-from annotator.workflows.workbench.ortho_views import shown_volume, views_of_points
+from annotator.rcv.drawing import BACKGROUND, Window, draw_views, pack_colors
+from annotator.rcv.pseudo_view import point_colors
+from annotator.types import Frame, Label, OrientedBox, PointCloud, PseudoView, ReviewState
+from annotator.types.errors import AnnotatorError, ConfigError, FrameError
+from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
+
+# Margin on each side of a view, share of the box's longest side; and in front of and behind the box, share of its
+# depth. Enough for context, without the wall behind.
+MARGIN = 0.35
+DEPTH_MARGIN = 0.5
+# Points outside the box keep this share of their contrast to the background.
+DIMMED = 0.3
+MAX_SPLAT_PX = 9
+# Larger clouds are thinned out to these numbers of points: views cannot show more.
+MAX_INSIDE, MAX_AROUND = 40_000, 25_000
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The name of a view, and the box's axes that point right, down and into it: (axis, sign) each."""
+
+    name: str
+    right: tuple[int, int]
+    down: tuple[int, int]
+    depth: tuple[int, int]
+
+
+# x length (its positive end is the front), y width (positive: left), z height. In the top view, the heading is up. In
+# the others, height is up: in the front view, the object's left is on the right, as of a person who faces you; in the
+# side view, which shows the right side, the heading is on the right.
+AXES = (
+    Axis("top", (1, -1), (0, -1), (2, -1)),
+    Axis("front", (1, 1), (2, -1), (0, -1)),
+    Axis("side", (0, 1), (2, -1), (1, 1)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class OrthoView:
+    """A view and its name: top, front or side (the right one)."""
+
+    name: str
+    view: PseudoView
+
+
+def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> list[OrthoView]:
+    """Returns the top, front and side view of a box.
+
+    Args:
+        size_px: side length of each (square) view, pixels.
+    """
+    return views_of_points(opened.frame.cloud, opened.index.inside(shown_volume(box)), box, size_px)
+
+
+def shown_volume(box: OrientedBox) -> OrientedBox:
+    """Returns the box that encloses all points that the three views of a box may show."""
+    return replace(box, size_m=_shown(box, 2 * MARGIN * float(box.size_m.max())))
+
+
+def views_of_points(
+    points: PointCloud, near: Int64[np.ndarray, "k"], box: OrientedBox, size_px: int
+) -> list[OrthoView]:
+    """As `ortho_views`.
+
+    Args:
+        near: indices of the points in `shown_volume`.
+    """
+    cloud, is_inside = _near(points, near, box)
+    colors = point_colors(cloud)
+    if colors is not None:
+        colors = _dimmed(colors, is_inside)
+    local = (cloud.xyz_m - box.center_m.astype(np.float32)) @ box.rotation.astype(np.float32)
+    return [OrthoView(axis.name, _view(axis, box, cloud, local, colors, size_px)) for axis in AXES]
+
+
+def _near(
+    points: PointCloud, near: Int64[np.ndarray, "k"], box: OrientedBox
+) -> tuple[PointCloud, Bool[np.ndarray, "n"]]:
+    """Returns the points that the views may show, thinned out, and the mask of those in the box."""
+    is_inside = contains(box, points.xyz_m[near])
+    inside, around = _thinned(near[is_inside], MAX_INSIDE), _thinned(near[~is_inside], MAX_AROUND)
+    cloud = replace(points, normals=None).select(np.concatenate([inside, around]))
+    return cloud, np.arange(len(cloud)) < len(inside)
+
+
+def _thinned(indices: Int64[np.ndarray, "n"], limit: int) -> Int64[np.ndarray, "m"]:
+    return indices if len(indices) <= limit else indices[np.linspace(0, len(indices) - 1, limit).astype(np.int64)]
+
+
+def _shown(box: OrientedBox, margin_m: float) -> Float64[np.ndarray, "3"]:
+    """Returns the sides of the box that encloses the volumes of all three views, metres."""
+    return np.maximum(np.full(3, float(box.size_m.max())) + margin_m, box.size_m * (1 + 2 * DEPTH_MARGIN))
+
+
+def _dimmed(colors: UInt8[np.ndarray, "n 3"], inside: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
+    dim = BACKGROUND + DIMMED * (colors[~inside].astype(np.float32) - BACKGROUND)
+    colors = colors.copy()
+    colors[~inside] = dim.astype(np.uint8)
+    return colors
+
+
+def _view(
+    axis: Axis,
+    box: OrientedBox,
+    cloud: PointCloud,
+    local: Float[np.ndarray, "n 3"],
+    colors: UInt8[np.ndarray, "n 3"] | None,
+    size_px: int,
+) -> PseudoView:
+    rows = np.stack([sign * box.rotation[:, which] for which, sign in (axis.right, axis.down, axis.depth)])
+    center = rows @ box.center_m
+    sides = box.size_m[[axis.right[0], axis.down[0]]]
+    scale = float(sides.max() * (1 + 2 * MARGIN)) / size_px
+    origin = center[:2] - (size_px - 1) / 2 * scale
+    along = np.stack([sign * local[:, which] for which, sign in (axis.right, axis.down, axis.depth)])
+    half = (size_px - 0.5) / 2 * scale
+    depth = box.size_m[axis.depth[0]]
+    shown = (np.abs(along[0]) < half) & (np.abs(along[1]) < half) & (np.abs(along[2]) < depth * (0.5 + DEPTH_MARGIN))
+    rgb = np.full((size_px, size_px, 3), BACKGROUND, np.uint8)
+    if shown.any():
+        xyz = np.ascontiguousarray(along[:, shown], np.float32)
+        depths = np.array([[xyz[2].min(), xyz[2].max()]])
+        window = Window(origin - center[:2], scale, size_px, size_px)
+        packed = pack_colors(None if colors is None else np.ascontiguousarray(colors[shown]), int(shown.sum()))
+        (rgb,) = draw_views(xyz, packed, np.eye(3, dtype=np.float32)[None], [window], depths, MAX_SPLAT_PX)
+    return PseudoView(rgb, _right_handed(rows), scale, origin, cloud.xyz_m[shown])
+
+
+def _right_handed(rows: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3 3"]:
+    """Asserts that right, down and into the view form a right-handed frame, as `AXES` must give."""
+    assert np.linalg.det(rows) > 0
+    return rows
+
 
 # Side of each of the three views, and their distance, pixels; points that they are drawn from, at most.
 VIEW_PX, GAP_PX, MOST_POINTS = 96, 2, 8_000
@@ -64,9 +204,6 @@ def accept_boxes(
 ) -> tuple[tuple[int, Receipt], ...]:
     """Accepts proposals in several frames, all or none, as one action; returns each frame's receipt.
 
-    Args:
-        effort: the operator's effort for this action.
-
     Raises:
         ConfigError: there is no box, or one of them is no proposal (any more).
         NotFoundError: no such frame or label.
@@ -90,3 +227,143 @@ def accept_boxes(
     ]
     receipts = project.log.append_to_frames(parts)
     return tuple(zip(by_frame, receipts, strict=True))
+
+
+LOG = logging.getLogger("annotator.web")
+
+# A picture takes some 15 kB.
+MOST_PICTURES = 4000
+# Pause after each frame that is drawn ahead, so that requests go first, seconds.
+PAUSE_S = 0.05
+
+
+Key = tuple[object, ...]
+
+
+class SheetPictures:
+    """Draws and keeps pictures of boxes. Thread-safe."""
+
+    def __init__(self, frames: FrameCache, most: int = MOST_PICTURES) -> None:
+        self._frames, self._most = frames, most
+        self._lock = threading.Lock()
+        self._pictures: OrderedDict[Key, bytes] = OrderedDict()
+        self._being_drawn: dict[Key, Future[bytes]] = {}
+        self._executor = ThreadPoolExecutor(1, "sheets")
+        self._drawing: set[tuple[Project, int]] = set()
+        # boxes to draw before the others of their recording
+        self._first: dict[tuple[Project, int], deque[tuple[StoredFrame, list[Label]]]] = {}
+        self._closed = threading.Event()
+
+    def close(self) -> None:
+        """Stops drawing ahead."""
+        self._closed.set()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def get(self, project: Project, stored: StoredFrame, box: OrientedBox, frame: Frame | None = None) -> bytes:
+        """The picture of a box as a PNG file; drawn once, even if several threads ask for it.
+
+        Args:
+            frame: the frame, if it is read already.
+
+        Raises:
+            FrameError, RecordingError: the frame cannot be read.
+        """
+        key = self._key(project, stored, box)
+        with self._lock:
+            known, drawn_by_other = self._known(key), self._being_drawn.get(key)
+            mine: Future[bytes] = Future()
+            if known is None and drawn_by_other is None:
+                self._being_drawn[key] = mine
+        if known is not None:
+            return known
+        if drawn_by_other is not None:
+            return drawn_by_other.result()
+        try:
+            content = png(picture(self._frames.look(project, stored) if frame is None else frame, box))
+            mine.set_result(content)
+        except BaseException as error:
+            mine.set_exception(error)
+            raise
+        finally:
+            with self._lock:
+                del self._being_drawn[key]
+        with self._lock:
+            self._pictures[key] = content
+            while len(self._pictures) > self._most:
+                self._pictures.popitem(last=False)
+        return content
+
+    def prepare(self, project: Project, recording_id: int, track: Sequence[tuple[StoredFrame, Label]] = ()) -> None:
+        """Draws pictures in the background: those of a track first, then of a recording's open proposals."""
+        job = project, recording_id
+        with self._lock:
+            self._first[job] = deque((stored, [label]) for stored, label in track if stored.index is not None)
+            if job in self._drawing or self._closed.is_set():
+                return
+            self._drawing.add(job)
+        self._executor.submit(self._prepare, project, recording_id)
+
+    def _prepare(self, project: Project, recording_id: int) -> None:
+        job = project, recording_id
+        try:
+            rest = self._open_proposals(project, recording_id)
+            while not self._closed.is_set():
+                with self._lock:
+                    waiting = self._first[job] or rest
+                    if not waiting:
+                        break
+                    stored, labels = waiting.popleft()
+                self._prepare_frame(project, stored, labels)
+        except AnnotatorError as error:
+            LOG.info("the contact sheets were not drawn ahead: %s", error)
+        finally:
+            with self._lock:
+                self._drawing.discard(job)
+                self._first.pop(job, None)
+
+    def _open_proposals(self, project: Project, recording_id: int) -> deque[tuple[StoredFrame, list[Label]]]:
+        """The open proposals of a recording, frame by frame, as many as are kept."""
+        by_frame: dict[int, list[Label]] = defaultdict(list)
+        for each in project.labels.select(states=[ReviewState.PROPOSED], recordings=[recording_id]):
+            by_frame[each.frame_id].append(each.label)
+        chosen: deque[tuple[StoredFrame, list[Label]]] = deque()
+        left = self._most
+        for stored in project.frames.of([recording_id]):
+            left -= len(by_frame[stored.id])
+            if left < 0:
+                break
+            if stored.index is not None and by_frame[stored.id]:
+                chosen.append((stored, by_frame[stored.id]))
+        return chosen
+
+    def _prepare_frame(self, project: Project, stored: StoredFrame, labels: list[Label]) -> None:
+        keys = [self._key(project, stored, label.box) for label in labels]
+        with self._lock:
+            missing = [
+                label
+                for key, label in zip(keys, labels, strict=True)
+                if self._known(key) is None and key not in self._being_drawn
+            ]
+        if not missing:
+            return
+        try:
+            frame = self._frames.look(project, stored)
+        except FrameError as error:  # shown when the frame is opened
+            LOG.info("%s", error)
+            return
+        for label in missing:
+            self.get(project, stored, label.box, frame)
+        self._closed.wait(PAUSE_S)
+
+    def _known(self, key: Key) -> bytes | None:
+        """Must be called with the lock."""
+        if key in self._pictures:
+            self._pictures.move_to_end(key)
+        return self._pictures.get(key)
+
+    @staticmethod
+    def _key(project: Project, stored: StoredFrame, box: OrientedBox) -> Key:
+        pose = box.pose.tobytes()
+        adjusted = project.adjustments.newest(stored.recording_id)
+        # not its path: another project can take its place
+        return project, stored.id, stored.key, adjusted, pose, box.size_m.tobytes()

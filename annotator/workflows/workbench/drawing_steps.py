@@ -21,7 +21,9 @@ For boxes around the whole object (`BoxKind.BOX`) with a known up direction, the
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeGuard
@@ -30,22 +32,98 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.geometry.edges import visible_edges
-from annotator.geometry.oriented_box import canonical_box
-from annotator.project import Project
+from annotator.geometry.oriented_box import box_corners, canonical_box
+from annotator.project import BoxRotation, Project, StoredFrame, ViewBoxes
 from annotator.rcv.axes import camera_axes, match_axes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import make_pair, measured_intervals
 from annotator.rcv.interval_fit import fit_box
 from annotator.rcv.operator import Span, first_views, next_views
 from annotator.rcv.recursion import held_direction
+from annotator.rcv.whole_box import Offered, SeenObject, whole_boxes
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
-from annotator.types.errors import AnnotatorError, ConfigError
-from annotator.workflows.frame_source import orientation_for
+from annotator.types.errors import AnnotatorError, ConfigError, FrameError
+from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.settings import rcv_config
+from annotator.workflows.training.samples import drawn_objects, taught_by_drags
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import FoundBox, find_box, not_found
-from annotator.workflows.workbench.suggested_boxes import suggested_boxes, turned_onto
+
+# Smallest side of a suggested box, pixels: it must be possible to grab it.
+MIN_SIDE_PX = 2.0
+# Cosine of the largest angle by which a box is turned onto the axes of views.
+SAME_AXES = float(np.cos(np.deg2rad(20)))
+
+
+def suggested_boxes(
+    opened: OpenFrame,
+    views: tuple[PseudoView, PseudoView],
+    drawn: Sequence[Box2D | None],
+    image_box: Box2D,
+    box: OrientedBox | None,
+    kind: BoxKind,
+) -> tuple[Box2D | None, Box2D | None]:
+    """Returns a box for each view of a step on which none is drawn, within the view.
+
+    A silhouette ends with the object's points, a box with the 3D box. If only one box is drawn, the other one takes
+    over its span along the axis that both views share.
+
+    Args:
+        views: front and side.
+        drawn: on each of them, or None.
+        image_box: has the object's class.
+        box: the object's 3D box; None = nothing is suggested.
+        kind: what the boxes measure.
+    """
+    if box is None or None not in drawn:
+        return None, None
+    if kind is BoxKind.SILHOUETTE:
+        points = opened.frame.cloud.xyz_m[opened.index.inside(box)].astype(np.float64)
+    else:
+        points = box_corners(box)
+    if len(points) == 0:
+        return None, None
+    shared = next(
+        (view.interval_m(known)[1] for view, known in zip(views, drawn, strict=True) if known is not None), None
+    )
+    front, side = (
+        _around(view, points, shared, image_box.label) if known is None else None
+        for view, known in zip(views, drawn, strict=True)
+    )
+    return front, side
+
+
+def turned_onto(box: OrientedBox, axes: Float64[np.ndarray, "3 3"]) -> OrientedBox:
+    """Returns the box turned so that its axes are the rows of `axes`; unchanged if they differ by more than 20 degrees.
+
+    A box fitted after the operator has drawn on a view is thereby measured along that view.
+    """
+    rows = match_axes(box.rotation.T, axes)
+    if np.einsum("ij,ij->i", rows, axes).min() < SAME_AXES:
+        return box
+    permutation = np.abs(np.rint(rows @ box.rotation))
+    return OrientedBox.from_parts(box.center_m, axes.T, permutation @ box.size_m)
+
+
+def _around(
+    view: PseudoView, points: Float64[np.ndarray, "n 3"], shared_m: Float64[np.ndarray, "2"] | None, label: str
+) -> Box2D | None:
+    """The box around points on a view, clipped to it; None if they are outside."""
+    on_view = points @ view.axes[:2].T
+    spans_m = np.stack([on_view.min(axis=0), on_view.max(axis=0)], axis=1)
+    if shared_m is not None:
+        spans_m[1] = shared_m
+    height_px, width_px = view.rgb.shape[:2]
+    box = view.box_px(spans_m, label)
+    ends = np.array([[box.x_min, box.x_max], [box.y_min, box.y_max]])
+    middles, halves = ends.mean(axis=1), np.maximum(np.diff(ends)[:, 0], MIN_SIDE_PX) / 2
+    low = np.clip(middles - halves, -0.5, None)
+    high = np.clip(middles + halves, None, np.array([width_px, height_px]) - 0.5)
+    if (high - low < MIN_SIDE_PX / 2).any():
+        return None
+    return Box2D(label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
 
 Views = tuple[PseudoView, PseudoView]
 Boxes = Sequence[Box2D | None]
@@ -189,9 +267,6 @@ def label_steps(
         kind: what the boxes measure.
         axes: rows = axes of the second step's front view, if a box was drawn on that step; None = not decided yet.
         fit: suggests boxes; None = no suggestions.
-
-    Raises:
-        ConfigError: more than four boxes.
     """
     if len(boxes) > MAX_BOXES:
         raise ConfigError(f"an object has {MAX_BOXES} boxes on its views, not {len(boxes)}")
@@ -271,3 +346,94 @@ def _labelling(
         return Labelling(steps, None, np.zeros((0, 2, 2)), points, stop, note)
     outline = visible_edges(opened.frame.camera, [box])[0]
     return Labelling(steps, box, outline, opened.points_in(box), stop, note)
+
+
+# Frames whose drawn objects are kept; one object takes some 200 kB.
+MOST_FRAMES = 300
+
+
+class WholeBoxes:
+    """Offers whole boxes for the drawn objects of a project; remembers what its frames show of them. Thread-safe."""
+
+    def __init__(self, project: Project, read: Callable[[StoredFrame], Frame] | None = None) -> None:
+        """
+        Args:
+            read: reads a frame of the project; None = with a `FrameSource`, for recordings that stay where they are.
+        """
+        self.project = project
+        self._read_frame = read or FrameSource(project).read
+        self._lock = threading.Lock()
+        self._seen: OrderedDict[tuple[int, BoxRotation, int, tuple[int, ...]], list[SeenObject]] = OrderedDict()
+
+    def of(self, frame: Frame, stored: StoredFrame, image_box: Box2D, detector: ReadyDetector | None) -> list[Offered]:
+        """Returns the boxes that a drawn object may have, best first; none while its silhouettes are not all drawn.
+
+        Args:
+            frame, stored: its frame.
+            image_box: drawn on the camera image.
+            detector: for pseudo-views; used if it knows whole boxes.
+        """
+        views = [one for one in self._drawn(stored.id) if _image_box(one) == image_box]
+        cut = taught_by_drags(frame, views[0]) if views else None
+        seen = next((one for one in self._objects(stored, frame) if one.image_box == image_box), None)
+        if cut is None or cut.points is None or seen is None:
+            return []
+        config = frame_config(self.project, frame, detector, BoxKind.BOX, BoxKind.SILHOUETTE)
+        view = detector if config.box_kind is BoxKind.BOX else None
+        cloud = frame.cloud.select(cut.points)
+        before, after = self._others(stored, image_box.label)
+        return whole_boxes(seen, cloud, before, after, view, config)
+
+    def _others(self, stored: StoredFrame, label: str) -> tuple[Iterator[list[SeenObject]], Iterator[list[SeenObject]]]:
+        """The drawn objects of a class in the frames before and after, the nearest first, read one by one."""
+        labelled = self.project.boxes.frames_with_images()
+        frames = [one for one in self.project.frames.of([stored.recording_id]) if one.index is not None]
+        place = next((n for n, one in enumerate(frames) if one.id == stored.id), len(frames))
+        before, after = frames[:place][::-1], frames[place + 1 :]
+        both = [
+            (
+                found
+                for one in side
+                if one.id in labelled
+                if (found := [seen for seen in self._objects(one) if seen.image_box.label == label])
+            )
+            for side in (before, after)
+        ]
+        return both[0], both[1]
+
+    def _drawn(self, frame_id: int) -> list[tuple[ViewBoxes, ...]]:
+        return drawn_objects(self.project.boxes.on_views_of(frame_id)).get(frame_id, [])
+
+    def _objects(self, stored: StoredFrame, frame: Frame | None = None) -> list[SeenObject]:
+        """The drawn objects of a frame; none if it cannot be read."""
+        drawn = self._drawn(stored.id)
+        rotation = self.project.config.settings.rotation
+        # what is seen lies in the camera frame, which a correction of the calibration moves
+        adjusted = self.project.adjustments.newest(stored.recording_id)
+        key = stored.id, rotation, adjusted, tuple(view.event_id for views in drawn for view in views)
+        if not drawn:
+            return []
+        # one frame at a time: reading takes 0.1 s, and recordings need not be thread-safe
+        with self._lock:
+            if key not in self._seen:
+                try:
+                    self._seen[key] = self._read(self._read_frame(stored) if frame is None else frame, drawn)
+                except FrameError:
+                    return []  # another frame; the operator sees the problem when it is opened
+                while len(self._seen) > MOST_FRAMES:
+                    self._seen.popitem(last=False)
+            self._seen.move_to_end(key)
+            return self._seen[key]
+
+    def _read(self, frame: Frame, drawn: Sequence[tuple[ViewBoxes, ...]]) -> list[SeenObject]:
+        up = held_direction(frame.up, frame_config(self.project, frame))
+        objects = []
+        for views in drawn:
+            cut, image_box = taught_by_drags(frame, views), _image_box(views)
+            if cut is not None and cut.points is not None and image_box is not None:
+                objects.append(SeenObject.of(frame, cut.points, image_box, cut.box.rotation, up))
+        return objects
+
+
+def _image_box(views: Sequence[ViewBoxes]) -> Box2D | None:
+    return None if views[0].geometry is None else views[0].geometry.image_box

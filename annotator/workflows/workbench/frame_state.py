@@ -1,24 +1,35 @@
-"""The state of a frame as the page shows it: labels with outline, point count and doubt, and drawn objects."""
+"""A frame as the page shows it: labels with outline, point count and doubt, drawn objects, and how the cloud lies on
+the image; and a bag before it is added: its topics, and the cloud of its first frame over the image.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from annotator.geometry.edges import visible_edges
-from annotator.project import Project, StoredLabel, ViewBoxes
+from annotator.geometry.projection import inside_image, project
+from annotator.geometry.thinning import thin
+from annotator.project import Project, StoredLabel, StoredRecording, ViewBoxes
+from annotator.project.adjusting import Up
 from annotator.project.overview import FramePage, read_page
 from annotator.project.sources import covered_by
-from annotator.types import Box2D, ReviewState
+from annotator.recordings import ReaderOptions, open_recording
+from annotator.recordings.clouds.virtual_image import has_virtual_image
+from annotator.recordings.ros.topics import TopicReport
+from annotator.recordings.times import has_times, recorded_times
+from annotator.types import Box2D, Frame, ReviewState
+from annotator.types.errors import InputError, MissingExtraError
+from annotator.workflows.inspect import bag_topics
 from annotator.workflows.rigs import OtherLabel
-from annotator.workflows.views.outlines import outlines
-from annotator.workflows.views.pairs import ObjectViews, front_and_side, views_by_object
-from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.review_priority import doubt
+from annotator.workflows.views.pairs import ObjectViews, front_and_side, outlines, views_by_object
+from annotator.workflows.workbench.frame_cache import FrameCache, OpenFrame
+from annotator.workflows.workbench.review_queue import doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,21 +82,13 @@ class ShownFrame:
 
 
 def present_page(project: Project, frame_id: int, opened: OpenFrame) -> FramePage:
-    """Returns the stored state of a frame; only what changed since the last call is read.
-
-    Raises:
-        NotFoundError: no such frame.
-    """
+    """Returns the stored state of a frame; only what changed since the last call is read."""
     opened.page = page = read_page(project, frame_id, opened.page)
     return page
 
 
 def show_frame(project: Project, frame_id: int, opened: OpenFrame) -> ShownFrame:
-    """Returns the present state of a frame; what depends on a label is computed again only if the label has changed.
-
-    Raises:
-        NotFoundError: no such frame.
-    """
+    """Returns the present state of a frame; what depends on a label is computed again only if the label has changed."""
     page = present_page(project, frame_id, opened)
     labels, objects = opened.newest(
         "shown", page.frame.revision, lambda: (_shown_labels(page, opened), shown_objects(page))
@@ -145,3 +148,137 @@ def _views_of(frame_id: int, image_box: Box2D, views: ObjectViews) -> tuple[View
             return (*pairs, drawn[-1])
         pairs.extend(pair)
     return tuple(pairs)
+
+
+MOST_POINTS = 15_000
+# Images that are offered: 30 seconds before and after at 30 Hz, some 90 kB of JSON.
+MOST_IMAGES = 2000
+
+UpSource = Literal["unknown", "files", "project"]
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A frame as its recording's files give it, and the recording's adjustment.
+
+    Attributes:
+        recorded: the frame without the correction.
+        xyz_m: some of its points, (n, 3).
+        recording: with the correction.
+        up: unit vector against gravity in the corrected camera frame.
+        up_source: where `up` comes from.
+        images: (id, seconds after this frame) of the frames whose images a time offset may show, nearest times first.
+        labels: number of labels in the recording.
+        drawn_images: number of its frames with boxes on their image.
+        is_virtual: the image is drawn from the cloud, so there is no calibration to correct.
+    """
+
+    recorded: Frame
+    xyz_m: Float32[np.ndarray, "n 3"]
+    recording: StoredRecording
+    up: Up | None
+    up_source: UpSource
+    images: tuple[tuple[int, float], ...]
+    labels: int
+    drawn_images: int
+    is_virtual: bool
+
+
+def alignment(project: Project, cache: FrameCache, frame_id: int) -> Alignment:
+    """Reads the alignment of a frame.
+
+    Raises:
+        NotFoundError: no such frame.
+        FrameError, RecordingError: it cannot be read.
+    """
+    stored = project.frames.get(frame_id)
+    recording = project.recordings.get(stored.recording_id)
+    frame, up = cache.recorded(project, frame_id), cache.read(project, frame_id).up
+    keep = thin(len(frame.cloud), MOST_POINTS)
+    return Alignment(
+        frame,
+        frame.cloud.xyz_m if keep is None else frame.cloud.xyz_m[keep],
+        recording,
+        None if up is None else _vector(up),
+        "unknown" if up is None else "files" if recording.up is None else "project",
+        _images(project, cache, stored.recording_id, stored.key),
+        project.labels.count(recordings=[stored.recording_id]),
+        len(project.boxes.on_images([stored.recording_id])),
+        has_virtual_image(frame),
+    )
+
+
+def _images(project: Project, cache: FrameCache, recording_id: int, key: str) -> tuple[tuple[int, float], ...]:
+    recording = cache.recording(project, recording_id)
+    times = recorded_times(recording) if has_times(recording) else None
+    now = None if times is None else times.get(key)
+    if times is None or now is None:
+        return ()
+    frames = [(frame, times.get(frame.key)) for frame in project.frames.of([recording_id]) if frame.index is not None]
+    apart = [(frame.id, (time - now) / 1e9) for frame, time in frames if time is not None]
+    return tuple(sorted(apart, key=lambda each: abs(each[1]))[:MOST_IMAGES])
+
+
+def _vector(up: np.ndarray) -> Up:
+    x, y, z = up.tolist()
+    return x, y, z
+
+
+WIDTH_PX = 640
+JPEG_QUALITY = 80
+NEAREST_M = 0.05
+
+
+@dataclass(frozen=True)
+class BagPreview:
+    """A bag as it would be read.
+
+    Attributes:
+        frames: their number; 0 if it cannot be read.
+        notes: what the reader says about it.
+        problem: why it cannot be read; "" if it can.
+        jpeg: its first frame; None if that cannot be read.
+    """
+
+    topics: tuple[TopicReport, ...]
+    frames: int
+    notes: tuple[str, ...]
+    problem: str
+    jpeg: bytes | None
+
+
+def preview_bag(path: Path, options: ReaderOptions) -> BagPreview:
+    """Opens a bag and draws its first frame.
+
+    Raises:
+        RecordingError: its files cannot be read.
+        MissingExtraError: the library that reads bags is not installed.
+    """
+    topics = bag_topics(path, options)
+    try:
+        recording = open_recording(path, options)
+        jpeg, problem = _drawn(recording.frame(0)), ""
+    except MissingExtraError:
+        raise
+    except InputError as error:
+        return BagPreview(topics, 0, (), str(error), None)
+    return BagPreview(topics, len(recording), recording.notes, problem, jpeg)
+
+
+def _drawn(frame: Frame) -> bytes:
+    """Returns the image with the points of the cloud, near ones red, as a JPEG file."""
+    import cv2
+
+    scale = min(WIDTH_PX / frame.camera.width_px, 1.0)
+    size = (max(round(frame.camera.width_px * scale), 1), max(round(frame.camera.height_px * scale), 1))
+    picture = cv2.cvtColor(cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
+    xyz_m = frame.cloud.xyz_m[frame.cloud.xyz_m[:, 2] > NEAREST_M]
+    px = project(frame.camera, xyz_m)
+    seen = np.flatnonzero(inside_image(frame.camera, px))
+    # near points last, so that they are visible
+    seen = seen[np.argsort(-xyz_m[seen, 2], kind="stable")]
+    column, row = np.floor((px[seen] + 0.5) * scale).astype(np.int64).T
+    near = np.linspace(0, 255, len(seen)).astype(np.uint8)
+    colors = cv2.applyColorMap(near[:, None], cv2.COLORMAP_JET)[:, 0]
+    picture[np.clip(row, 0, size[1] - 1), np.clip(column, 0, size[0] - 1)] = colors
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])

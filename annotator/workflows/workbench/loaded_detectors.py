@@ -98,11 +98,7 @@ class _Blank:
 
 
 def ready_view(project: Project) -> ReadyDetector | None:
-    """Loads the view detector that a project uses, its own or the base detector; None if there is none.
-
-    Raises:
-        DetectionError, FormatError: it cannot be loaded.
-    """
+    """Loads the view detector that a project uses, its own or the base detector; None if there is none."""
     model = used_model(project, DetectorKind.VIEW)
     return None if model is None else _ready(model, threading.Lock())
 
@@ -114,20 +110,12 @@ def has_view_with_classes(project: Project) -> bool:
 
 
 def view_with_classes(project: Project) -> ReadyDetector | None:
-    """Loads the project's view detector; None without one, or if it is class-agnostic.
-
-    Raises:
-        DetectionError, FormatError: it cannot be loaded.
-    """
+    """Loads the project's view detector; None without one, or if it is class-agnostic."""
     return ready_view(project) if has_view_with_classes(project) else None
 
 
 def require_view(project: Project) -> ReadyDetector:
-    """As `ready_view`, but an error if there is none.
-
-    Raises:
-        DetectionError, FormatError: there is none, or it cannot be loaded.
-    """
+    """As `ready_view`, but an error if there is none."""
     return _ready(view_model(project), threading.Lock())
 
 

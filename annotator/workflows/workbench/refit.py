@@ -48,7 +48,7 @@ from annotator.types import (
     StepTrace,
     StopReason,
 )
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
 
 RCV, POINTS = "rcv", "points"
 # The points inside the box enlarged by this factor are the cloud of the recursion.

@@ -1,7 +1,20 @@
-"""The review queue: proposals to review, or frames to label for training, in order of priority."""
+"""The review queue: proposals to review, or frames to label for training, in order of priority.
+
+Proposals are sorted by their doubt:
+
+    doubt = 1 - (1 - d1) (1 - d2) (1 - d3) (1 - d4) (1 - d5) (1 - d6)
+
+Each d comes from one signal (`FORMULA`) and grows linearly from 0 (good) to `MAX_DOUBT`, reached at the signal's bad
+value. So one bad signal is enough to bring a proposal forward, and several add up. Signals without a value are left
+out. docs/base_detector.md says how well the doubt sorts wrong boxes to the front. Rank correlation (Spearman) of the
+doubt without the last signal with 1 - IoU to truth over 27 proposals on a generated recording, detectors 1 and 8 % off:
+0.66 (boxes 0.79, silhouettes 0.50). Of the single signals, the last change (0.69) and the image (0.39) correlate most;
+the lost share hardly correlates, so its bad value is high.
+"""
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
@@ -10,8 +23,41 @@ from enum import StrEnum
 from itertools import zip_longest
 
 from annotator.project import REVIEWED, Project, StoredFrame
-from annotator.project.review import By, ValueFilter
-from annotator.workflows.workbench.review_priority import FORMULA
+from annotator.project.review import By, Formula, Signal, ValueFilter
+from annotator.types import Quality
+
+MAX_DOUBT = 0.7
+# The bad values. In order, they are: share of the box's size, share of points, 1 - IoU (twice), 1 - score, 1 - IoU.
+BAD_DISAGREEMENT = 0.25
+BAD_LOST_SHARE = 0.9
+BAD_CHANGE = 0.3
+BAD_IMAGE = 0.6
+BAD_SCORE = 1.0
+BAD_IOU_LOSS = 0.5
+
+FORMULA = Formula(
+    (
+        Signal("view_disagreement", 0.0, BAD_DISAGREEMENT),
+        Signal("kept_share", 1.0, 1.0 - BAD_LOST_SHARE),
+        Signal("last_change", 0.0, BAD_CHANGE),
+        Signal("image_agreement", 1.0, 1.0 - BAD_IMAGE),
+        Signal("score", 1.0, 1.0 - BAD_SCORE),
+        Signal("expected_iou_loss", 0.0, BAD_IOU_LOSS),
+    ),
+    MAX_DOUBT,
+)
+
+
+def doubt(quality: Quality | None, score: float | None) -> float | None:
+    """Returns the doubt in 0..1, or None for a box without signals: copied, or of other software without scores."""
+    if quality is None and score is None:
+        return None
+    trust = 1.0
+    for signal in FORMULA.signals:
+        value = score if signal.name == "score" else getattr(quality, signal.name, None)
+        if value is not None and not math.isnan(value):
+            trust *= 1.0 - MAX_DOUBT * min(max((value - signal.good) / (signal.bad - signal.good), 0.0), 1.0)
+    return 1.0 - trust
 
 
 class Order(StrEnum):
@@ -81,9 +127,6 @@ def queue(
         most: number of items to return; None = all.
         attribute: only proposals with these values of an attribute; ignored by TEACH.
         source: only proposals of objects that this source sees; ignored by TEACH.
-
-    Raises:
-        NotFoundError: no such recording.
     """
     if recording is not None:
         project.recordings.get(recording)

@@ -1,26 +1,88 @@
-"""Stores the boxes an operator has drawn for an object, as one action."""
+"""What an operator's changes to a frame store: drawn objects, and the changes that others imply, each as one action."""
 
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from annotator.geometry.oriented_box import same_box
-from annotator.project import Origin, Project, Receipt, StoredLabel, ViewBoxes, WriteContext
-from annotator.project.log.event_types import ImageBoxesSet, LabelCreated, LabelEdited, Payload, ViewBoxesSet
+from annotator.project import REVIEWED, Origin, Project, Receipt, StoredLabel, ViewBoxes, WriteContext
+from annotator.project.log.event_types import (
+    ImageBoxesSet,
+    LabelChange,
+    LabelCreated,
+    LabelEdited,
+    Payload,
+    ViewBoxesSet,
+)
 from annotator.project.log.records import BoxRecord
-from annotator.project.overview import FramePage
+from annotator.project.overview import FramePage, neighbours, read_page
 from annotator.project.progress.action_log import draft_id
-from annotator.types import Box2D, BoxKind, Suggestion
+from annotator.rcv.config import RcvConfig
+from annotator.types import Box2D, BoxKind, OrientedBox, Suggestion
 from annotator.types.errors import ConfigError, NotFoundError, StaleRevisionError
-from annotator.workflows.views.follow_image_boxes import changes_kind, view_followers
-from annotator.workflows.views.places import geometry_of
-from annotator.workflows.workbench.drawing_steps import VIEWS_PER_STEP, Boxes, Labelling, label_config
-from annotator.workflows.workbench.frame_state import present_page
+from annotator.workflows.tracks.propose_boxes import NewProposal, proposal_events, why_left_out
+from annotator.workflows.views.pairs import geometry_of
+from annotator.workflows.views.write_pictures import changes_kind, image_follower, view_followers
+from annotator.workflows.workbench.drawing_steps import (
+    MAX_BOXES,
+    VIEWS_PER_STEP,
+    Boxes,
+    Labelling,
+    label_config,
+    label_steps,
+)
+from annotator.workflows.workbench.frame_cache import OpenFrame
+from annotator.workflows.workbench.frame_state import ShownObject, present_page, shown_objects
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.open_frame import OpenFrame
-from annotator.workflows.workbench.remeasure import remeasured
+
+
+def remeasured(page: FramePage, opened: OpenFrame, config: RcvConfig, on_image: ImageBoxesSet) -> list[LabelEdited]:
+    """Returns the edits of those labels whose drawn boxes now give another 3D box, except labels corrected since.
+
+    Args:
+        page: the frame before the change.
+        opened: the same frame.
+        config: with the orientation for the frame.
+        on_image: the new boxes on the image, and what they measure.
+    """
+    if page.image_boxes is None or not changes_kind(page, on_image):
+        return []
+    labels = {stored.label.uid: stored.label for stored in page.labels}
+    edits = []
+    for item in shown_objects(page):
+        if item.uid is None or item.image_box not in on_image.boxes:
+            continue
+        label = labels[item.uid]
+        before, now = (_measured(opened, item, config, kind) for kind in (page.image_boxes.box_kind, on_image.box_kind))
+        if before is None or now is None or not same_box(before, label.box):
+            continue
+        if same_box(now, label.box) and label.box_kind is on_image.box_kind:
+            continue
+        edits.append(
+            LabelEdited(
+                uid=label.uid,
+                label=label.label,
+                box=BoxRecord.of(now),
+                track_id=label.track_id,
+                image_box=item.image_box,
+                suggestion=label.suggestion,  # nobody has corrected it
+                box_kind=on_image.box_kind,
+            )
+        )
+    return edits
+
+
+def _measured(opened: OpenFrame, item: ShownObject, config: RcvConfig, kind: BoxKind) -> OrientedBox | None:
+    """Returns the 3D box that an object's drawn boxes give; None if one of these is missing."""
+    if len(item.views) != MAX_BOXES or any(len(view.boxes) != 1 for view in item.views):
+        return None
+    boxes, geometry = [view.boxes[0] for view in item.views], item.views[VIEWS_PER_STEP].geometry
+    axes = None if geometry is None else np.array(geometry.axes)
+    return label_steps(opened, item.image_box, boxes, config, kind, axes=axes).box
 
 
 @dataclass(frozen=True)
@@ -223,3 +285,98 @@ def _effort_target(
     before = () if page.image_boxes is None else page.image_boxes.boxes
     new = [box for box in image_boxes if box not in before]
     return draft_id(page.frame.id, new[0]) if len(new) == 1 else None
+
+
+def apply_changes(
+    project: Project,
+    frame_id: int,
+    payloads: Sequence[Payload],
+    context: WriteContext,
+    open_frame: Callable[[], OpenFrame],
+    known: FramePage | None = None,
+) -> Receipt:
+    """Stores changes to one frame and the changes they imply, as one action: all or none.
+
+    Args:
+        open_frame: returns the frame; called only if finished objects must be remeasured.
+        known: an earlier page of the frame, which need not be read again if it is still the present one.
+
+    Raises:
+        StaleRevisionError: the frame was changed in the meantime.
+        NotFoundError: no such frame.
+        FrameError: objects must be remeasured, but the frame cannot be read.
+        ProjectError: unknown label or class.
+    """
+    return project.log.append(frame_id, [*payloads, *_implied(project, frame_id, payloads, open_frame, known)], context)
+
+
+def _implied(
+    project: Project,
+    frame_id: int,
+    payloads: Sequence[Payload],
+    open_frame: Callable[[], OpenFrame],
+    known: FramePage | None,
+) -> list[Payload]:
+    if not any(isinstance(entry, ImageBoxesSet | LabelChange) for entry in payloads):
+        return []
+    # if another change comes between this read and the append, the append refuses the stale revision
+    page = read_page(project, frame_id, known)
+    on_image = next((entry for entry in reversed(payloads) if isinstance(entry, ImageBoxesSet)), None)
+    implied: list[Payload] = []
+    if on_image is None:
+        on_image = image_follower(page, payloads)
+        if on_image is None:
+            return implied
+        implied.append(on_image)
+    implied += view_followers(page, on_image)
+    if changes_kind(page, on_image):
+        opened = open_frame()
+        implied += remeasured(page, opened, label_config(project, opened.frame), on_image)
+    return implied
+
+
+def copy_boxes(project: Project, frame_id: int, source_id: int | None, context: WriteContext) -> Receipt:
+    """Proposes the reviewed boxes of a frame, as they are, with their track ids and values, as one action.
+
+    A box is left out if the frame has a reviewed box of the same track, or one of its class at its place. Unreviewed
+    proposals of the same objects are replaced.
+
+    Args:
+        source_id: the frame to copy from; None = the previous one of the recording.
+
+    Raises:
+        StaleRevisionError: the frame was changed in the meantime.
+        NotFoundError: no such frame.
+        ConfigError: the frame is finalised, there is no previous frame, it is the same frame, or it has no box to copy.
+    """
+    page = read_page(project, frame_id)
+    frame = page.frame
+    if frame.finalised:
+        raise ConfigError(f"frame {frame.key} is finalised; reopen it first")
+    if source_id is None:
+        source_id = neighbours(project, frame)[0]
+        if source_id is None:
+            raise ConfigError(f"frame {frame.key} is the first of its recording; there is no previous frame to copy")
+    if source_id == frame_id:
+        raise ConfigError(f"frame {frame.key} cannot be copied into itself")
+    source = project.frames.get(source_id)
+    boxes = [label for label in project.labels.of_frame(source_id) if label.state in REVIEWED]
+    copies = [
+        NewProposal(
+            label.label,
+            label.box,
+            label.track_id,
+            box_kind=label.box_kind,
+            attributes=label.attributes,
+            origin=Origin.COPIED,
+        )
+        for label in boxes
+    ]
+    # the operator asks for them, also where a wrong box was rejected
+    payloads = proposal_events(project, frame, copies, where_rejected=True)
+    if not payloads:
+        whys = dict.fromkeys(why_left_out(copy, page.labels) for copy in copies)
+        raise ConfigError(
+            f"nothing was copied from frame {source.key}: {'; '.join(whys) or 'it has no reviewed boxes'}"
+        )
+    return project.log.append(frame_id, payloads, context)

@@ -21,7 +21,7 @@ from annotator.recordings.kinect import device as kinect_device
 from annotator.recordings.kinect.device import KinectDevice
 from annotator.recordings.kinect.mkv_recording import AzureKinect
 from annotator.types.errors import DeviceError
-from annotator.workflows.live.kinect import KinectSource
+from annotator.workflows.live.open_source import KinectSource
 
 GO_ON = threading.Event()
 # The acceleration at rest of an upright device, whose y axis points down.

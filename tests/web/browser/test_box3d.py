@@ -15,7 +15,7 @@ from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project
 from annotator.types import Camera, OrientedBox, PointCloud
-from annotator.workflows.workbench.ortho_views import views_of_points
+from annotator.workflows.workbench.contact_sheet import views_of_points
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Route

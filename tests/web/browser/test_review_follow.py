@@ -14,7 +14,7 @@ from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Proposal, Quality, ReviewState, Source, Truth
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.tracks.follow_frames import Follower
+from annotator.workflows.tracks.follow_objects import Follower
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").expect
 

@@ -22,7 +22,7 @@ from annotator.web.viewport.lines import arrow_lines, box_lines
 from annotator.web.viewport.viewports import Viewport
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.drawing_steps import label_steps
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import OpenFrame
 
 # Lines of one box.
 LINES = len(box_lines(np.ones(3)))

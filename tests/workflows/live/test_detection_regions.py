@@ -15,7 +15,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.warm_start import WarmStart
 from annotator.types import Box2D, Camera, Frame, Image, OrientedBox, PointCloud, Region
-from annotator.workflows.live.detection_regions import WHOLE_EVERY, RegionDetection, regions_around
+from annotator.workflows.live.detection import WHOLE_EVERY, RegionDetection, regions_around
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
 CONFIG = RcvConfig()
@@ -89,14 +89,6 @@ def test_new_objects_are_found_when_the_whole_image_is_searched_again() -> None:
     found = [len(image_detection.boxes(frame(), (seed(0.0),), CONFIG)) for _ in range(2 * WHOLE_EVERY)]
     assert found == ([2] + [1] * (WHOLE_EVERY - 1)) * 2
     assert known.regions == ([False] + [True] * (WHOLE_EVERY - 1)) * 2
-
-
-def test_without_tracked_objects_the_whole_image_is_searched() -> None:
-    known = KnownBoxes()
-    image_detection = RegionDetection(known)
-    for _ in range(3):
-        assert image_detection.boxes(frame(), (), CONFIG) == []
-    assert known.regions == [False] * 3
 
 
 def test_after_a_lost_object_the_whole_image_is_searched() -> None:

@@ -39,8 +39,7 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.live import recorder as recording_of
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.open_source import open_source
-from annotator.workflows.live.recorder import Recorder, require_recordable
-from annotator.workflows.live.store_session import store
+from annotator.workflows.live.recorder import Recorder, require_recordable, store
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.0, 0.9]), np.eye(3), np.array([0.1, 0.2, 0.1]))
 IMAGE_BOX = Box2D("hand", 10.0, 20.0, 60.0, 90.0, 0.9)

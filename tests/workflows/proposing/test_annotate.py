@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -17,11 +16,10 @@ from annotator.types import NO_CORRECTION, Box2D, BoxKind, Correction, Frame, Im
 from annotator.types.errors import ConfigError, ProjectError
 from annotator.workflows.add_recordings import add_recordings, register_recording
 from annotator.workflows.detectors import Detectors
-from annotator.workflows.proposing import batch_store as batch_book
-from annotator.workflows.proposing.annotate import TASK_FRAMES, annotate, annotate_with
-from annotator.workflows.proposing.batch_store import WRITE_ATTEMPTS
-from annotator.workflows.proposing.engines.inline import InlineEngine
-from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.proposing import annotate as batch_book
+from annotator.workflows.proposing.annotate import TASK_FRAMES, WRITE_ATTEMPTS, annotate, annotate_with
+from annotator.workflows.proposing.runner import InlineEngine
+from annotator.workflows.proposing.tasks import GivenDetectors
 from annotator.workflows.recorded.reading import load_truth
 
 CONFIG = RcvConfig()
@@ -127,14 +125,6 @@ def test_stored_proposals_match_the_true_boxes(people: Project, knowing: Knowing
     assert keys(people, Status.DONE) == [f"{n:06d}" for n in range(5)]
 
 
-def test_a_second_run_has_nothing_to_do(people: Project, knowing: Knowing) -> None:
-    annotate(people, knowing("people"), FAST)
-    before = [label.uid for stored in people.frames.of() for label in people.labels.of_frame(stored.id)]
-    again = annotate(people, knowing("people"), FAST)
-    assert (again.frames, again.done, again.skipped, again.proposals) == (0, 0, 5, 0)
-    assert [label.uid for stored in people.frames.of() for label in people.labels.of_frame(stored.id)] == before
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -155,22 +145,6 @@ def test_other_settings_or_detectors_process_all_frames_again(
     assert (again.done, again.skipped) == (2, 0)
     first = people.frames.of()[0]
     assert len(people.labels.of_frame(first.id)) == 3, "new proposals in place of the old ones"
-
-
-def test_the_orientation_in_the_config_has_no_effect(people: Project, knowing: Knowing) -> None:
-    """It is set for each frame, so another value in the config gives the same run."""
-    annotate(people, knowing("people"), FAST)
-    upright = RcvConfig(max_steps=1, orientation="upright")
-    assert annotate(people, knowing("people"), upright).frames == 0
-
-
-@pytest.mark.parametrize("kind", list(BoxKind))
-def test_the_runs_settings_contain_the_detectors_kind_of_boxes(
-    people: Project, knowing: Knowing, kind: BoxKind
-) -> None:
-    annotate(people, knowing("people", kind), FAST, limit=1)
-    (run,) = people.jobs.all()
-    assert json.loads(run.config)["box_kind"] == kind.value
 
 
 def test_the_rotation_is_the_projects_unless_given(hands: Project, knowing: Knowing) -> None:
@@ -235,17 +209,6 @@ def test_a_proposal_that_cannot_be_stored_affects_only_its_frame(people: Project
     ((key, reason),) = done.failed
     assert key == "000003"
     assert "'robot' is not a class of the project" in reason
-
-
-def test_frames_of_a_moved_recording_fail_and_others_are_processed(
-    make_project: Callable[..., Project], generated: Path, own_copy: Callable[[str], Path], knowing: Knowing
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder, generated / "people")
-    folder.rename(folder.with_name("elsewhere"))
-    done = annotate(project, knowing("people"), FAST)
-    assert (done.frames, done.done, len(done.failed)) == (10, 5, 5)
-    assert all("no such file or folder" in reason for _, reason in done.failed)
 
 
 def test_annotate_can_be_limited_to_recordings_and_a_number_of_frames(

@@ -8,30 +8,63 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 import pytest
 
 from annotator.cli.main import main
-from annotator.detection import base_detector
 from annotator.detection.base_detector import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
-from annotator.project import NewLabel, Project, WriteContext
+from annotator.project import BoxRotation, NewLabel, Project, WriteContext
 from annotator.project.log.event_types import FrameFinalised, ImageBoxesSet
-from annotator.rcv.config import AGNOSTIC_LABELS
-from annotator.types import Box2D, BoxKind, Detector, Image, OrientedBox, ReviewState, Source
-from annotator.types.errors import ConfigError, DetectionError, FormatError
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.recordings import open_recording
+from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, ReviewState, Source
+from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.detectors import Detectors, base_titles
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import FlatFormat
+from annotator.workflows.proposing import lift as module
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.proposing.lift import GivenBoxes, RenamedDetector, boxes_of_file, drawn_boxes, lift
+from annotator.workflows.proposing.lift import (
+    GivenBoxes,
+    RenamedDetector,
+    boxes_of_file,
+    drawn_boxes,
+    lift,
+    propose_frames,
+)
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.workbench import loaded_detectors
-from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+@pytest.mark.parametrize("kind", list(BoxKind))
+def test_each_frame_gets_its_orientation_and_the_detectors_kind_of_boxes(
+    kind: BoxKind, generated: Path, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = open_recording(generated / "people")
+    asked: dict[Orientation, list[str]] = {}
+
+    def note(frames: Sequence[Frame], boxes: Any, view: Any, config: RcvConfig, **_: Any) -> list[FrameProposals]:
+        assert config.box_kind is kind
+        asked[config.orientation] = [frame.key for frame in frames]
+        return [FrameProposals(frame.key, (), ()) for frame in frames]
+
+    monkeypatch.setattr(module, "propose_from_boxes", note)
+    ups = (UP, None, UP)
+    frames = [replace(recording.frame(place), up=up) for place, up in enumerate(ups)]
+    keys = [frame.key for frame in frames]
+    results = propose_frames(frames, knowing("people", kind), RcvConfig(), BoxRotation.AUTO)
+    assert asked == {Orientation.UPRIGHT: [keys[0], keys[2]], Orientation.FREE: [keys[1]]}
+    assert [result.key for result in results] == keys
 
 
 class AnyClass:
@@ -59,6 +92,11 @@ def outlines(project: Project, index: int) -> tuple[Box2D, ...]:
     truths = load_truth(source.recording(stored.recording_id), index, frame)
     boxes = [box_on_image(frame.camera, truth.box, truth.label) for truth in truths]
     return tuple(box for box in boxes if box is not None)
+
+
+def quick(project: Project) -> RcvConfig:
+    """For tests in which the quality of proposals does not matter."""
+    return rcv_config(project).model_copy(update={"max_steps": 1})
 
 
 def test_drawn_boxes_become_proposals(people: Project, base: ReadyDetector) -> None:
@@ -103,10 +141,10 @@ def test_boxes_of_a_coco_file_are_lifted_with_their_classes_mapped(
     given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"})
     assert given.other_classes == {"cat": 1}
     assert list(given.silhouettes) == [people.frames.of()[0].id]
-    lift(people, given, base, rcv_config(people))
+    lift(people, given, base, quick(people))
     assert json.loads(people.jobs.all()[-1].config)["image_box_kind"] == BoxKind.SILHOUETTE
     given = boxes_of_file(people, file, FlatFormat.COCO, None, {"human": "person"}, BoxKind.BOX)
-    done = lift(people, given, base, rcv_config(people))
+    done = lift(people, given, base, quick(people))
     assert (done.done, done.proposals) == (1, len(boxes))
 
 
@@ -123,8 +161,8 @@ def test_a_detector_of_any_origin_takes_the_place_of_the_image_detector(
         assert {box.label for box in boxes} == {"human"}
     other = RenamedDetector(known, ["person"], {})
     assert image.fingerprint != other.fingerprint != known.fingerprint
-    done = annotate(people, Detectors(other, base, base.box_kind, True), rcv_config(people))
-    assert (done.done, done.failures) == (len(people.frames.of()), 0)
+    done = annotate(people, Detectors(other, base, base.box_kind, True), quick(people), limit=1)
+    assert (done.done, done.failures) == (1, 0)
     assert done.proposals >= done.done
     with pytest.raises(ConfigError, match="the detector has none of the classes person, but hand"):
         RenamedDetector(knowing("hands").image, people.config.classes, {})
@@ -137,7 +175,7 @@ def test_a_view_detector_that_does_not_know_the_class_is_refused(
     stored = people.frames.of()[0]
     given = GivenBoxes("test", {stored.id: outlines(people, 0)}, {})
     with pytest.raises(ConfigError, match="the project's view detector was not trained on person"):
-        lift(people, given, hands, rcv_config(people))
+        lift(people, given, hands, quick(people))
     assert not people.jobs.all()
 
 
@@ -150,7 +188,7 @@ def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
     (folder / "depth" / f"{frames[0].key}.png").write_bytes(b"broken")
     given = GivenBoxes("test", {frames[k].id: outlines(people, 1) for k in (0, 1)}, {})
     seen: list[tuple[int, int]] = []
-    done = lift(people, given, base, rcv_config(people), lambda k, n: seen.append((k, n)))
+    done = lift(people, given, base, quick(people), lambda k, n: seen.append((k, n)))
     assert (done.done, done.failures) == (1, 1)
     assert done.failed[0][0] == frames[0].key
     assert seen == [(1, 2), (2, 2)]
@@ -158,7 +196,7 @@ def test_a_frame_that_cannot_be_read_is_recorded_and_the_others_continue(
 
 def test_labels_and_exports_name_the_base_detector(people: Project, base: ReadyDetector, tmp_path: Path) -> None:
     stored = people.frames.of()[1]
-    lift(people, GivenBoxes("test", {stored.id: outlines(people, 1)}, {}), base, rcv_config(people))
+    lift(people, GivenBoxes("test", {stored.id: outlines(people, 1)}, {}), base, quick(people))
     (run,) = people.jobs.all()
     assert base_titles(people) == {run.id: TITLE}
     report = export_project(
@@ -188,14 +226,6 @@ def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base:
     assert people.boxes.frames_without_labels() == ()
     with pytest.raises(ConfigError, match="no frame has boxes on its image but no 3D box"):
         drawn_boxes(people, only_without_labels=True)
-
-
-def test_without_a_view_detector_and_a_base_detector_the_error_says_what_to_do(
-    people: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
-    with pytest.raises(DetectionError, match="has no view detector yet; run `annotator train"):
-        require_view(people)
 
 
 def test_the_command_lifts_drawn_boxes(

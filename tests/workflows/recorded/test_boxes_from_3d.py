@@ -24,7 +24,7 @@ from annotator.workflows.recorded.frame_subset import share_of
 from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
-from annotator.workflows.views.places import spans_m
+from annotator.workflows.views.pairs import spans_m
 
 
 def no_skip(stored: StoredFrame, error: FrameError) -> None:

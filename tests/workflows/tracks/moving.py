@@ -14,8 +14,7 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.rcv.follow_object import Followed, FollowStop
 from annotator.types import Box2D, Label, OrientedBox, Proposal, Quality, ReviewState
 from annotator.workflows.tracks import follow_run
-from annotator.workflows.tracks.follow_frames import Moment
-from annotator.workflows.tracks.timeline import Timeline
+from annotator.workflows.tracks.follow_objects import Moment, Timeline
 
 ANN = "ann"
 SIZE_M = np.array([0.6, 0.5, 1.7])

@@ -20,8 +20,7 @@ from annotator.types.errors import ConfigError, FrameError, NotFoundError, Stale
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks import follow_run
-from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
-from annotator.workflows.tracks.follow_run import KEY_CHANGED, Following, FollowRun
+from annotator.workflows.tracks.follow_run import KEY_CHANGED, Following, FollowRun, follow_from_frame, follow_recording
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 ANN = "ann"

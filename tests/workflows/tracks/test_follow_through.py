@@ -12,9 +12,8 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.log.event_types import LabelTracked
 from annotator.types import OrientedBox, ReviewState, Source
-from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
-from annotator.workflows.tracks.follow_run import Following
-from annotator.workflows.workbench.copy_boxes import copy_boxes
+from annotator.workflows.tracks.follow_run import Following, follow_from_frame, follow_recording
+from annotator.workflows.workbench.save_object import copy_boxes
 
 
 def follow(
@@ -163,8 +162,9 @@ def test_a_new_run_leaves_nothing_of_an_earlier_one_where_it_passes(people: Proj
     assert tracks_of(people) == first
 
 
-@pytest.mark.parametrize("start", [0, 3])
-@pytest.mark.parametrize(("lost", "between"), [([1], ["", "1?"]), ([2], ["1?", ""]), ([1, 2], ["", ""])])
+@pytest.mark.parametrize(
+    ("start", "lost", "between"), [(0, [1], ["", "1?"]), (3, [2], ["1?", ""]), (0, [1, 2], ["", ""])]
+)
 def test_a_new_run_leaves_nothing_of_an_earlier_one_up_to_the_next_reviewed_box(
     people: Project, start: int, lost: list[int], between: list[str]
 ) -> None:
@@ -230,15 +230,6 @@ def test_a_proposal_that_a_person_has_given_another_track_is_not_replaced(people
     (track,) = follow(people, Walking(), 0).tracks
     assert tracks_of(people) == ["1", "1?", "9?", "", ""]
     assert track.stops[0].reason.startswith("a box of track 9 is here")
-
-
-@pytest.mark.parametrize("options", [{}, {"forward": False, "backward": True}, {"backward": True}])
-def test_the_command_joins_reviewed_boxes_of_an_object(people: Project, options: dict[str, bool]) -> None:
-    for index in (0, 2, 4):
-        accept(people, index, 0, 1)
-    done = follow_all(people, Walking(), **options)
-    assert tracks_of(people) == ["1 2", "1? 2?"] * 2 + ["1 2"]
-    assert [(track.boxes, track.stops) for track in done.tracks] == [(2, ()), (2, ())]
 
 
 def test_boxes_of_a_reviewed_frame_are_followed_both_ways_by_the_command(people: Project) -> None:

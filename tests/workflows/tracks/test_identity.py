@@ -23,15 +23,15 @@ from moving import ANN, FRAMES, Walking, box_of, proposal_of, tracks_of
 
 from annotator.project import NewLabel, Project, WriteContext, open_project
 from annotator.project.log.event_types import LabelAccepted, LabelDeleted, LabelRejected, LabelTracked
-from annotator.tracking.same_place import overlap_at_place
+from annotator.tracking.link import overlap_at_place
 from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import AnnotatorError, HistoryError, TrackTakenError
 from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tracks_once
 from annotator.workflows.tracks.copy_next import copy_next
-from annotator.workflows.tracks.follow_recording import follow_from_frame, follow_recording
+from annotator.workflows.tracks.follow_run import follow_from_frame, follow_recording
 from annotator.workflows.tracks.interpolate import interpolate
 from annotator.workflows.tracks.link import link_tracks
-from annotator.workflows.workbench.copy_boxes import copy_boxes
+from annotator.workflows.workbench.save_object import copy_boxes
 
 INDEX, PERSON = st.integers(0, FRAMES - 1), st.integers(0, 1)
 TRACK = st.sampled_from([None, 1, 2, 3])

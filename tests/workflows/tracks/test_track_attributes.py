@@ -15,11 +15,11 @@ from annotator.project.classes.attributes import Attribute
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source, Truth
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.tracks.copy_next import copy_next
-from annotator.workflows.tracks.follow_recording import follow_recording
+from annotator.workflows.tracks.follow_run import follow_recording
 from annotator.workflows.tracks.interpolate import interpolate
 from annotator.workflows.tracks.link import link_tracks
-from annotator.workflows.workbench.copy_boxes import copy_boxes
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
+from annotator.workflows.workbench.save_object import copy_boxes
 
 ANN = "ann"
 TRACK = 3

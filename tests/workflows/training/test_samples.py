@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from view_detectors import SEEN, WHOLE, Fixed
 
 from annotator.detection.dataset import TrainingSample
 from annotator.geometry.oriented_box import contains
@@ -28,6 +29,7 @@ from annotator.workflows.training.samples import (
     TAUGHT,
     Material,
     SampleConfig,
+    agnostic_samples,
     drawn_objects,
     drawn_pictures,
     gather,
@@ -35,6 +37,7 @@ from annotator.workflows.training.samples import (
     known_objects,
     taught_by_drags,
     view_samples,
+    with_generated,
 )
 
 CONFIG = RcvConfig()
@@ -85,15 +88,6 @@ def test_each_detector_needs_only_its_own_boxes(people: Project) -> None:
     view = people.views.store(np.zeros((40, 40, 3), np.uint8))
     people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
     assert len(gather(people).views) == 1
-
-
-def test_views_are_enough_for_the_view_detector(people: Project) -> None:
-    view = people.views.store(np.zeros((40, 40, 3), np.uint8))
-    people.boxes.set_on_view(view, [SOME], BoxKind.SILHOUETTE, WriteContext(0, "me"))
-    with pytest.raises(DetectionError, match="no boxes on camera images to learn from"):
-        gather(people)
-    material = gather(people, [DetectorKind.VIEW])
-    assert (len(material.views_of_kind), material.kind) == (1, BoxKind.SILHOUETTE)
 
 
 def test_3d_labels_are_enough_for_both_detectors(people: Project) -> None:
@@ -198,14 +192,6 @@ def test_drawn_boxes_replace_the_outlines_of_their_objects(people: Project) -> N
     assert second.label_uids == uids
     frame = FrameSource(people).read(people.frames.of()[1])
     np.testing.assert_array_equal(second.load(), frame.rgb)
-
-
-def test_projected_boxes_contain_only_the_visible_part(people: Project) -> None:
-    accept(people, 0)
-    (sample,) = image_samples(people, gather(people), never)
-    camera = FrameSource(people).read(people.frames.of()[0]).camera
-    labels = [stored.label for stored in people.labels.select()]
-    assert list(sample.boxes) == [box_on_image(camera, label.box, label.label) for label in labels]
 
 
 def propose_true(project: Project, index: int, place: int) -> str:
@@ -343,10 +329,6 @@ def test_drawn_boxes_select_the_objects_points_for_its_silhouette(people: Projec
     assert all(sample.boxes for sample in samples)
 
 
-def test_boxes_of_the_kind_box_give_no_drawn_objects(people: Project) -> None:
-    assert drawn_objects(simulate(people, BoxKind.BOX, every=5).views) == {}
-
-
 def test_an_object_both_drawn_and_accepted_has_one_box_per_view(people: Project) -> None:
     """If it counted twice, it would have two boxes on each of its pictures."""
     simulate(people, BoxKind.SILHOUETTE, every=3)
@@ -446,3 +428,57 @@ def test_a_recording_that_was_moved_is_an_error(
     folder.rename(folder.with_name("elsewhere"))
     with pytest.raises(RecordingError, match="people: no such file or folder"):
         list(image_samples(project, gather(project), never))
+
+
+def test_only_the_object_of_a_view_is_labelled_and_the_start_gives_what_is_not_known(people: Project) -> None:
+    recording = people.recordings.all()[0].id
+    simulate_recording(people, recording, BoxKind.SILHOUETTE, RcvConfig(), every=2)
+    given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(WHOLE, 3.0, 3.0, 9.0, 9.0, 0.8)))
+    samples = list(
+        agnostic_samples(people, gather(people), RcvConfig(), SampleConfig(views=24), given, lambda *_: None)
+    )
+    assert {sample.origin for sample in samples} == {"drawn", "taught"}
+    with_boxes = [sample for sample in samples if sample.boxes]
+    assert len(with_boxes) > 0.7 * len(samples)
+    for sample in with_boxes:
+        assert sorted(box.label for box in sample.boxes) == [SEEN, WHOLE]
+        assert next(box for box in sample.boxes if box.label == WHOLE) == given.boxes[0]
+
+
+def test_the_confirmed_whole_box_is_taught_beside_the_silhouette(people: Project) -> None:
+    recording = people.recordings.all()[0].id
+    simulate_recording(people, recording, BoxKind.SILHOUETTE, RcvConfig(), every=5)
+    drawn = people.boxes.on_views()
+    image_boxes = [view.geometry.image_box for view in drawn if view.geometry is not None]
+    frame_id = people.frames.of()[0].id
+    frame = FrameSource(people).read(people.frames.get(frame_id))
+    truth = visible_objects(open_recording(people.recordings.all()[0].path), 0, frame, ["person"])[0]
+    image_box = image_box_of(frame, truth, BoxKind.SILHOUETTE)
+    assert image_box in image_boxes
+    new = NewLabel("person", truth.box, origin=Origin.DRAWN, image_box=image_box)
+    people.labels.create(frame_id, [new], WriteContext(people.frames.get(frame_id).revision, "me"))
+    given = Fixed((Box2D(WHOLE, 1.0, 1.0, 60.0, 60.0, 0.9), Box2D(SEEN, 2.0, 2.0, 50.0, 50.0, 0.9)))
+    samples = list(
+        agnostic_samples(people, gather(people), RcvConfig(), SampleConfig(views=24), given, lambda *_: None)
+    )
+    of_drawn = [sample for sample in samples if sample.origin == "drawn"]
+    assert len(of_drawn) == len(image_boxes) == 12
+    guessed = [given.boxes[0] in sample.boxes for sample in of_drawn]
+    assert guessed == [known != image_box for known in image_boxes], "the start completes the other two objects only"
+    for sample in of_drawn:
+        boxes = {box.label: box for box in sample.boxes}
+        if given.boxes[0] not in sample.boxes:
+            seen, whole = boxes[SEEN], boxes[WHOLE]
+            assert whole.width_px * whole.height_px > 0.9 * seen.width_px * seen.height_px
+    taught = [sample for sample in samples if sample.origin == "taught" and len(sample.label_uids) == 2]
+    assert taught and not any(set(sample.boxes) & set(given.boxes) for sample in taught)
+
+
+def test_generated_views_are_about_the_share_that_was_asked_for() -> None:
+    own = [TrainingSample(np.zeros((64, 64, 3), np.uint8), (), "1/1", "drawn")] * 40
+    assert list(with_generated(own, 0.0, 64, 0)) == own
+    samples, others = (list(with_generated(own, 0.5, 64, seed)) for seed in (0, 1))
+    assert samples[:40] == own
+    assert 20 < len(samples) - 40 < 80
+    assert {sample.origin for sample in samples[40:]} == {"generated"}
+    assert not {sample.group for sample in samples[40:]} & {sample.group for sample in others[40:]}

@@ -1,4 +1,4 @@
-"""The training workflow: samples, stored files and registered models. The training itself is replaced."""
+"""The training workflow: samples, stored files, registered models, stops. The training itself is replaced."""
 
 from __future__ import annotations
 
@@ -7,26 +7,32 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
-from view_detectors import Fixed, trained_model
+from view_detectors import PLAN, Fixed, held, register, trained_model
 
 from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.manifest import read_manifest
-from annotator.detection.progress import TrainingProgress
-from annotator.detection.trained import TrainedModel, TrainingMetrics
-from annotator.project import Project, WriteContext
+from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics
+from annotator.project import Project, WriteContext, create_project
 from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
+from annotator.workflows.add_recordings import register_recording
+from annotator.workflows.detectors import Detectors, own_model
 from annotator.workflows.simulate import simulate_recording
-from annotator.workflows.training import rounds, run
+from annotator.workflows.training import held_out, rounds
 from annotator.workflows.training import train as workflow
-from annotator.workflows.training.run import run_name
+from annotator.workflows.training.model_report import PICTURES, _curves, validation_pictures, write_validation_pictures
 from annotator.workflows.training.samples import SampleConfig, gather, view_samples
 from annotator.workflows.training.train import TrainPlan, train
 
 SMALL = TrainingConfig(image_size_px=64, epochs=1)
-PLAN = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
+QUICK = TrainPlan(image=SMALL, view=SMALL, samples=SampleConfig(views=18))
 
 
 @pytest.fixture
@@ -47,13 +53,31 @@ def trainings(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Path, Path]]:
             image_size_px=config.image_size_px, dataset_sha256=manifest.sha256, config=config,
         )  # fmt: skip
 
-    monkeypatch.setattr(run, "train_detector", train_detector)
-    monkeypatch.setattr(run, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}"))
+    monkeypatch.setattr(workflow, "train_detector", train_detector)
+    monkeypatch.setattr(
+        workflow, "load_detector", lambda weights: Fixed(labels=(), fingerprint=f"f-{weights.read_text()}")
+    )
     return calls
 
 
 def simulate(project: Project, kind: BoxKind = BoxKind.BOX) -> None:
     simulate_recording(project, project.recordings.all()[0].id, kind, RcvConfig(), every=2)
+
+
+@pytest.fixture
+def drawn(
+    copy_project: Callable[[Path], Project],
+    made_once: Callable[[str, Callable[[Path], object]], Path],
+    generated: Path,
+) -> Project:
+    """People with boxes on three of five frames."""
+
+    def fill(folder: Path) -> None:
+        with create_project(folder, "project0", ("person",)) as project:
+            register_recording(project, open_recording(generated / "people"))
+            simulate(project)
+
+    return copy_project(made_once("drawn boxes", fill) / "project0")
 
 
 @pytest.mark.parametrize("kind", list(BoxKind))
@@ -62,7 +86,7 @@ def test_both_detectors_are_trained_registered_and_active(
 ) -> None:
     simulate(people, kind)
     told: list[DetectorKind] = []
-    trained = train(people, PLAN, progress=lambda role, step: told.append(role))
+    trained = train(people, QUICK, progress=lambda role, step: told.append(role))
     assert [call[0] for call in trainings] == told == [DetectorKind.IMAGE, DetectorKind.VIEW]
     for result in trained:
         model = people.models.active(result.role)
@@ -82,96 +106,83 @@ def test_both_detectors_are_trained_registered_and_active(
 
 
 def test_the_same_labels_and_settings_give_the_same_run(
-    people: Project, trainings: list[tuple[str, Path, Path]]
+    drawn: Project, trainings: list[tuple[str, Path, Path]]
 ) -> None:
-    simulate(people)
-    first, second = (train(people, PLAN) for _ in range(2))
+    first, second = (train(drawn, QUICK) for _ in range(2))
     assert [call[2] for call in trainings[:2]] == [call[2] for call in trainings[2:]]
     assert [result.model.id for result in first] == [result.model.id for result in second]
-    assert len(people.models.all()) == 2, "no second model is registered"
+    assert len(drawn.models.all()) == 2, "no second model is registered"
 
 
 def test_a_finished_training_does_not_need_its_initial_weights(
-    people: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drawn: Project, trainings: list[tuple[str, Path, Path]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    simulate(people)
     plan = TrainPlan(
-        image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=PLAN.samples
+        image=SMALL.model_copy(update={"pretrained": tmp_path / "gone.pt"}), view=SMALL, samples=QUICK.samples
     )
     with pytest.raises(ConfigError, match=r"gone\.pt: no such weights file"):
-        train(people, plan, roles=(DetectorKind.IMAGE,))
+        train(drawn, plan, roles=(DetectorKind.IMAGE,))
     with monkeypatch.context() as there:
         there.setattr(workflow, "check_start", lambda config: None)
-        (first,) = train(people, plan, roles=(DetectorKind.IMAGE,))
+        (first,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
     first.result.write(first.model.path.parent)
-    (again,) = train(people, plan, roles=(DetectorKind.IMAGE,))
+    (again,) = train(drawn, plan, roles=(DetectorKind.IMAGE,))
     assert again.model.id == first.model.id
 
 
-def test_other_labels_or_settings_give_another_run(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
-    simulate(people)
-    train(people, PLAN, roles=(DetectorKind.IMAGE,))
-    train(people, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
-    stored = people.frames.of()[1]
+def test_other_labels_or_settings_give_another_run(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+    train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
+    train(drawn, TrainPlan(image=SMALL.model_copy(update={"epochs": 2}), view=SMALL), roles=(DetectorKind.IMAGE,))
+    stored = drawn.frames.of()[1]
     box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
-    people.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
-    (last,) = train(people, PLAN, roles=(DetectorKind.IMAGE,))
+    drawn.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
+    (last,) = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
     assert len({call[2] for call in trainings}) == 3
-    assert people.models.active(DetectorKind.IMAGE) == last.model
-    assert people.models.active(DetectorKind.VIEW) is None
-    back = train(people, PLAN, roles=(DetectorKind.IMAGE,))[0]
+    assert drawn.models.active(DetectorKind.IMAGE) == last.model
+    assert drawn.models.active(DetectorKind.VIEW) is None
+    back = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))[0]
     assert back.model.id == last.model.id
 
 
-def test_an_image_detector_is_continued_on_new_labels(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
+def test_an_image_detector_is_continued_on_new_labels(drawn: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     def trained(**changes: object) -> TrainedModel:
-        (result,) = train(people, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
+        (result,) = train(drawn, TrainPlan(image=SMALL.model_copy(update=changes)), roles=(DetectorKind.IMAGE,))
         result.result.write(result.model.path.parent)
         return result.result
 
-    simulate(people)
     first = trained()
     assert first.config.pretrained == "auto"
     assert trained().weights == first.weights, "the same labels give the same detector"
-    stored = people.frames.of()[1]
+    stored = drawn.frames.of()[1]
     box = Box2D("person", 1.0, 1.0, 50.0, 50.0)
-    people.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
+    drawn.boxes.set_on_image(stored.id, [box], BoxKind.BOX, WriteContext(stored.revision, "me"))
     second = trained()
     assert second.config.pretrained == first.weights
     assert trained().weights == second.weights, "the same labels give the same detector"
     for changes in ({"image_size_px": 96}, {"pretrained": "never"}, {"model": "yolov8n"}):
         assert trained(**changes).config.pretrained != second.weights
-        model = next(m for m in people.models.all(DetectorKind.IMAGE) if m.path == second.weights)
-        people.models.activate(model.id)
+        model = next(m for m in drawn.models.all(DetectorKind.IMAGE) if m.path == second.weights)
+        drawn.models.activate(model.id)
 
 
 def test_an_image_detector_that_has_learned_held_out_images_is_not_continued(
-    people: Project, trainings: list[tuple[str, Path, Path]], monkeypatch: pytest.MonkeyPatch
+    drawn: Project, trainings: list[tuple[str, Path, Path]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    simulate(people)
-    (first,) = train(people, PLAN, roles=(DetectorKind.IMAGE,))
+    (first,) = train(drawn, QUICK, roles=(DetectorKind.IMAGE,))
     first.result.write(first.model.path.parent)
     learned = frozenset(entry.group for entry in first.manifest.entries if entry.split == "train")
     monkeypatch.setattr(rounds, "held_out_groups", lambda project: learned)
-    (other,) = train(people, replace(PLAN, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
+    (other,) = train(drawn, replace(QUICK, image=SMALL.model_copy(update={"epochs": 2})), roles=(DetectorKind.IMAGE,))
     assert other.result.config.pretrained == "auto"
 
 
 def test_pictures_of_deep_frustums_are_cut_into_tiles(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
     deep = RcvConfig().model_copy(update={"view": ViewConfig(deep=0.1)})
     simulate_recording(people, people.recordings.all()[0].id, BoxKind.BOX, deep, every=2)
-    (trained,) = train(people, replace(PLAN, rcv=deep), roles=(DetectorKind.VIEW,))
-    samples = list(view_samples(people, gather(people), deep, PLAN.samples, lambda *skipped: None))
+    (trained,) = train(people, replace(QUICK, rcv=deep), roles=(DetectorKind.VIEW,))
+    samples = list(view_samples(people, gather(people), deep, QUICK.samples, lambda *skipped: None))
     tiles = [len(sample.boxes) + 1 if sample.look_px else 1 for sample in samples]
     assert sum(trained.manifest.images.values()) == sum(tiles) > len(samples)
-
-
-def test_run_names_depend_only_on_labels_and_settings(people: Project, trainings: list[tuple[str, Path, Path]]) -> None:
-    simulate(people)
-    (trained,) = train(people, PLAN, roles=(DetectorKind.VIEW,))
-    name = run_name(trained.manifest, SMALL)
-    assert trained.model.path.parent.name == name
-    assert run_name(trained.manifest, SMALL.model_copy(update={"seed": 1})) != name
 
 
 def test_left_out_samples_are_reported(
@@ -186,7 +197,7 @@ def test_left_out_samples_are_reported(
         view.view_id, view.boxes, BoxKind.SILHOUETTE, WriteContext(stored.revision, "me"), frame_id=stored.id
     )
     (folder / "depth" / "000002.png").write_bytes(b"")
-    image, views = train(project, PLAN)
+    image, views = train(project, QUICK)
     (line,) = image.left_out
     assert line.startswith("frame 000002: ")
     assert views.left_out[0] == "1 pseudo-view whose boxes are not of the majority kind, box"
@@ -194,14 +205,86 @@ def test_left_out_samples_are_reported(
     assert sum(image.manifest.images.values()) == 2
 
 
-def test_a_training_without_samples_leaves_no_files(people: Project) -> None:
-    with pytest.raises(DetectionError, match="to learn from"):
-        train(people, PLAN)
-    assert list(people.models_folder.iterdir()) == []
-
-
 def test_pictures_without_any_box_are_an_error(people: Project) -> None:
     people.boxes.set_on_image(people.frames.of()[0].id, [], BoxKind.BOX, WriteContext(0, "me"))
     with pytest.raises(DetectionError, match="at least one labelled box"):
-        train(people, PLAN, roles=(DetectorKind.IMAGE,))
+        train(people, QUICK, roles=(DetectorKind.IMAGE,))
     assert people.models.all() == ()
+
+
+def test_a_training_can_be_stopped_while_it_draws_views_and_measures(
+    labelled: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[TrainingSample] = []
+    monkeypatch.setattr(workflow, "write_dataset", lambda folder, samples, *_: written.extend(samples))
+    for asked, role in ((2, DetectorKind.IMAGE), (6, DetectorKind.VIEW)):
+        answers = iter([False] * asked + [True])
+        with pytest.raises(TrainingStoppedError):
+            train(labelled, PLAN, roles=(role,), stop=lambda answers=answers: next(answers))
+    assert 0 < len(written) < 10
+
+    def stopped() -> None:
+        raise TrainingStoppedError("here")
+
+    monkeypatch.setattr(held_out, "load_detector", lambda path, names=(): Fixed())
+    measured = held(labelled)
+    measured._check_stop = stopped
+    with pytest.raises(TrainingStoppedError):
+        measured.mean_iou(own_model(labelled, register(labelled, "a")))
+
+
+def test_a_training_removes_what_killed_ones_left(labelled: Project) -> None:
+    model = register(labelled, "registered")
+    folder = model.path.parent.parent
+    for name, is_timed in (("registered", True), ("timed", True), ("resumable", False)):
+        (folder / name).mkdir(exist_ok=True)
+        record = RunRecord(fingerprint="", pretrained=False, note="", seconds=1.0, is_timed=is_timed)
+        record.write(folder / name)
+    (folder / ".dataset.part-x1").mkdir()
+    workflow.remove_leftovers(labelled, DetectorKind.VIEW)
+    assert {path.name for path in folder.iterdir()} >= {"registered", "resumable"}
+    assert not (folder / "timed").exists()
+    assert not (folder / ".dataset.part-x1").exists()
+
+
+# with a low score, too
+DETECTOR = Fixed(
+    (Box2D("person", 10.0, 20.0, 40.0, 60.0, 0.9), Box2D("person", 60.0, 5.0, 75.0, 15.0, 0.1)), labels=("person",)
+)
+
+
+@pytest.mark.parametrize("groups", [1, 4, 30])
+def test_validation_pictures_are_written_beside_the_model(tmp_path: Path, groups: int) -> None:
+    grey = np.full((80, 100, 3), 100, np.uint8)
+    samples = [
+        TrainingSample(grey, (Box2D("person", 10.0, 20.0, 40.0, 60.0),), str(number), "drawn")
+        for number in range(groups)
+    ]
+    manifest = write_dataset(
+        tmp_path / "set", samples, ("person",), lambda group: 0 < int(group) <= groups // 2, BoxKind.BOX
+    )
+    model = tmp_path / "model"
+    model.mkdir()
+    for _ in range(2):  # the second call replaces the first pictures
+        paths = write_validation_pictures(tmp_path / "set", manifest, DETECTOR, model)
+    assert len(paths) == min(manifest.images[manifest.measured_on], PICTURES)
+    assert paths == validation_pictures(model)
+    assert [path.name for path in model.iterdir()] == ["validation"]
+    picture = cv2.imread(str(paths[0])).astype(int)
+    scale = picture.shape[1] / 100
+    assert max(picture.shape) == 448
+    at = lambda x, y: picture[round((y + 0.5) * scale - 0.5), round((x + 0.5) * scale - 0.5)]  # noqa: E731
+    assert np.ptp(at(10, 40)) > 60, "the box's edge is coloured"
+    assert np.ptp(at(25, 40)) < 30
+    assert np.ptp(at(60, 10)) < 30, "boxes with low scores are not drawn"
+
+
+def test_curves_are_read_without_nan_values(tmp_path: Path) -> None:
+    assert _curves(tmp_path / "none.csv") == ()
+    head = "epoch,time,train/box_loss,metrics/mAP50(B),lr/pg0"
+    (tmp_path / "curves.csv").write_text(f"{head}\n1,2.5,0.5,nan,0.1\n2,5,0.25,0.75,0.1\n")
+    points = _curves(tmp_path / "curves.csv")
+    assert [(point.epoch, point.metrics) for point in points] == [
+        (1, {"box_loss": 0.5}),
+        (2, {"box_loss": 0.25, "map50": 0.75}),
+    ]

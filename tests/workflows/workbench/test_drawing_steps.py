@@ -32,9 +32,9 @@ from annotator.workflows.workbench.drawing_steps import (
     label_object,
     label_steps,
 )
+from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import show_frame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
-from annotator.workflows.workbench.open_frame import OpenFrame
 from annotator.workflows.workbench.refit import FoundBox
 from annotator.workflows.workbench.save_object import ObjectDrawn, save_object
 
@@ -126,13 +126,6 @@ def test_each_completed_step_gives_the_next_views_and_a_box(desk: Desk) -> None:
     assert iou_3d(done.box, truth) > iou_3d(second.box, truth) - 0.1
     assert len(done.outline) > 6
     assert done.points > 50
-
-
-def test_views_of_the_same_boxes_are_cached(desk: Desk) -> None:
-    four = desk.four()
-    assert all(a is b for a, b in zip(desk.steps(four).views, desk.steps(four).views, strict=True))
-    moved = [Box2D("person", four[0].x_min + 9, *four[0].xyxy[1:]), *four[1:]]
-    assert desk.steps(moved).views[2] is not desk.steps(four).views[2]
 
 
 def test_boxes_of_the_kind_box_are_fitted_together(people: Project, generated: Path) -> None:

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import threading
-import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from live_server import wait_until
 
 from annotator.geometry.point_index import PointIndex
-from annotator.project import Project, create_project
+from annotator.project import NewLabel, Project, WriteContext, create_project
+from annotator.project import overview as overview_module
 from annotator.recordings import open_recording
 from annotator.recordings.rgbd_folder import RgbdFolder
-from annotator.types import Frame
+from annotator.types import Box2D, BoxKind, Frame, OrientedBox
 from annotator.types.errors import FrameError, NotFoundError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.workbench import frame_cache
-from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache
-from annotator.workflows.workbench.open_frame import OpenFrame
+from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache, OpenFrame
+from annotator.workflows.workbench.frame_state import show_frame
 
 
 @pytest.fixture
@@ -142,36 +144,6 @@ def test_many_threads_read_a_frame_once(project: Project, reads: list[str]) -> N
     assert reads == ["000002"]
 
 
-def test_a_thread_that_waited_finds_the_frame_in_the_cache(
-    project: Project, reads: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Even if it gets the lock at the moment at which another thread has read the frame."""
-    cache = FrameCache()
-    cache.close()
-    _, source = cache._source(project)
-
-    class Yielding:
-        """A lock that lets another thread run when it is released."""
-
-        own = threading.Lock()
-
-        def __enter__(self) -> None:
-            self.own.acquire()
-
-        def __exit__(self, *_: object) -> None:
-            self.own.release()
-            time.sleep(0.05)
-
-    shared = (Yielding(), source)
-    monkeypatch.setattr(cache, "_source", lambda _: shared)
-    threads = [threading.Thread(target=cache.read, args=(project, 3)) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert reads == ["000002"]
-
-
 def test_an_unreadable_frame_is_an_error_each_time(project: Project, reads: list[str]) -> None:
     cache = FrameCache()
     cache.close()
@@ -182,15 +154,6 @@ def test_an_unreadable_frame_is_an_error_each_time(project: Project, reads: list
             cache.read(project, gone)
     with pytest.raises(NotFoundError):
         cache.read(project, 99)
-
-
-def test_forgotten_frames_are_read_again(project: Project, reads: list[str]) -> None:
-    cache = FrameCache()
-    cache.close()
-    cache.read(project, 1)
-    cache.forget(project)
-    cache.read(project, 1)
-    assert reads == ["000000", "000000"]
 
 
 @pytest.mark.parametrize("is_parallel", [True, False])
@@ -215,3 +178,36 @@ def test_frames_that_are_only_looked_at_are_read_side_by_side_where_the_reader_c
     assert [each.key for each in found] == ["000000", "000001"]
     assert met == [is_parallel] * 2
     cache.close()
+
+
+def test_labels_without_new_events_are_not_read_again(
+    make_project: Callable[..., Project], generated: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = make_project(generated / "people")
+    opened = OpenFrame(open_recording(generated / "people").frame(0))
+    frame = project.frames.of()[0].id
+    box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.array([0.5, 0.6, 1.7]))
+    project.labels.create(frame, [NewLabel("person", box), NewLabel("person", box)], WriteContext(0, "Ada"))
+    reads = Mock(side_effect=overview_module.stored_label)
+    monkeypatch.setattr(overview_module, "stored_label", reads)
+    first = show_frame(project, frame, opened)
+    again = show_frame(project, frame, opened)
+    assert reads.call_count == 2 and again.labels is first.labels
+
+    # without an event of the frame, its index and neighbours have changed
+    (recording,) = project.recordings.all()
+    keys = [stored.key for stored in project.frames.of()]
+    project.recordings.rescan(recording.id, ["before", *keys])
+    moved = show_frame(project, frame, opened)
+    assert (moved.page.frame.index, moved.page.previous) == (1, project.frames.find(recording.id, "before").id)
+    assert reads.call_count == 2 and moved.labels is first.labels
+
+    # any event of the frame
+    project.boxes.set_on_image(frame, [Box2D("person", 1.0, 2.0, 30.0, 40.0)], BoxKind.BOX, WriteContext(2, "Bob"))
+    drawn = show_frame(project, frame, opened)
+    assert [item.image_box.xyxy for item in drawn.objects] == [(1.0, 2.0, 30.0, 40.0)]
+    project.labels.reject(frame, first.labels[0].stored.label.uid, WriteContext(3, "Bob"))
+    rejected = show_frame(project, frame, opened)
+    assert rejected.labels[0].stored.label.author == "Bob"
+    # what the other label shows is not computed again
+    assert rejected.labels[1] is drawn.labels[1] is first.labels[1]

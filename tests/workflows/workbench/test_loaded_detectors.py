@@ -125,33 +125,6 @@ def test_a_server_that_ends_does_not_wait_to_load_a_detector(people: Project, mo
     assert not waiting.is_alive()
 
 
-def test_waiting_for_a_detector_ends_after_the_given_time(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    go = threading.Event()
-
-    def load(weights: Path, names: object = ()) -> Blank:
-        go.wait(240)
-        return Blank()
-
-    monkeypatch.setattr(detectors_ready, "load_detector", load)
-    register(people, DetectorKind.VIEW, "slow")
-    ready = ReadyDetectors()
-    assert ready.get(people, DetectorKind.VIEW, wait_s=0.05) is None
-    assert not go.is_set()
-    go.set()
-    assert ready.get(people, DetectorKind.VIEW) is not None
-    ready.close()
-
-
-def test_a_detector_that_cannot_be_loaded_is_treated_as_missing(
-    people: Project, loads: list[Path], caplog: pytest.LogCaptureFixture
-) -> None:
-    register(people, DetectorKind.VIEW, "bad")
-    ready = ReadyDetectors()
-    assert ready.get(people, DetectorKind.VIEW) is None
-    assert "no weights" in caplog.text
-    ready.close()
-
-
 def test_the_state_of_loading_and_its_problem_are_reported(people: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     go = threading.Event()
 

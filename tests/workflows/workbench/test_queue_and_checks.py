@@ -6,12 +6,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from random import Random
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.cli.main import main
@@ -23,8 +20,7 @@ from annotator.workflows.checking.box_rules import UsualSize, odd_size_message
 from annotator.workflows.checking.point_counts import PointCounts
 from annotator.workflows.checking.project_labels import Kind, check, check_project
 from annotator.workflows.recorded.own_labels import import_own_labels
-from annotator.workflows.workbench.review_priority import doubt
-from annotator.workflows.workbench.review_queue import Order, Queue, _spread, queue
+from annotator.workflows.workbench.review_queue import Order, Queue, doubt, queue
 
 
 def box_at(x: float, yaw_rad: float = 0.0, size: Sequence[float] = (0.8, 0.5, 1.7)) -> OrientedBox:
@@ -62,15 +58,6 @@ def test_doubt_is_computed_from_quality_and_score(
         assert found is None
     else:
         assert found is not None and low <= found <= high
-
-
-def test_each_signal_raises_the_doubt() -> None:
-    fine = Quality(0.05, 0.9, 0.05, 0.9)
-    base = doubt(fine, 0.9) or 0.0
-    worse = [Quality(0.1, 0.9, 0.05, 0.9), Quality(0.05, 0.7, 0.05, 0.9), Quality(0.05, 0.9, 0.2, 0.9)]
-    worse += [Quality(0.05, 0.9, 0.05, 0.6), Quality(0.05, 0.9, 0.05, 0.9, 0.1)]
-    assert all((doubt(quality, 0.9) or 0.0) > base for quality in worse)
-    assert (doubt(fine, 0.5) or 0.0) > base
 
 
 def test_proposals_are_in_the_selected_order(people: Project) -> None:
@@ -138,47 +125,6 @@ def test_the_most_informative_frames_come_first(people: Project) -> None:
     assert shown()[0] == 2, "the most doubtful frame"
     assert shown()[-1] == 1, "the least doubtful frame"
     assert all(item.uid is None for item in queue(people, Order.TEACH).items)
-
-
-def naive_spread(frames: Sequence[StoredFrame], seen: Sequence[StoredFrame]) -> list[StoredFrame]:
-    """Reference implementation: repeatedly takes the best remaining frame of each recording in turn."""
-    left = {frame.recording_id: [] for frame in frames}  # type: dict[int, list[StoredFrame]]
-    for recording, own in left.items():
-        here = sorted((f for f in frames if f.recording_id == recording), key=lambda f: f.index or 0)
-        labelled = [f.index or 0 for f in seen if f.recording_id == recording]
-        halves = naive_halving(len(here))
-        while halves:
-            far = [
-                min((abs((here[n].index or 0) - place).bit_length() for place in labelled), default=0) for n in halves
-            ]
-            own.append(here[halves.pop(far.index(max(far)))])
-    turns = max(map(len, left.values()), default=0)
-    return [own[turn] for turn in range(turns) for own in left.values() if turn < len(own)]
-
-
-def naive_halving(count: int) -> list[int]:
-    """Both ends, then the middles of the gaps, level by level (reference implementation)."""
-    order, level = list(range(count))[:1] + list(range(count))[1:][-1:], [(0, count - 1)]
-    while level:
-        inner = [(low, high, (low + high) // 2) for low, high in level if high - low >= 2]
-        order += [middle for _, _, middle in inner]
-        level = [gap for low, high, middle in inner for gap in ((low, middle), (middle, high))]
-    return order
-
-
-@given(
-    st.lists(st.tuples(st.integers(1, 3), st.integers(0, 60), st.booleans()), unique_by=lambda f: f[:2], max_size=60),
-    st.randoms(use_true_random=False),
-)
-def test_the_fast_order_agrees_with_the_reference_implementation(
-    places: list[tuple[int, int, bool]], random: Random
-) -> None:
-    frames = [StoredFrame(n, recording, str(at), at, 0, False) for n, (recording, at, _) in enumerate(places)]
-    known = [frame for frame, (_, _, is_known) in zip(frames, places, strict=True) if is_known]
-    rest = [frame for frame in frames if frame not in known]
-    assert _spread(rest, known) == naive_spread(rest, known)
-    random.shuffle(known)
-    assert _spread(rest, known) == naive_spread(rest, known)
 
 
 def label(box: OrientedBox, name: str = "person", track: int | None = None) -> NewLabel:

@@ -119,7 +119,7 @@ const originName = (name) => ORIGINS[name] ?? name;
 /** @param {Api.ReportedStatistics} options */
 function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, progress }) {
   const { earliest, latest } = progress.pace;
-  const { hours_left, days_left, frames_left, frames_done } = progress.forecast;
+  const { hours_left, boxes_an_hour, frames_left, frames_done } = progress.forecast;
   const change =
     earliest && latest
       ? `of work: first ${number(earliest.seconds_a_box)}, lately ${number(latest.seconds_a_box)}`
@@ -128,8 +128,8 @@ function tilesOf({ effort, accepted_untouched, iou_proposal_to_final, labels, pr
   const left =
     frames_left === 0
       ? "every frame is done"
-      : range && days_left
-        ? `${range}; ${number(days_left.expected)} days at the latest pace`
+      : range && boxes_an_hour
+        ? `${range}; lately ${number(boxes_an_hour.expected, 0)} boxes an hour`
         : `no forecast before 10 frames are done; ${number(frames_done, 0)} done, ${number(frames_left, 0)} left`;
   const done = (labels.by_state.accepted ?? 0) + (labels.by_state.edited ?? 0);
   return [

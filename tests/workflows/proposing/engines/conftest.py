@@ -13,8 +13,8 @@ from annotator.recordings import open_recording
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.annotate import annotate_with
-from annotator.workflows.proposing.engines.inline import InlineEngine
-from annotator.workflows.proposing.engines.sources import GivenDetectors
+from annotator.workflows.proposing.runner import InlineEngine
+from annotator.workflows.proposing.tasks import GivenDetectors
 
 
 @pytest.fixture

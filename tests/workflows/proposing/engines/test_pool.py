@@ -1,22 +1,46 @@
-"""Distribution of tasks, also after workers died, with fake workers instead of processes."""
+"""Distribution of tasks, also after workers died, with fake workers; the choice of the engine; what workers load."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from engine_samples import Unloadable
 
 from annotator.project import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind
-from annotator.types.errors import WorkerError
-from annotator.workflows.proposing.engines import pool
-from annotator.workflows.proposing.engines.messages import Died, Done, Ready, Refused, Report
-from annotator.workflows.proposing.engines.pool import MAX_FAILED_STARTS, TASKS_PER_WORKER, WorkerPool
-from annotator.workflows.proposing.engines.tasks import Answer, FrameAnswer, FrameSpec, Identity, RecordingSpec, Task
+from annotator.types.errors import ConfigError, DetectionError, WorkerError
+from annotator.workflows.detectors import TrainedDetectors, UsedModel
+from annotator.workflows.proposing import engines
+from annotator.workflows.proposing.engines import MIN_FRAMES, EngineName, make_engine
+from annotator.workflows.proposing.pool import (
+    MAX_FAILED_STARTS,
+    TASKS_PER_WORKER,
+    Died,
+    Done,
+    Ready,
+    Refused,
+    Report,
+    WorkerPool,
+)
+from annotator.workflows.proposing.runner import InlineEngine
+from annotator.workflows.proposing.tasks import (
+    Answer,
+    FrameAnswer,
+    FrameSpec,
+    Identity,
+    PackedDetectors,
+    RecordingSpec,
+    Storage,
+    Task,
+    parse_elsewhere,
+    scratch_folder,
+)
 
 SAME = Identity("image", "view", ("torch", "torch"), BoxKind.BOX)
 ROOM = RecordingSpec(Path("room"), "room", "project", None)
@@ -186,18 +210,84 @@ def test_closing_ends_all_workers(start_pool: Callable[[int], FakePool]) -> None
     assert all(worker.is_ended for worker in fake.made)
 
 
-def test_a_long_wait_for_the_first_worker_is_logged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a cluster without free cores."""
-    monkeypatch.setattr(pool, "WARNING_INTERVAL_S", 0.01)
-    fake = FakePool(2)
-    told: list[str] = []
+@pytest.mark.parametrize(
+    ("name", "cores", "gpus", "options", "workers"),
+    [
+        ("auto", 4, (), {}, 4),
+        ("auto", 4, (), {"workers": 1}, None),
+        ("auto", 1, (), {}, None),
+        ("auto", 1, ("0",), {}, 1),
+        ("auto", 4, (), {"frames": MIN_FRAMES - 1}, None),
+        ("local", 8, ("0", "1"), {}, 2),
+    ],
+)
+def test_the_number_of_workers_depends_on_cores_gpus_and_frames(
+    name: str,
+    cores: int,
+    gpus: tuple[str, ...],
+    options: dict[str, int],
+    workers: int | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(engines, "usable_cores", lambda: cores)
+    monkeypatch.setattr(engines, "cuda_devices", lambda: gpus)
+    engine = make_engine(EngineName(name), Unloadable(), **{"frames": 1000, **options})
+    assert isinstance(engine, InlineEngine if workers is None else WorkerPool)
+    assert engine.window == (1 if workers is None else workers * (TASKS_PER_WORKER + 1))
 
-    def warning(line: str, *values: object) -> None:
-        told.append(line % values)
-        if len(told) == 2:
-            fake.made[0].ready()
 
-    monkeypatch.setattr(pool.LOG, "warning", warning)
-    assert fake.pool.start() == SAME
-    assert len(told) == 2
-    assert "none of the 2 workers is ready after 0 s" in told[0]
+@pytest.mark.parametrize(
+    ("name", "options", "says"),
+    [
+        ("local", {"workers": 0}, "--workers 0 is too small"),
+        ("inline", {"workers": 2}, "has no workers"),
+        ("local", {"address": "auto"}, "add --engine ray"),
+    ],
+)
+def test_conflicting_options_are_errors(name: str, options: dict[str, object], says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        make_engine(EngineName(name), Unloadable(), frames=100, **options)
+
+
+def test_paths_are_mapped_to_the_longest_matching_folder() -> None:
+    storage = Storage(parse_elsewhere(["/data/a=s3://bucket/a/", "/data=/mnt/data"]))
+    assert storage.place(Path("/data/a/room")) == "s3://bucket/a/room"
+    assert storage.place(Path("/data/a")) == "s3://bucket/a"
+    assert storage.place(Path("/data/b/room")) == "/mnt/data/b/room"
+    assert storage.place(Path("/database/room")) == "/database/room"
+
+
+@pytest.mark.parametrize("word", ["", "/data", "=s3://bucket", "/data="])
+def test_invalid_mappings_are_errors(word: str) -> None:
+    with pytest.raises(ConfigError, match="not of the form FOLDER=PLACE"):
+        parse_elsewhere([word])
+
+
+def test_weights_are_unpacked_once_into_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "training"
+    folder.mkdir()
+    model = UsedModel(folder / "detector.pt", BoxKind.BOX, False, "f")
+    trained = TrainedDetectors(model, model)
+    with pytest.raises(DetectionError, match="train the detector again"):
+        PackedDetectors.of(trained)
+    (folder / "detector.pt").write_bytes(b"weights")
+    (folder / "model.json").write_text("{}")
+    packed = PackedDetectors.of(trained)
+    place = packed.image.unpacked(tmp_path / "out")
+    for path in (place, place.with_name("model.json")):  # the system may remove temporary files one by one
+        before = place.stat().st_ino
+        assert packed.image.unpacked(tmp_path / "out") == place and place.stat().st_ino == before
+        path.unlink()
+        assert packed.image.unpacked(tmp_path / "out") == place and place.read_bytes() == b"weights"
+    assert sorted(path.name for path in (tmp_path / "out").rglob("*") if path.is_file()) == [
+        "detector.pt",
+        "model.json",
+    ]
+    with pytest.raises(DetectionError, match=r"detector\.pt.*: cannot be written .*TMPDIR"):
+        packed.image.unpacked(folder / "detector.pt")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert scratch_folder().stat().st_mode & 0o077 == 0
+    scratch_folder().chmod(0o777)
+    with pytest.raises(WorkerError, match="other users can write to it"):
+        scratch_folder()

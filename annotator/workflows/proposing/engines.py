@@ -1,0 +1,272 @@
+"""Engines that process the frames of a batch, by name; and the one of worker processes on this machine.
+
+Each worker has its own detectors and share of the cores, and never accesses the project's database. Its standard input:
+a pickled `Start`, then tasks; it ends when its input is closed, or when the driver dies. Its standard output: a pickled
+`Identity`, then answers; or a `Fault` and nothing else. Output of libraries is redirected to standard error.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+from contextlib import suppress
+from enum import StrEnum
+from pathlib import Path
+from typing import BinaryIO
+
+from annotator.detection.backends.cores import usable_cores
+from annotator.types.errors import ConfigError
+from annotator.workflows.proposing.pool import Died, Done, Fault, Ready, Refused, Report, Start, WorkerPool, fault_of
+from annotator.workflows.proposing.runner import Engine, InlineEngine, TaskRunner
+from annotator.workflows.proposing.tasks import Answer, DetectorSource, Identity, Storage, Task
+
+# One thread proposes while the other one reads frames.
+THREADS = 2
+
+
+class _Output:
+    """The pickle stream to the driver. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._stream: BinaryIO = os.fdopen(os.dup(1), "wb")
+        # redirects what libraries print to standard error
+        os.dup2(2, 1)
+        self._lock = threading.Lock()
+
+    def send(self, value: object) -> None:
+        with self._lock:
+            pickle.dump(value, self._stream)
+            self._stream.flush()
+
+
+def main() -> int:
+    """Runs tasks until the driver closes the standard input or dies."""
+    output = _Output()
+    try:
+        start: Start = pickle.load(sys.stdin.buffer)
+        runner = _runner(start)
+        output.send(runner.identity)
+    except Exception as error:
+        output.send(fault_of(error))
+        return 0
+    tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
+    for _ in range(THREADS):
+        threading.Thread(target=_work, args=(runner, tasks, output), daemon=True).start()
+    try:
+        while True:
+            tasks.put(pickle.load(sys.stdin.buffer))
+    except (EOFError, pickle.UnpicklingError):
+        # the driver has closed the input or died: unfinished tasks are not needed
+        os._exit(0)
+
+
+def _runner(start: Start) -> TaskRunner:
+    import cv2
+
+    if start.threads is not None:
+        # OpenCV has no environment variable for it
+        cv2.setNumThreads(start.threads)
+    return TaskRunner(start.source.load(start.threads), start.storage)
+
+
+def _work(runner: TaskRunner, tasks: queue.SimpleQueue[Task], output: _Output) -> None:
+    try:
+        while True:
+            output.send(runner.do(tasks.get()))
+    except BaseException:
+        # TaskRunner.do returns every error as an answer, so this process is broken: end it
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(1)
+
+
+# Workers get the driver's module path. -P excludes the current folder, whose files might shadow modules.
+PROGRAM = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
+    "from annotator.workflows.proposing.engines import main; sys.exit(main())"
+)
+# Read by the libraries when they are loaded. Without them, each worker would use all cores.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+NVIDIA_DEVICES = "nvidia[0-9]*"
+
+
+class LocalWorker:
+    """A worker process. It ends by itself when this process ends, even by a crash."""
+
+    def __init__(self, number: int, report: Report, start: Start, gpu: str | None = None) -> None:
+        """
+        Args:
+            number: the worker's number in its events.
+            report: receives the events.
+            start: the first message.
+            gpu: its GPU, as named in `CUDA_VISIBLE_DEVICES`; None = all.
+        """
+        self.number, self._report = number, report
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-c", PROGRAM],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, **environment(start.threads), **({} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu})},
+            # an interrupt at the terminal must reach the driver only, which then ends its workers
+            process_group=0 if os.name != "nt" else None,
+        )
+        self._write(sys.path)
+        self._write(start)
+        threading.Thread(target=self._listen, name=f"worker {number}", daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        """The process's id."""
+        return self._process.pid
+
+    def send(self, task: Task) -> None:
+        """Sends a task; does nothing if the worker is dead."""
+        self._write(task)
+
+    def end(self) -> None:
+        """Kills the worker."""
+        with suppress(ProcessLookupError):
+            self._process.kill()
+        self._process.wait()
+
+    def _write(self, value: object) -> None:
+        assert self._process.stdin is not None
+        # the listening thread reports the worker's death
+        with suppress(BrokenPipeError, ValueError):
+            pickle.dump(value, self._process.stdin)
+            self._process.stdin.flush()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None and self._process.stdin is not None
+        with self._process.stdout as stream:
+            while True:
+                try:
+                    message = pickle.load(stream)
+                except (EOFError, pickle.UnpicklingError):  # also in the middle of an answer
+                    break
+                match message:
+                    case Identity():
+                        self._report(Ready(self.number, message))
+                    case Answer():
+                        self._report(Done(self.number, message))
+                    case Fault():
+                        self._report(Refused(self.number, message.reason, message.is_fault))
+        code = self._process.wait()
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+        self._report(Died(self.number, exit_reason(code)))
+
+
+def exit_reason(code: int) -> str:
+    """Describes the exit code of a process."""
+    if code == -signal.SIGKILL:
+        return "killed, possibly out of memory"
+    return f"by signal {-code}" if code < 0 else f"with exit code {code}"
+
+
+def environment(threads: int | None) -> dict[str, str]:
+    """Returns the environment variables that limit a process to a number of threads; None = no limit."""
+    return {} if threads is None else dict.fromkeys(THREAD_VARIABLES, str(threads))
+
+
+def local_engine(
+    source: DetectorSource, workers: int, threads: int | None, storage: Storage, gpus: tuple[str, ...] = ()
+) -> WorkerPool:
+    """Makes an engine of worker processes on this machine.
+
+    Args:
+        source: of each worker's detectors.
+        workers: number of workers.
+        threads: processor threads of each worker; None = all cores.
+        storage: where recordings are read.
+        gpus: names of the machine's GPUs, assigned to the workers in turn.
+    """
+    start = Start(source, threads, storage)
+    return WorkerPool(
+        lambda number, report: LocalWorker(number, report, start, gpus[number % len(gpus)] if gpus else None), workers
+    )
+
+
+def cuda_devices(devices: Path = Path("/dev")) -> tuple[str, ...]:
+    """Returns the GPUs that detectors can use, as named in `CUDA_VISIBLE_DEVICES`.
+
+    Torch takes seconds to import, so it is imported only if the system has an NVIDIA device.
+    """
+    if not any(devices.glob(NVIDIA_DEVICES)):
+        return ()
+    from annotator.detection.ultralytics_api import api
+
+    count = int(api().torch.cuda.device_count())
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    names = [str(number) for number in range(count)] if visible is None else [n.strip() for n in visible.split(",")]
+    return tuple(names[:count])
+
+
+# With fewer frames, this process finishes before workers would have loaded the detectors.
+MIN_FRAMES = 16
+
+
+class EngineName(StrEnum):
+    """The engines. AUTO: worker processes if the machine has several cores or a GPU and there are enough frames, else
+    this process."""
+
+    AUTO = "auto"
+    INLINE = "inline"
+    LOCAL = "local"
+    RAY = "ray"
+
+
+def make_engine(
+    name: EngineName,
+    source: DetectorSource,
+    *,
+    frames: int,
+    workers: int | None = None,
+    threads: int | None = None,
+    address: str | None = None,
+    storage: Storage | None = None,
+) -> Engine:
+    """Makes an engine. Detectors are loaded when it is started; a Ray cluster is connected now.
+
+    Args:
+        source: of the detectors.
+        frames: maximum number of frames to do.
+        workers: number of workers; None = one per GPU, or one per core without GPUs (of the cluster, with Ray).
+        threads: processor threads of each worker; None = its share of the machine's cores (Ray: one thread).
+        address: of a Ray cluster; None = one on this machine.
+        storage: where workers read recordings.
+
+    Raises:
+        ConfigError: numbers below 1, or contradicting options.
+        MissingExtraError, WorkerError: Ray is not installed, or the cluster cannot be reached.
+    """
+    storage = storage or Storage()
+    for option, value in (("workers", workers), ("threads", threads)):
+        if value is not None and value < 1:
+            raise ConfigError(f"--{option} {value} is too small; give 1 or more")
+    if address is not None and name is not EngineName.RAY:
+        raise ConfigError("--address names a Ray cluster; add --engine ray, or omit it")
+    gpus, cores = cuda_devices(), usable_cores()
+    if name is EngineName.AUTO:
+        use_workers = workers != 1 and (workers is not None or cores > 1 or bool(gpus))
+        name = EngineName.LOCAL if use_workers and frames >= MIN_FRAMES else EngineName.INLINE
+    elif name is EngineName.INLINE and workers not in (None, 1):
+        raise ConfigError("--engine inline has no workers; omit --workers, or use --engine local")
+    match name:
+        case EngineName.LOCAL:
+            workers = workers or len(gpus) or cores
+            return local_engine(source, workers, threads or max(cores // workers, 1), storage, gpus)
+        case EngineName.RAY:
+            from annotator.workflows.proposing.ray_engine import RayEngine
+
+            return RayEngine(source, workers, threads or 1, storage, address)
+        case _:
+            return InlineEngine(source, threads, storage)

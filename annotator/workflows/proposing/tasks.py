@@ -1,0 +1,307 @@
+"""Tasks, answers, and what workers load for them: picklable values that describe frames, places and detectors.
+
+Workers read recordings at the project's path, or at another path or URL: the driver's `/data/room` may be
+`/mnt/data/room` on a worker's machine, or `s3://bucket/room` in an object storage. URLs are read through fsspec
+(`annotator.recordings.mirror`).
+"""
+
+from __future__ import annotations
+
+import copyreg
+import hashlib
+import os
+import stat
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform
+
+from annotator.detection.trained import MODEL_NAME
+from annotator.files import NETWORK_BYTES, read_file, write_atomic
+from annotator.project.config import BoxRotation
+from annotator.rcv.config import RcvConfig
+from annotator.rcv.finish import FrameProposals
+from annotator.rcv.warm_start import WarmStart
+from annotator.recordings import stored_options
+from annotator.types import NO_CORRECTION, BoxKind, Correction
+from annotator.types.errors import ConfigError, DetectionError, WorkerError
+from annotator.workflows.detectors import Detectors, TrainedDetectors
+from annotator.workflows.frame_source import OpenedRecording, open_stored
+
+
+@dataclass(frozen=True)
+class RecordingSpec:
+    """A recording as a worker needs it.
+
+    Attributes:
+        path: on the driver; workers may read it elsewhere (`Storage`).
+        name: in the project.
+        project: the project's name, for messages.
+        up: unit vector against gravity in the camera frame, if the project sets one.
+        options, correction: as in `StoredRecording`.
+    """
+
+    path: Path
+    name: str
+    project: str
+    up: tuple[float, float, float] | None
+    options: str = ""
+    correction: Correction = NO_CORRECTION
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSpec:
+    """A frame to process.
+
+    Attributes:
+        key: its name in the recording, which identifies it.
+        seeds: boxes of the previous frame, in this frame's camera frame.
+    """
+
+    recording: RecordingSpec
+    key: str
+    seeds: tuple[WarmStart, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A few frames that go through the recursion together.
+
+    Every engine gets the same groups, since the other images of a batch may change a detector's results in their last
+    bits.
+
+    Attributes:
+        number: of the task in its engine.
+        frames: one or more.
+        config: settings; the orientation is replaced for each frame.
+        rotation: gives the orientation.
+    """
+
+    number: int
+    frames: tuple[FrameSpec, ...]
+    config: RcvConfig
+    rotation: BoxRotation
+
+
+@dataclass(frozen=True, eq=False)
+class FrameAnswer:
+    """The `result` of a frame, or the `reason` of its failure.
+
+    Attributes:
+        seconds: processing time, without waiting.
+    """
+
+    result: FrameProposals | None
+    reason: str | None
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The answer to a task: one answer per frame, in the task's order."""
+
+    number: int
+    frames: tuple[FrameAnswer, ...]
+
+
+@dataclass(frozen=True)
+class Identity:
+    """The identity of a worker's detectors; workers with the same identity give the same results.
+
+    Attributes:
+        image, view: fingerprints of the detectors.
+        backends: their backends, e.g. ("openvino", "openvino").
+        box_kind: what the boxes of the view detector measure.
+        class_agnostic: whether it measures objects of any class.
+        image_kind: what the boxes of the image detector enclose.
+        trained: whether the view detector was trained on objects of the project.
+    """
+
+    image: str
+    view: str
+    backends: tuple[str, str]
+    box_kind: BoxKind
+    class_agnostic: bool = False
+    image_kind: BoxKind = BoxKind.BOX
+    trained: bool = False
+
+
+def transform_of(matrix: Float64[np.ndarray, "*n 4 4"]) -> RigidTransform:
+    """Returns the transform with exactly this matrix."""
+    return RigidTransform(matrix, normalize=False)
+
+
+def _reduced(transform: RigidTransform) -> tuple[Any, ...]:
+    return transform_of, (np.asarray(transform.as_matrix(), np.float64),)
+
+
+def pickle_exactly() -> None:
+    """Makes pickling of poses exact in this process: scipy's own pickle recomputes rotations inexactly."""
+    copyreg.pickle(RigidTransform, _reduced)
+
+
+CACHE_MB = 4000
+# Maximum number of open recordings of a worker: each holds its frame names and a share of the cache.
+MAX_OPEN = 2
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Where a worker reads recordings.
+
+    Attributes:
+        elsewhere: pairs of a folder on the driver, and its path or URL for workers; the first match is used.
+        cache_mb: size of a worker's disk cache for recordings at URLs, MB.
+    """
+
+    elsewhere: tuple[tuple[Path, str], ...] = ()
+    cache_mb: int = CACHE_MB
+
+    def __post_init__(self) -> None:
+        if self.cache_mb < 1:
+            raise ConfigError(f"--cache-mb {self.cache_mb} is too small; give 1 or more")
+
+    def place(self, path: Path) -> str:
+        """Returns the workers' path or URL of a path of the project."""
+        for folder, other in self.elsewhere:
+            if path.is_relative_to(folder):
+                below = PurePosixPath(path.relative_to(folder))
+                return other.rstrip("/") + (f"/{below}" if below.parts else "")
+        return str(path)
+
+    def open(self, recording: RecordingSpec) -> OpenedRecording:
+        """Opens a recording at the workers' path or URL.
+
+        Raises:
+            RecordingError: it is missing or cannot be read.
+            MissingExtraError: its URL needs a package that is not installed.
+        """
+        place = self.place(recording.path)
+        if not is_url(place):
+            return open_stored(
+                Path(place), recording.name, recording.project, recording.up, recording.options, recording.correction
+            )
+        from annotator.recordings.mirror import open_mirror
+
+        limit_bytes, options = self.cache_mb * 10**6 // MAX_OPEN, stored_options(recording.options)
+        mirror = open_mirror(place, scratch_folder() / "recordings", limit_bytes, options)
+        return OpenedRecording(mirror, recording.up, recording.correction)
+
+
+def is_url(place: str) -> bool:
+    """Returns True for a URL, False for a path."""
+    return "://" in place
+
+
+def parse_elsewhere(words: Sequence[str]) -> tuple[tuple[Path, str], ...]:
+    """Parses options of the form FOLDER=PLACE."""
+    pairs = []
+    for word in words:
+        folder, equals, other = word.partition("=")
+        if not folder or not equals or not other:
+            raise ConfigError(f"{word!r} is not of the form FOLDER=PLACE; write e.g. /data=s3://bucket/data")
+        pairs.append((Path(folder).resolve(), other))
+    return tuple(pairs)
+
+
+def scratch_folder() -> Path:
+    """Creates and returns the user's own temporary folder, which only the user can write to.
+
+    It holds unpacked weights and cached recordings.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"annotator-{user}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+    except OSError as error:
+        raise WorkerError(f"{folder}: cannot be created ({error.strerror}); set TMPDIR to another folder") from error
+    is_own = stat.S_ISDIR(status.st_mode) and (os.name == "nt" or status.st_uid == user)
+    if not is_own or (os.name != "nt" and stat.S_IMODE(status.st_mode) & 0o022):
+        raise WorkerError(f"{folder}: other users can write to it; remove it, or set TMPDIR to another folder")
+    return folder
+
+
+@runtime_checkable
+class DetectorSource(Protocol):
+    """A picklable description of a pair of detectors."""
+
+    def load(self, threads: int | None) -> Detectors:
+        """Loads the detectors, each with a number of processor threads (None = all cores)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class GivenDetectors:
+    """Loaded detectors; pickling copies them."""
+
+    detectors: Detectors
+
+    def load(self, threads: int | None) -> Detectors:
+        """Returns the detectors."""
+        return self.detectors
+
+
+@dataclass(frozen=True)
+class _Files:
+    """The weights of a training and the file beside them, by name and content."""
+
+    weights: str
+    contents: tuple[tuple[str, bytes], ...]
+
+    @classmethod
+    def of(cls, weights: Path) -> _Files:
+        try:
+            return cls(
+                weights.name,
+                tuple((name, read_file(weights.parent / name, NETWORK_BYTES)) for name in (weights.name, MODEL_NAME)),
+            )
+        except OSError as error:
+            raise DetectionError(
+                f"{error.filename}: cannot be read ({error.strerror}); train the detector again"
+            ) from error
+
+    def unpacked(self, folder: Path) -> Path:
+        """Writes the files into a folder below `folder` named by their hash, and returns the weights file.
+
+        Files that exist are kept, so exports made beside them are reused. Missing files are written again: systems
+        delete old temporary files. Several processes may call this at the same time.
+        """
+        digest = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for _, content in self.contents))
+        target = folder / digest.hexdigest()[:24]
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            for name, content in self.contents:
+                if not (target / name).is_file():
+                    write_atomic(target / name, content)
+        except OSError as error:
+            raise DetectionError(
+                f"{target}: cannot be written ({error.strerror}); free some space, or set TMPDIR to another folder"
+            ) from error
+        return target / self.weights
+
+
+@dataclass(frozen=True)
+class PackedDetectors:
+    """Trained detectors with the content of their files, for machines without access to the project's folder."""
+
+    trained: TrainedDetectors
+    image: _Files
+    view: _Files
+
+    @classmethod
+    def of(cls, trained: TrainedDetectors) -> PackedDetectors:
+        """Reads the weights."""
+        return cls(trained, _Files.of(trained.image.path), _Files.of(trained.view.path))
+
+    def load(self, threads: int | None) -> Detectors:
+        """Writes the files into the machine's temporary folder, where they stay, and loads the detectors."""
+        folder = scratch_folder() / "detectors"
+        image = replace(self.trained.image, path=self.image.unpacked(folder))
+        view = replace(self.trained.view, path=self.view.unpacked(folder))
+        return replace(self.trained, image=image, view=view).load(threads)

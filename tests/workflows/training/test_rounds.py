@@ -1,0 +1,339 @@
+"""What a training starts from, its parts, and which detector is used afterwards: held-out frames decide."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from view_detectors import CONFIG, HELD_OUT, PLAN, WHOLE, Fixed, held, install_base, register, write_model
+
+from annotator.detection import base_detector
+from annotator.detection.config import TrainingConfig
+from annotator.detection.manifest import read_manifest
+from annotator.detection.network_file import NetworkDescription, build, write_network
+from annotator.detection.progress import TrainingProgress, TrainingStoppedError
+from annotator.detection.trained import TrainedModel, read_trained
+from annotator.project import Project
+from annotator.rcv.config import RcvConfig
+from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image
+from annotator.workflows.detectors import (
+    AGNOSTIC,
+    Detectors,
+    UsedModel,
+    base_model,
+    load_detector,
+    own_model,
+    used_model,
+)
+from annotator.workflows.training import held_out
+from annotator.workflows.training import train as workflow
+from annotator.workflows.training.held_out import Decision, HeldOut, read_decision
+from annotator.workflows.training.rounds import Choice, choose_start, part_seconds
+from annotator.workflows.training.samples import agnostic_samples, gather
+from annotator.workflows.training.train import Ran, Run, train
+
+
+def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: Project, ious: dict[str, float]) -> None:
+    measured = held(labelled)
+    assert choose_start(labelled, measured, CONFIG).model is None
+    install_base()
+    ious["base detector"] = 0.5
+    assert choose_start(labelled, measured, CONFIG).model == base_model()
+    active, newest = register(labelled, "a", active=True), register(labelled, "b")
+    for a, b, best in ((0.6, 0.4, active), (0.4, 0.6, newest), (0.3, 0.4, None)):
+        ious.update(a=a, b=b)
+        start = choose_start(labelled, measured, CONFIG)
+        assert start.model == (base_model() if best is None else own_model(labelled, best))
+        assert sorted(rival.mean_iou for rival in start.compared) == sorted([a, b, 0.5])
+    # weights or a network that the settings name come first
+    for changes in ({"pretrained": "never"}, {"model": "yolov8n"}, {"image_size_px": 96}):
+        assert choose_start(labelled, measured, CONFIG.model_copy(update=changes)).model is None
+
+
+def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
+    labelled: Project, ious: dict[str, float]
+) -> None:
+    write_model(base_detector.FOLDER, size_px=96)
+    ious["base detector"] = 0.5
+    start = choose_start(labelled, held(labelled), CONFIG)
+    assert (start.model, start.view_px(CONFIG)) == (base_model(), 96)
+    assert choose_start(labelled, held(labelled), CONFIG.model_copy(update={"image_size_px": 128})).model is None
+
+
+def test_a_detector_that_was_trained_on_held_out_frames_is_not_compared(
+    labelled: Project, ious: dict[str, float]
+) -> None:
+    install_base()
+    model = register(labelled, "a", active=True)
+    manifest = Run(labelled, DetectorKind.VIEW, AGNOSTIC, BoxKind.BOX, holds_out=False).write(
+        agnostic_samples(labelled, gather(labelled), RcvConfig(), PLAN.samples, Fixed(), lambda *_: None)
+    )
+    assert {e.group for e in manifest.entries if e.split == "train"} & held_out.held_out_groups(labelled)
+    labelled.models.register(
+        DetectorKind.VIEW, model.path, labels=AGNOSTIC, box_kind=BoxKind.BOX, metrics={}, fingerprint="a",
+        manifest=labelled.models_folder / "view" / "dataset" / "manifest.json",
+    )  # fmt: skip
+    ious.update({"base detector": 0.2, "a": 0.9})
+    assert choose_start(labelled, held(labelled), CONFIG).model == base_model()
+
+
+@pytest.mark.parametrize("learned", [HELD_OUT[0], None])
+@pytest.mark.parametrize("objects", [0, 6])
+def test_no_training_starts_from_a_detector_that_may_know_held_out_frames(
+    labelled: Project, ious: dict[str, float], learned: str | None, objects: int
+) -> None:
+    ious["a"] = 0.9
+    register(labelled, "a", active=True, learned=learned)
+    assert choose_start(labelled, held(labelled, objects), CONFIG).model is None
+    # where held-out frames decide nothing, it may
+    assert choose_start(labelled, held(labelled, 0), CONFIG, decides=False).model is not None
+
+
+def test_a_damaged_detector_is_left_out_and_reported(labelled: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    install_base()
+    register(labelled, "a", active=True)  # its weights are no weights
+
+    def measure(self: HeldOut, model: UsedModel) -> float:
+        return 0.5 if model == base_model() else float(len(load_detector(model.path).labels))
+
+    monkeypatch.setattr(HeldOut, "mean_iou", measure)
+    start = choose_start(labelled, held(labelled), CONFIG)
+    assert start.model == base_model()
+    (line,) = start.left_out
+    assert line.startswith("the project's detector a, which cannot be measured: ")
+
+
+def choice_of(project: Project, objects: int = 6, **changes: str) -> Choice:
+    """The choice of a training with these settings that begins now."""
+    measured = held(project, objects)
+    return Choice(project, measured, choose_start(project, measured, CONFIG.model_copy(update=changes)))
+
+
+def test_a_detector_from_random_weights_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
+    active = register(labelled, "a", active=True)
+    ious.update(a=0.6, worse=0.3, better=0.7)
+    choice = choice_of(labelled, pretrained="never")
+    assert choice.start.model is None
+    outcomes = []
+    for name in ("worse", "better"):
+        new = register(labelled, name)
+        outcomes.append(choice.add(new, "").outcome)
+        # the next part goes on from the training's own result
+        assert choice.origin == own_model(labelled, new)
+    assert outcomes == [
+        "no better on held-out frames: the project's detector a stayed in use",
+        "the best one on held-out frames: put into use",
+    ]
+    assert not labelled.models.get(active.id).active
+
+
+def test_a_detector_chosen_by_hand_during_a_training_stays(labelled: Project, ious: dict[str, float]) -> None:
+    old, chosen = register(labelled, "old", active=True), register(labelled, "chosen")
+    ious.update(old=0.5, chosen=0.1, new=0.9, newer=0.95)
+    choice = choice_of(labelled)
+    labelled.models.activate(chosen.id)
+    for name in ("new", "newer"):
+        outcome = choice.add(register(labelled, name), "").outcome
+        assert outcome == "another detector was chosen during the training: it stayed in use"
+    assert labelled.models.get(chosen.id).active
+    assert not labelled.models.get(old.id).active
+
+
+def test_a_new_detector_is_used_only_if_it_is_better(labelled: Project, ious: dict[str, float]) -> None:
+    install_base()
+    ious.update({"base detector": 0.5, "worse": 0.4, "better": 0.6, "between": 0.55})
+    choice = choice_of(labelled)
+    used = []
+    for name in ("worse", "better", "between"):
+        decision = choice.add(register(labelled, name), "starts from the base detector")
+        now = used_model(labelled, DetectorKind.VIEW)
+        assert now is not None
+        used.append(now.fingerprint)
+        model = labelled.models.all(DetectorKind.VIEW)[-1]
+        assert read_decision(model.path.parent) == decision
+        assert (decision.mean_iou, decision.objects, decision.frames) == (ious[name], choice.held_out.objects, 2)
+        assert [(rival.name, rival.mean_iou) for rival in decision.compared] == [("base detector", 0.5)]
+    assert used == ["base detector", "better", "better"]
+
+
+def test_the_base_detector_comes_back_if_it_is_better_than_the_active_one(
+    labelled: Project, ious: dict[str, float]
+) -> None:
+    install_base()
+    register(labelled, "old", active=True)
+    ious.update({"base detector": 0.5, "old": 0.3, "new": 0.4})
+    choice_of(labelled).add(register(labelled, "new"), "")
+    assert labelled.models.active(DetectorKind.VIEW) is None
+    assert used_model(labelled, DetectorKind.VIEW) == base_model()
+
+
+@pytest.mark.parametrize("has_base", [True, False])
+def test_below_five_held_out_objects_the_base_detector_stays(
+    labelled: Project, ious: dict[str, float], has_base: bool
+) -> None:
+    if has_base:
+        install_base()
+    choice = choice_of(labelled, 0)
+    assert not choice.held_out.decides
+    decision = choice.add(register(labelled, "new"), "")
+    used = used_model(labelled, DetectorKind.VIEW)
+    assert used is not None
+    assert used.fingerprint == ("base detector" if has_base else "new")
+    assert decision.mean_iou is None
+    assert "fewer than 5 reviewed objects" in decision.outcome
+
+
+def test_below_five_held_out_objects_an_own_detector_stays_in_use(labelled: Project, ious: dict[str, float]) -> None:
+    install_base()
+    active = register(labelled, "a", active=True)
+    assert choice_of(labelled, 0).add(register(labelled, "new"), "").outcome.endswith("what was in use stayed in use")
+    assert labelled.models.get(active.id).active
+
+
+def test_parts_double_and_none_is_too_short() -> None:
+    assert list(part_seconds(1.0)) == [60.0]
+    assert list(part_seconds(3.0)) == [180.0]
+    assert list(part_seconds(3.5)) == [210.0]
+    assert list(part_seconds(30.0)) == [180.0, 360.0, 720.0, 540.0]
+    assert sum(part_seconds(123.4)) == pytest.approx(60 * 123.4)
+
+
+@pytest.mark.slow
+def test_a_round_continues_the_base_detector_for_the_time_it_is_given(labelled: Project) -> None:
+    install_base()
+    network = build(NetworkDescription(architecture="yolo11n", labels=AGNOSTIC))
+    write_network(base_detector.FOLDER / "detector.safetensors", network)
+    plan = replace(PLAN, view=CONFIG.model_copy(update={"epochs": None}), minutes=0.2)
+    begin = time.monotonic()
+    (trained,) = train(labelled, plan, roles=(DetectorKind.VIEW,))
+    assert time.monotonic() - begin > 5
+    assert trained.decision is not None
+    assert trained.decision.started_from == "starts from the base detector"
+    stored = read_trained(trained.model.path.parent)
+    assert (stored.classes, stored.kind) == (AGNOSTIC, BoxKind.BOX)
+    assert stored.config.seconds == pytest.approx(10.0)
+    origins = read_manifest(trained.model.path.parent).images_by_origin["train"]
+    assert origins["generated"] > 0
+    assert own_model(labelled, trained.model).class_agnostic
+
+
+@pytest.mark.parametrize(
+    ("changes", "pretrained", "parts", "anew"),
+    [
+        ({}, "auto", 5, [2]),
+        ({"decides": False}, "auto", 5, []),
+        ({"minutes": 12.0}, "auto", 3, []),
+        # after the first part, each continues the best one so far
+        ({}, "never", 5, [0]),
+    ],
+)
+def test_a_long_training_also_begins_anew_where_held_out_objects_decide(
+    labelled: Project,
+    monkeypatch: pytest.MonkeyPatch,
+    changes: dict[str, Any],
+    pretrained: str,
+    parts: int,
+    anew: list[int],
+) -> None:
+    install_base()
+    origins: list[UsedModel | None] = []
+
+    def part(self: object, choice: Choice, origin: UsedModel | None, number: int, *_: object) -> tuple[Ran, Decision]:
+        origins.append(origin)
+        model = register(labelled, f"part{number}")
+        folder = model.path.parent
+        return Ran(model, read_trained(folder), read_manifest(folder)), choice.add(model, "")
+
+    monkeypatch.setattr("annotator.workflows.training.train._ViewTraining._part", part)
+    monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)
+    view = CONFIG.model_copy(update={"epochs": None, "pretrained": pretrained})
+    (trained,) = train(labelled, replace(PLAN, view=view, **{"minutes": 60.0, **changes}), roles=(DetectorKind.VIEW,))
+    assert trained.model.fingerprint == f"part{parts - 1}"
+    assert len(origins) == parts
+    assert [number for number, origin in enumerate(origins) if origin is None] == anew
+
+
+def test_progress_counts_the_parts_and_the_time_of_a_run_with_a_fixed_duration() -> None:
+    step = TrainingProgress(DetectorKind.VIEW, 2, 8, 0, 10, {}, None, None, 30.0, 90.0, "")
+    assert step.share_done == 0.25
+    assert replace(step, part=2, parts=2).share_done == 0.625
+    # the number of epochs is only an estimate
+    assert replace(step, epochs=100, is_timed=True).share_done == 0.25
+    assert replace(step, epoch=8, seconds_left=0.0, is_timed=True).share_done == 1.0
+
+
+class AnyClass:
+    """The boxes of another detector without their classes."""
+
+    labels, fingerprint = AGNOSTIC, "any class"
+
+    def __init__(self, detector: Detector) -> None:
+        self._detector = detector
+
+    def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
+        return [[replace(box, label=WHOLE) for box in boxes] for boxes in self._detector.detect(images)]
+
+
+def test_the_reviewed_objects_of_held_out_frames_are_measured(
+    labelled: Project, knowing: Callable[..., Detectors], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = held(labelled)
+    assert (measured.frames, measured.decides) == (2, True)
+    assert 5 <= measured.objects <= 6
+    model = UsedModel(write_model(labelled.models_folder / "m"), BoxKind.BOX, True, "f")
+    detectors: dict[str, Detector] = {"perfect": AnyClass(knowing("people").view), "blind": Fixed()}
+    results = {}
+    for name, detector in detectors.items():
+        monkeypatch.setattr(held_out, "load_detector", lambda path, names=(), detector=detector: detector)
+        results[name] = measured.mean_iou(model)
+    # without any detection, objects are still placed by the size of the reviewed boxes
+    assert results["perfect"] > 0.7 > results["blind"]
+
+
+@pytest.mark.parametrize("class_agnostic", [True, False])
+def test_a_class_agnostic_detector_is_measured_at_what_the_reviewed_boxes_enclose(
+    labelled: Project, monkeypatch: pytest.MonkeyPatch, class_agnostic: bool
+) -> None:
+    kinds = set()
+
+    def lifted(frame: Frame, image_boxes: Sequence[Box2D], detector: Detector, config: RcvConfig, *rest: Any) -> Any:
+        kinds.add(config.box_kind)
+        return [None] * len(image_boxes)
+
+    monkeypatch.setattr(held_out, "lifted", lifted)
+    monkeypatch.setattr(held_out, "load_detector", lambda path, names=(): Fixed())
+    measured = HeldOut(labelled, gather(labelled).labels, kind=BoxKind.SILHOUETTE)
+    measured.mean_iou(UsedModel(write_model(labelled.models_folder / "m"), BoxKind.BOX, class_agnostic, "f"))
+    assert kinds == {BoxKind.SILHOUETTE if class_agnostic else BoxKind.BOX}
+
+
+@pytest.mark.parametrize("has_base", [True, False])
+def test_no_held_out_frame_teaches_either_detector(
+    labelled: Project, monkeypatch: pytest.MonkeyPatch, has_base: bool
+) -> None:
+    if has_base:
+        install_base()
+    sets: dict[DetectorKind, Mapping[str, set[str]]] = {}
+
+    def stop_at_training(dataset: Path, out: Path, config: TrainingConfig, progress, role, stop) -> TrainedModel:
+        entries = read_manifest(dataset).entries
+        sets[role] = {
+            split: {e.group for e in entries if e.split == split and e.origin != "generated"}
+            for split in ("train", "val")
+        }
+        raise TrainingStoppedError("here")
+
+    monkeypatch.setattr(workflow, "train_detector", stop_at_training)
+    monkeypatch.setattr(HeldOut, "mean_iou", lambda *_: 0.5)
+    monkeypatch.setattr("annotator.workflows.training.train.load_detector", lambda path, names=(): Fixed())
+    for role in DetectorKind:
+        with pytest.raises(TrainingStoppedError):
+            train(labelled, PLAN, roles=(role,))
+    recording = labelled.recordings.all()[0].id
+    for role in DetectorKind:
+        assert sets[role]["val"] == {f"{recording}/{key}" for key in HELD_OUT}
+        assert sets[role]["train"] == {f"{recording}/{number:06d}" for number in (0, 2, 4)}
