@@ -19,8 +19,8 @@ READERS: dict[str, str] = {
     "argoverse2": "annotator.recordings.argoverse.log:open_argoverse2",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
-    "rcv": "annotator.recordings.exports.rcv_dataset:open_rcv",
-    "openlabel": "annotator.recordings.exports.openlabel_folder:open_openlabel",
+    "rcv": "annotator.recordings.exports:open_rcv",
+    "openlabel": "annotator.recordings.exports:open_openlabel",
     # last, because other formats contain cloud files, too
     "cloud_folder": "annotator.recordings.clouds.cloud_folder:open_cloud_folder",
 }

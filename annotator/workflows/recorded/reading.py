@@ -28,7 +28,7 @@ from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_l
 from annotator.recordings import Recording
 from annotator.recordings.argoverse.log import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
-from annotator.recordings.exports.openlabel_folder import OpenLabelFolder
+from annotator.recordings.exports import OpenLabelFolder
 from annotator.recordings.kitti.raw_drive import KittiRaw
 from annotator.recordings.kitti.tracking_folder import KittiTracking
 from annotator.recordings.look_around import LookAround
