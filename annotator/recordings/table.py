@@ -16,7 +16,7 @@ READERS: dict[str, str] = {
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
     "ros_bag": "annotator.recordings.ros.recording:open_ros_bag",
     "nuscenes": "annotator.recordings.nuscenes.recording:open_nuscenes",
-    "argoverse2": "annotator.recordings.argoverse.log:open_argoverse2",
+    "argoverse2": "annotator.recordings.argoverse:open_argoverse2",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
     "rcv": "annotator.recordings.exports:open_rcv",
@@ -47,5 +47,5 @@ QUICK_CHECKS: dict[str, str] = {
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
     "ros_bag": "annotator.recordings.ros.files:is_bag",
     "nuscenes": "annotator.recordings.nuscenes.recording:is_nuscenes",
-    "argoverse2": "annotator.recordings.argoverse.log:is_argoverse2",
+    "argoverse2": "annotator.recordings.argoverse:is_argoverse2",
 }

@@ -26,7 +26,7 @@ from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.read import RcvDataset, read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
 from annotator.recordings import Recording
-from annotator.recordings.argoverse.log import ArgoverseLog
+from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.exports import OpenLabelFolder
 from annotator.recordings.kitti.raw_drive import KittiRaw

@@ -19,7 +19,7 @@ from annotator.formats.argoverse import read_argoverse
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project
 from annotator.recordings import ReaderOptions, open_recording
-from annotator.recordings.argoverse.log import ArgoverseLog
+from annotator.recordings.argoverse import ArgoverseLog
 from annotator.types.errors import ConfigError, FormatError, FrameError, MissingExtraError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
