@@ -15,7 +15,7 @@ from annotator.exif import Size
 from annotator.feather import FeatherError, Kind, read_feather
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti.frame import visible_cloud
+from annotator.recordings.kitti_frame import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
 from annotator.recordings.options import ReaderOptions

@@ -38,8 +38,7 @@ from annotator.recordings.clouds.origin import Origin, without_strays, world_pos
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
-from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
+from annotator.recordings.kitti_frame import NEAREST_Z_M, UP, KittiCalibration, read_calibration
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.options import Place, ReaderOptions, option_flag
 from annotator.recordings.recording import KeyedFrames, NotFound

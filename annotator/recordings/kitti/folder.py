@@ -10,8 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from annotator.geometry.transforms import level_pose
-from annotator.recordings.kitti.calibration import KittiCalibration
-from annotator.recordings.kitti.frame import UP, read_frame
+from annotator.recordings.kitti_frame import UP, KittiCalibration, read_frame
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.recording import KeyedFrames
 from annotator.recordings.rig import Scan

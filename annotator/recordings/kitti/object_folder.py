@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.file_names import spelled
-from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.folder import KittiFolder, keys_in, require_calibration
+from annotator.recordings.kitti_frame import KittiCalibration, read_calibration
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
 from annotator.recordings.scan_file import Scans

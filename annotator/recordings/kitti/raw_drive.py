@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.recordings.kitti.calibration import KittiCalibration, read_raw_calibration
 from annotator.recordings.kitti.folder import PERIOD_NS, KittiFolder, keys_in
+from annotator.recordings.kitti_frame import KittiCalibration, read_raw_calibration
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound
 from annotator.recordings.scan_file import Scans

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
 from annotator.recordings.kitti.folder import KittiFolder, keys_in, require_calibration
+from annotator.recordings.kitti_frame import KittiCalibration, read_calibration
 from annotator.recordings.listing import sorted_keys
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import NotFound

@@ -25,7 +25,7 @@ from annotator.geometry.transforms import FORWARD
 from annotator.nuscenes_tables import TableError, pose
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti.frame import visible_cloud
+from annotator.recordings.kitti_frame import visible_cloud
 from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
 from annotator.recordings.nuscenes.scenes import SceneData, Shot, read_scene, scene_names, table_folders
 from annotator.recordings.options import ReaderOptions

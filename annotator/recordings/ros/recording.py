@@ -28,7 +28,7 @@ from annotator.recordings.clouds.common_scale import FIRST, CommonScale
 from annotator.recordings.clouds.origin import Origin, without_strays, world_pose
 from annotator.recordings.clouds.virtual_image import virtual_image
 from annotator.recordings.deep_images import Levels
-from annotator.recordings.kitti.frame import UP
+from annotator.recordings.kitti_frame import UP
 from annotator.recordings.options import Place, ReaderOptions, option_flag
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn

@@ -13,7 +13,7 @@ from kitti_samples import HEIGHT, OBJECT_CALIB, P2, TRACKING_CALIB, WIDTH, by_fo
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.kitti.calibration import read_calibration
+from annotator.recordings.kitti_frame import read_calibration
 from annotator.types.errors import FrameError, RecordingError
 
 
