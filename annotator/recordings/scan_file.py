@@ -58,7 +58,7 @@ class Scans:
 
     def _read(self, path: Path) -> RawCloud:
         data = scan_bytes(path)
-        rows = read_rows(path, data, self._columns(path, data))
+        rows = read_scan_rows(path, data, self._columns(path, data))
         has_reflectance = rows.shape[1] > 3 and _is_reflectance(rows[:, 3])
         rows = valid_rows(path, rows, 4 if has_reflectance else 3)
         xyz_m = rows[:, :3].astype(np.float64)
@@ -123,7 +123,7 @@ class Scans:
         return evidence
 
 
-def read_rows(path: Path, data: bytes, columns: int) -> Float32[np.ndarray, "n c"]:
+def read_scan_rows(path: Path, data: bytes, columns: int) -> Float32[np.ndarray, "n c"]:
     """Returns the points of a scan's content.
 
     Raises:

@@ -32,7 +32,7 @@ from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
-from annotator.recordings.scan_file import NUSCENES, read_rows, scan_bytes, valid_rows
+from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
@@ -263,7 +263,7 @@ def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
     Raises:
         FrameError: the file is missing, empty, truncated, or has no valid point.
     """
-    return valid_rows(path, read_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
+    return valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
 
 
 def _knows_world(shot: Shot) -> bool:
