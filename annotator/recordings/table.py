@@ -15,7 +15,7 @@ READERS: dict[str, str] = {
     "kitti_raw": "annotator.recordings.kitti.raw_drive:open_kitti_raw",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
     "ros_bag": "annotator.recordings.ros.recording:open_ros_bag",
-    "nuscenes": "annotator.recordings.nuscenes.recording:open_nuscenes",
+    "nuscenes": "annotator.recordings.nuscenes:open_nuscenes",
     "argoverse2": "annotator.recordings.argoverse:open_argoverse2",
     "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
     "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
@@ -46,6 +46,6 @@ QUICK_CHECKS: dict[str, str] = {
     "record3d": "annotator.recordings.phones.record3d:is_record3d",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
     "ros_bag": "annotator.recordings.ros.files:is_bag",
-    "nuscenes": "annotator.recordings.nuscenes.recording:is_nuscenes",
+    "nuscenes": "annotator.recordings.nuscenes:is_nuscenes",
     "argoverse2": "annotator.recordings.argoverse:is_argoverse2",
 }

@@ -32,7 +32,7 @@ from annotator.recordings.exports import OpenLabelFolder
 from annotator.recordings.kitti.raw_drive import KittiRaw
 from annotator.recordings.kitti.tracking_folder import KittiTracking
 from annotator.recordings.look_around import LookAround
-from annotator.recordings.nuscenes.recording import NuScenes
+from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth

@@ -18,7 +18,7 @@ from annotator.formats.nuscenes import read_sample_boxes, write_nuscenes
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.projection import project
 from annotator.recordings import ReaderOptions, open_recording
-from annotator.recordings.nuscenes.recording import NuScenes, read_scan
+from annotator.recordings.nuscenes import NuScenes, read_scan
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import ConfigError, FormatError, FrameError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
