@@ -11,7 +11,7 @@ from annotator.formats.kitti.label_files import read_tracking_labels
 from annotator.formats.kitti.label_folders import read_kitti_file
 from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings import Recording
-from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
+from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluating.evaluate_files import read_frame_names

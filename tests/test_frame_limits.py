@@ -22,7 +22,7 @@ from annotator.frame_limits import VARIABLE, frame_memory, memory_problem, requi
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.phones import lzfse_api
-from annotator.recordings.sunrgbd.extracted import _read_mat
+from annotator.recordings.sunrgbd import _read_mat
 from annotator.types.errors import ConfigError, FrameError
 
 TOO_LARGE = rf"too large: .* MiB of memory; the limit is 2048 MiB \(.*{VARIABLE}"

@@ -26,7 +26,7 @@ from annotator.file_names import normal
 from annotator.recordings.open import NO_OPTIONS, open_recording
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import Recording
-from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
+from annotator.recordings.sunrgbd import KEY_SEPARATOR
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 

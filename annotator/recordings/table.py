@@ -17,8 +17,8 @@ READERS: dict[str, str] = {
     "ros_bag": "annotator.recordings.ros.recording:open_ros_bag",
     "nuscenes": "annotator.recordings.nuscenes:open_nuscenes",
     "argoverse2": "annotator.recordings.argoverse:open_argoverse2",
-    "sunrgbd_extracted": "annotator.recordings.sunrgbd.extracted:open_sunrgbd_extracted",
-    "sunrgbd_scenes": "annotator.recordings.sunrgbd.scenes:open_sunrgbd_scenes",
+    "sunrgbd_extracted": "annotator.recordings.sunrgbd:open_sunrgbd_extracted",
+    "sunrgbd_scenes": "annotator.recordings.sunrgbd:open_sunrgbd_scenes",
     "rcv": "annotator.recordings.exports:open_rcv",
     "openlabel": "annotator.recordings.exports:open_openlabel",
     # last, because other formats contain cloud files, too

@@ -11,7 +11,7 @@ from annotator.formats.text_folder import text_rows
 from annotator.recordings import Recording
 from annotator.recordings.kitti.object_folder import KittiObject
 from annotator.recordings.listing import IMAGE_SUFFIXES, stems
-from annotator.recordings.sunrgbd.extracted import SunRgbdExtracted
+from annotator.recordings.sunrgbd import SunRgbdExtracted
 
 LISTS, INDICES = "ImageSets", "*_data_idx.txt"
 # KITTI's test frames, whose labels are not public: their folder, and their list.

@@ -34,7 +34,7 @@ from annotator.recordings.kitti.tracking_folder import KittiTracking
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.rig import Scanned
-from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
+from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
 from annotator.workflows.importing.readers.frame_boxes import of_labelcloud
