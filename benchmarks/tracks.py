@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d_pairs
 from annotator.recordings import open_recording
-from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.kitti import KittiFolder
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, link
 from annotator.tracking.motion import frame_times

@@ -10,9 +10,9 @@ READERS: dict[str, str] = {
     # before rgbd_folder, whose names differ only by the lists of images
     "tum_rgbd": "annotator.recordings.tum_rgbd:open_tum_rgbd",
     "rgbd_folder": "annotator.recordings.rgbd_folder:open_rgbd_folder",
-    "kitti_object": "annotator.recordings.kitti.object_folder:open_kitti_object",
-    "kitti_tracking": "annotator.recordings.kitti.tracking_folder:open_kitti_tracking",
-    "kitti_raw": "annotator.recordings.kitti.raw_drive:open_kitti_raw",
+    "kitti_object": "annotator.recordings.kitti:open_kitti_object",
+    "kitti_tracking": "annotator.recordings.kitti:open_kitti_tracking",
+    "kitti_raw": "annotator.recordings.kitti:open_kitti_raw",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:open_azure_kinect",
     "ros_bag": "annotator.recordings.ros.recording:open_ros_bag",
     "nuscenes": "annotator.recordings.nuscenes:open_nuscenes",

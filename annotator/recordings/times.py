@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from typing import Protocol, runtime_checkable
 
-from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.kitti import KittiFolder
 from annotator.recordings.recording import Recording
 
 

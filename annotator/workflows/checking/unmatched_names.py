@@ -9,7 +9,7 @@ from annotator.file_names import normal
 from annotator.formats.frames_csv import has_frames
 from annotator.formats.text_folder import text_rows
 from annotator.recordings import Recording
-from annotator.recordings.kitti.object_folder import KittiObject
+from annotator.recordings.kitti import KittiObject
 from annotator.recordings.listing import IMAGE_SUFFIXES, stems
 from annotator.recordings.sunrgbd import SunRgbdExtracted
 

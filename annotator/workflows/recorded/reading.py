@@ -29,8 +29,7 @@ from annotator.recordings import Recording
 from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.exports import OpenLabelFolder
-from annotator.recordings.kitti.raw_drive import KittiRaw
-from annotator.recordings.kitti.tracking_folder import KittiTracking
+from annotator.recordings.kitti import KittiRaw, KittiTracking
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.rig import Scanned

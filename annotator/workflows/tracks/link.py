@@ -17,7 +17,7 @@ from annotator.project import REVIEWED, FramePart, Project, StoredFrame, StoredL
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.event_types import LinkedLabel, TracksLinked
 from annotator.project.records import BoxRecord
-from annotator.recordings.kitti.folder import KittiFolder
+from annotator.recordings.kitti import KittiFolder
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, Track, link
 from annotator.tracking.smooth import TrackBox, smoothed

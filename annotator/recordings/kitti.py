@@ -1,0 +1,376 @@
+"""KITTI recordings: object, tracking and raw-drive folders."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from annotator.file_names import spelled
+from annotator.files import TABLE_BYTES, read_text_file
+from annotator.geometry.transforms import level_pose
+from annotator.recordings.kitti_frame import UP, KittiCalibration, read_calibration, read_frame, read_raw_calibration
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
+from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rig import Scan
+from annotator.recordings.scan_file import Scans
+from annotator.types import Frame
+from annotator.types.errors import ConfigError, FrameError, RecordingError
+
+# TODO-MERGED docstring of folder.py:
+# The common base of all KITTI folders: an image folder and a folder of LiDAR scans with the same keys.
+
+
+# The rotating LiDAR triggers KITTI's sensors ten times a second.
+PERIOD_NS = 100_000_000
+# KITTI's names have 6 or 10 digits; times of longer numbers would not fit into 64 bits.
+MOST_DIGITS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class KittiFolder(KeyedFrames, ABC):
+    """A `Recording` of image and scan pairs.
+
+    Attributes:
+        images, scans: their folders, relative to `root`.
+        reader: reads the scans.
+    """
+
+    reader: Scans = field(default_factory=Scans, kw_only=True)
+    images: ClassVar[str]
+    scans: ClassVar[str]
+    is_parallel: ClassVar[bool] = True
+
+    def files(self, i: int) -> tuple[Path, Path]:
+        key = self.key(i)
+        image = frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin")
+        return image, self._scan_file(key)
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`).
+
+        Raises:
+            FrameError: a missing or broken file, or no point in the image.
+            IndexError: there is no such frame.
+        """
+        key, (image, scan) = self.key(i), self.files(i)
+        return read_frame(key, i, image, scan, self.reader, self.calibration(key), self._time_of(i))
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole scan of frame `i`.
+
+        Raises:
+            FrameError: a missing or broken file.
+            IndexError: there is no such frame.
+        """
+        key = self.key(i)
+        points = self.reader.read(self._scan_file(key))
+        calibration = self.calibration(key)
+        return Scan(
+            points.xyz_m.astype(np.float64),
+            None,
+            points.reflectance,
+            level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
+            np.zeros(3),
+            calibration.T_camera_lidar.inv() * calibration.T_camera_label,
+            timestamp_ns=self._time_of(i),
+        )
+
+    def _scan_file(self, key: str) -> Path:
+        return frame_file(self.root / self.scans, key, (".bin",), f"the image {key}")
+
+    def _time_of(self, i: int) -> int | None:
+        """Returns the time of frame `i`: the key's number determines it, so gaps are kept."""
+        key = self.keys[i]
+        return self.time_ns(int(key) if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS else i)
+
+    @abstractmethod
+    def calibration(self, key: str) -> KittiCalibration:
+        """Reads the calibration of a frame.
+
+        Raises:
+            FrameError: it is missing or broken.
+        """
+
+    def time_ns(self, number: int) -> int | None:
+        """Returns the time of frame `number` of the drive, counted from its frame 0; None if frames have no time.
+
+        Raises:
+            FrameError: the drive's own times are broken.
+        """
+        return number * PERIOD_NS
+
+
+def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
+    """Returns the keys of the frames of two folders in `root`; None if these are not there.
+
+    Raises:
+        RecordingError: they have no frame.
+    """
+    if not ((root / images).is_dir() and (root / scans).is_dir()):
+        return None
+    expected = f"{images}/KEY.png and {scans}/KEY.bin"
+    keys = joined(stems(root / images, IMAGE_SUFFIXES), stems(root / scans, (".bin",)))
+    return sorted_keys(root, keys, expected)
+
+
+def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:
+    """Refuses a folder of images and scans without a calibration, in place of an error for each frame.
+
+    Raises:
+        RecordingError: there is no `name`.
+    """
+    if not (root / name).exists():
+        raise RecordingError(
+            f"{root}: looks like {looks_like}: {name} is missing; copy it from the data set, or give the path of "
+            f"{scans} to label the scans without images"
+        )
+
+
+# TODO-MERGED docstring of object_folder.py:
+# KITTI object detection folders: unrelated single frames.
+#
+# [training/]image_2/KEY.png  velodyne/KEY.bin  calib/KEY.txt  [label_2/KEY.txt]
+
+
+OBJECT_LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
+
+
+@dataclass(frozen=True, eq=False)
+class KittiObject(KittiFolder):
+    """A `Recording` of a KITTI object folder.
+
+    Attributes:
+        folder: the folder of images and scans, `path` or `path`/training.
+    """
+
+    folder: Path
+    format: ClassVar[str] = "kitti_object"
+    is_sequence: ClassVar[bool] = False
+    images: ClassVar[str] = "image_2"
+    scans: ClassVar[str] = "velodyne"
+
+    @property
+    def root(self) -> Path:
+        return self.folder
+
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(spelled(self.root / "calib", f"{key}.txt"))
+
+    def time_ns(self, number: int) -> None:
+        """Unrelated frames have no time."""
+
+
+def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFound:
+    """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none.
+
+    Raises:
+        RecordingError: the folders exist but have no frame, or there is no calibration.
+    """
+    for root in (path, path / "training"):
+        keys = keys_in(root, KittiObject.images, KittiObject.scans)
+        if keys is not None:
+            require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
+            return KittiObject(path, keys, root, reader=Scans(options.columns))
+    return NotFound(OBJECT_LOOKED_FOR)
+
+
+# TODO-MERGED docstring of raw_drive.py:
+# KITTI raw drives, in the layout of the download ("synced and rectified").
+#
+# DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIVE/image_02/timestamps.txt
+# calib_cam_to_cam.txt  calib_velo_to_cam.txt    in the drive's folder, or in the folder of its day above it
+# [tracklet_labels.xml, read by annotator.formats.kitti.tracklets]
+
+
+RAW_LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, here or in the folder above)"
+CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+TIME = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
+
+
+@dataclass(frozen=True, eq=False)
+class KittiRaw(KittiFolder):
+    """A `Recording` of one KITTI raw drive.
+
+    Times come from `timestamps.txt`, read as UTC; its first line is the drive's frame 0. Without that file, times count
+    from the drive's frame 0.
+    """
+
+    format: ClassVar[str] = "kitti_raw"
+    is_sequence: ClassVar[bool] = True
+    images: ClassVar[str] = "image_02/data"
+    scans: ClassVar[str] = "velodyne_points/data"
+
+    def calibration(self, key: str) -> KittiCalibration:
+        for folder in (self.path, self.path.resolve().parent):
+            if (folder / CAMERAS).is_file() or (folder / LIDAR).is_file():
+                return read_raw_calibration(folder / CAMERAS, folder / LIDAR)
+        raise FrameError(
+            self.path / CAMERAS, "the calibration is missing", f"copy {CAMERAS} and {LIDAR} of the drive's day there"
+        )
+
+    def time_ns(self, number: int) -> int:
+        path = self.path / "image_02" / "timestamps.txt"
+        if not path.is_file():
+            return number * PERIOD_NS
+        try:
+            stat = path.stat()
+            times = _times(path, stat.st_mtime_ns, stat.st_size)
+        except (OSError, UnicodeDecodeError) as error:
+            raise FrameError(path, f"cannot be read ({error})", "copy it again from the data set") from error
+        time_ns = times[number] if number < len(times) else None
+        if time_ns is None:
+            raise FrameError(
+                path,
+                f"line {number + 1} must be the time of frame {number}",
+                "copy it again, or remove it to use times from the frame numbers",
+            )
+        return time_ns
+
+
+@lru_cache(maxsize=4)
+def _times(path: Path, changed_ns: int, size: int) -> tuple[int | None, ...]:
+    """Returns the time of each line, nanoseconds since the epoch; None for an invalid line."""
+    return tuple(_nanoseconds(line) for line in read_text_file(path, TABLE_BYTES).splitlines())
+
+
+def _nanoseconds(line: str) -> int | None:
+    match = TIME.fullmatch(line.strip())
+    if match is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(match[1]).replace(tzinfo=UTC)
+    except ValueError:  # such as the 31st of February
+        return None
+    return int(moment.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
+
+
+def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
+    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one. Takes the option `columns`.
+
+    Raises:
+        RecordingError: the folders exist but have no frame.
+    """
+    keys = keys_in(path, KittiRaw.images, KittiRaw.scans)
+    return NotFound(RAW_LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))
+
+
+# TODO-MERGED docstring of tracking_folder.py:
+# KITTI tracking: consecutive frames of one drive, 10 a second; or the data set, where each drive is a scene.
+#
+# image_02/KEY.png  velodyne/KEY.bin  calib.txt  [label_02.txt]
+# [training/]image_02/DRIVE/KEY.png  velodyne/DRIVE/KEY.bin  calib/DRIVE.txt  [label_02/DRIVE.txt]
+#
+# Labels are read by annotator.formats.kitti.label_files.
+
+
+TRACKING_LOOKED_FOR = (
+    "folders image_02/ and velodyne/ (and calib.txt), or image_02/0000/, velodyne/0000/ (and calib/0000.txt)"
+)
+IMAGES, SCANS = "image_02", "velodyne"
+
+
+@dataclass(frozen=True, eq=False)
+class KittiTracking(KittiFolder):
+    """A `Recording` of one KITTI drive; its times count from the drive's frame 0."""
+
+    format: ClassVar[str] = "kitti_tracking"
+    is_sequence: ClassVar[bool] = True
+    images: ClassVar[str] = IMAGES
+    scans: ClassVar[str] = SCANS
+
+    @property
+    def label_file(self) -> Path:
+        """The file of the labels, which may be missing."""
+        return self.root / "label_02.txt"
+
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(self.path / "calib.txt")
+
+
+@dataclass(frozen=True, eq=False)
+class KittiSequence(KittiTracking):
+    """One drive of a KITTI tracking data set.
+
+    Attributes:
+        folder: of the data set, `path` or `path`/training.
+        scene: name of the drive.
+        scenes: names of all drives.
+        notes: what was left out.
+    """
+
+    folder: Path
+    scene: str
+    scenes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def root(self) -> Path:
+        return self.folder
+
+    @property
+    def name(self) -> str:
+        return self.scene
+
+    @property
+    def images(self) -> str:  # type: ignore[override]
+        return f"{IMAGES}/{self.scene}"
+
+    @property
+    def scans(self) -> str:  # type: ignore[override]
+        return f"{SCANS}/{self.scene}"
+
+    @property
+    def label_file(self) -> Path:
+        return self.root / "label_02" / f"{self.scene}.txt"
+
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(self.root / "calib" / f"{self.scene}.txt")
+
+
+def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | NotFound:
+    """Opens the KITTI tracking folder at `path`, or a drive of the data set there; `NotFound` if it is neither.
+
+    Takes the options `columns` and, of a data set, `scene`; without it, the first drive is read.
+
+    Raises:
+        ConfigError: no such drive.
+        RecordingError: the folders exist but have no frame, or there is no calibration.
+    """
+    for root in (path, path / "training"):
+        drives = _drives(root)
+        if drives:
+            return _sequence(path, root, drives, options)
+    keys = keys_in(path, IMAGES, SCANS)
+    if keys is None:
+        return NotFound(TRACKING_LOOKED_FOR)
+    if options.scene is not None:
+        raise ConfigError(f"{path}: is one drive of KITTI, which takes no --scene")
+    require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")
+    return KittiTracking(path, keys, reader=Scans(options.columns))
+
+
+def _drives(root: Path) -> list[str]:
+    """Returns the drives of a data set that have a calibration."""
+    if not (root / IMAGES).is_dir():
+        return []
+    return sorted(file.stem for file in (root / "calib").glob("*.txt") if (root / IMAGES / file.stem).is_dir())
+
+
+def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions) -> KittiSequence:
+    scene = options.scene or drives[0]
+    if scene not in drives:
+        raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(drives)}")
+    images, scans = f"{IMAGES}/{scene}", f"{SCANS}/{scene}"
+    keys = keys_in(root, images, scans) or sorted_keys(root, set(), f"{images}/KEY.png and {scans}/KEY.bin")
+    notes: tuple[str, ...] = ()
+    if len(drives) > 1 and options.scene is None:
+        notes = (f"{len(drives)} drives: {', '.join(drives)}; this is the first (--scene names another, or all)",)
+    return KittiSequence(path, keys, root, scene, tuple(drives), notes, reader=Scans(options.columns))
