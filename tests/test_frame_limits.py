@@ -21,7 +21,7 @@ from annotator.feather import FeatherError, read_feather
 from annotator.frame_limits import VARIABLE, frame_memory, memory_problem, require_pixels
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
-from annotator.recordings.phones import lzfse_api
+from annotator.recordings.phones import record3d
 from annotator.recordings.sunrgbd import _read_mat
 from annotator.types.errors import ConfigError, FrameError
 
@@ -80,13 +80,13 @@ def test_a_stream_of_lzfse_that_gives_more_than_it_declares_is_refused(monkeypat
     """A block of matches declares its length, but the decoder counts only the matches."""
     raw = np.round(np.random.default_rng(0).uniform(0, 5, 200_000), 2).astype("<f4").tobytes()
     packed = lzfse.compress(raw)
-    assert lzfse_api.decompress(packed, len(raw)) == raw
+    assert record3d.decompress(packed, len(raw)) == raw
     monkeypatch.setenv(VARIABLE, "2")
     with pytest.raises(ValueError, match="too large"):
-        lzfse_api.decompress(packed, len(raw))
+        record3d.decompress(packed, len(raw))
     for at in range(0, 32, 4):
         with pytest.raises(ValueError, match=r"damaged|instead of|too large"):
-            lzfse_api.decompress(packed[:at] + b"\0" * 4 + packed[at + 4 :], len(raw))
+            record3d.decompress(packed[:at] + b"\0" * 4 + packed[at + 4 :], len(raw))
 
 
 def test_the_setting_raises_and_lowers_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
