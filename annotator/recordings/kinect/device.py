@@ -21,8 +21,14 @@ import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
 from annotator.geometry.projection import pixel_colors
-from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
-from annotator.recordings.kinect.imu import SAMPLE, WITHIN_NS, up_at_rest
+from annotator.recordings.kinect.calibration import (
+    SAMPLE,
+    WITHIN_NS,
+    KinectCalibration,
+    Size,
+    parse_calibration,
+    up_at_rest,
+)
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import DeviceError
 

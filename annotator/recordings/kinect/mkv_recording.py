@@ -25,8 +25,14 @@ from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
 from annotator.image_bytes import JPEG_START, declared_size, image_problem
-from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
-from annotator.recordings.kinect.imu import blocks_near, parse_samples, up_at_rest
+from annotator.recordings.kinect.calibration import (
+    KinectCalibration,
+    Size,
+    blocks_near,
+    parse_calibration,
+    parse_samples,
+    up_at_rest,
+)
 from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index, read_tracks
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame, PointCloud

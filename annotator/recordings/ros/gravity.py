@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.recordings.kinect.imu import MOST_SAMPLES, SAMPLE, WITHIN_NS, up_at_rest
+from annotator.recordings.kinect.calibration import MOST_SAMPLES, SAMPLE, WITHIN_NS, up_at_rest
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.normals import normals_knn
 from annotator.recordings import open_recording
-from annotator.recordings.kinect.imu import parse_samples, up_at_rest
+from annotator.recordings.kinect.calibration import parse_samples, up_at_rest
 
 # Tilted forward by 20 degrees, in the colour camera's axes (here the same as the device's).
 UP = Rotation.from_euler("x", 20, degrees=True).apply([0, -1.0, 0])
