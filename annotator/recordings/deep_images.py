@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.recordings.clouds.colors import depth_bits
-from annotator.recordings.clouds.common_scale import FIRST, files_like
+from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.types.errors import FrameError
 
 

@@ -17,8 +17,14 @@ import numpy as np
 from jaxtyping import Float32
 
 from annotator.frame_limits import read_frame_file
-from annotator.recordings.clouds.columns import NO_RETURN, REFLECTANCE_SCALES, RawCloud, fractions
-from annotator.recordings.clouds.common_scale import CommonScale, files_like
+from annotator.recordings.clouds.columns import (
+    NO_RETURN,
+    REFLECTANCE_SCALES,
+    CommonScale,
+    RawCloud,
+    files_like,
+    fractions,
+)
 from annotator.recordings.plausible import LARGEST, are_returns
 from annotator.recordings.scan_columns import BYTES_PER_VALUE, FEWEST, MOST, Evidence, weigh_columns
 from annotator.types.errors import FrameError, UnclearError

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from annotator.frame_limits import read_frame_file
-from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud
-from annotator.recordings.clouds.common_scale import files_like
+from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, files_like
 from annotator.recordings.clouds.las_file import parse_las
 from annotator.recordings.clouds.numpy_file import parse_npy, parse_npz
 from annotator.recordings.clouds.pcd_file import parse_pcd

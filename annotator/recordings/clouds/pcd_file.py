@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.recordings.clouds.colors import split_colors
 from annotator.recordings.clouds.columns import (
     CLOUD_REMEDY,
     RawCloud,
     binary_columns,
     from_columns,
     require_points,
+    split_colors,
     text_columns,
     typed,
 )

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from annotator.recordings.clouds.cloud_file import read_cloud
-from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.clouds.common_scale import CommonScale
+from annotator.recordings.clouds.columns import CommonScale, RawCloud, from_columns
 from annotator.recordings.ros.point_clouds import ROS_TYPES
 from annotator.recordings.ros.point_clouds import read_cloud as read_message
 from annotator.types.errors import FrameError
