@@ -6,25 +6,273 @@ coordinates in metres (`cloud_folder` moves the origin). Intensity and colours h
 
 from __future__ import annotations
 
+import atexit
 import io
+import json
+import os
 import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Lock
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from annotator.recordings.clouds.columns import CLOUD_REMEDY, RawCloud, at_limits, from_columns, require_points
-from annotator.recordings.clouds.laz_check import LazLayout, laz_problem
-from annotator.recordings.clouds.laz_process import decode_laz
 from annotator.types.errors import FrameError, MissingExtraError
 
 if TYPE_CHECKING:
     import laspy
 
+
+# TODO-MERGED docstring of laz_check.py:
+# Checks the headers of a LAZ file's compressed points against the file's size.
+#
+# The decompressor trusts the headers: it allocates memory for the chunks and layers that they declare, and aborts the
+# process if that fails. So the headers are checked first.
+#
+# Format: laszip (`src/laszip.hpp`, `src/laszipdll`): a record of the items of a point; at the start of the data the
+# offset of the chunk table; a layered chunk begins with a point, its number of points and the size of each layer.
+
+
+# laszip's own header; used here: the compressor (first), points per chunk (seventh), number of items (last)
+RECORD = struct.Struct("<HHBBHIIqqH")
+ITEM = struct.Struct("<HHH")
+POINT_WISE, CHUNKED, LAYERED = 1, 2, 3
+VARIABLE = 0xFFFFFFFF
+# The items of each point format: laszip's type and the item's size in bytes.
+POINT10, GPS_TIME, RGB12, WAVE13 = (6, 20), (7, 8), (8, 6), (9, 29)
+POINT14, RGB14, RGBNIR14, WAVE14 = (10, 30), (11, 6), (12, 8), (13, 29)
+ITEMS: dict[int, tuple[tuple[int, int], ...]] = {
+    0: (POINT10,),
+    1: (POINT10, GPS_TIME),
+    2: (POINT10, RGB12),
+    3: (POINT10, GPS_TIME, RGB12),
+    4: (POINT10, GPS_TIME, WAVE13),
+    5: (POINT10, GPS_TIME, RGB12, WAVE13),
+    6: (POINT14,),
+    7: (POINT14, RGB14),
+    8: (POINT14, RGBNIR14),
+    9: (POINT14, WAVE14),
+    10: (POINT14, RGBNIR14, WAVE14),
+}
+FIRST_LAYERED_FORMAT = 6
+BYTES, BYTES14 = 0, 14
+VERSIONS, LAYERED_VERSIONS = (1, 2), (3, 4)
+# Layers of an item; extra bytes have one layer each.
+LAYERS = {POINT14[0]: 9, RGB14[0]: 1, RGBNIR14[0]: 2, WAVE14[0]: 1}
+
+
+@dataclass(frozen=True)
+class LazLayout:
+    """The contents of a LAZ file's headers.
+
+    Attributes:
+        record: the content of laszip's own header.
+        point_format: 0 to 10.
+        point_bytes: size of one point.
+        points: number of points.
+        start: offset of the points' data in the file.
+    """
+
+    record: bytes
+    point_format: int
+    point_bytes: int
+    points: int
+    start: int
+
+
+def laz_problem(data: bytes, layout: LazLayout) -> str:
+    """Returns the first problem in the headers of a LAZ file; "" if they are valid."""
+    items = _items(layout)
+    if isinstance(items, str):
+        return items
+    compressor, _, _, _, _, _, chunk_points, _, _, _ = RECORD.unpack_from(layout.record)
+    is_layered = layout.point_format >= FIRST_LAYERED_FORMAT
+    if compressor not in ((LAYERED,) if is_layered else (POINT_WISE, CHUNKED)) or chunk_points == 0:
+        return f"its compressor ({compressor}) is not valid for point format {layout.point_format}"
+    if compressor == POINT_WISE:
+        return ""
+    chunks = _table_size(data, layout)
+    if chunks is None or chunks * layout.point_bytes > len(data):
+        return f"its chunk table is truncated or lists too many chunks ({chunks})"
+    needed = -(-layout.points // chunk_points)
+    if chunk_points == VARIABLE:
+        needed = chunks
+    elif needed * layout.point_bytes > len(data):
+        return f"declares {layout.points} points in {needed} chunks, too many for its {len(data)} bytes"
+    if not is_layered:
+        return ""
+    layers = sum(LAYERS.get(kind, size) for kind, size in items)
+    return _chunk_problem(data, layout, needed, layers)
+
+
+def _items(layout: LazLayout) -> list[tuple[int, int]] | str:
+    """Returns type and size of each item of a point, or what is wrong with them."""
+    if len(layout.record) < RECORD.size:
+        return "it has no laszip record"
+    count = RECORD.unpack_from(layout.record)[-1]
+    if len(layout.record) < RECORD.size + count * ITEM.size:
+        return "its laszip record is truncated"
+    entries = [ITEM.unpack_from(layout.record, RECORD.size + number * ITEM.size) for number in range(count)]
+    items = [(int(kind), int(size)) for kind, size, _ in entries]
+    versions = LAYERED_VERSIONS if layout.point_format >= FIRST_LAYERED_FORMAT else VERSIONS
+    if not all(version in versions for _, _, version in entries):
+        return "its compression has an unknown version"
+    expected = list(ITEMS.get(layout.point_format, ()))
+    more = layout.point_bytes - sum(size for _, size in expected)
+    if more > 0:
+        expected.append((BYTES14 if layout.point_format >= FIRST_LAYERED_FORMAT else BYTES, more))
+    return (
+        items if items == expected else f"its points have the items {items}, but their point format requires {expected}"
+    )
+
+
+def _table_size(data: bytes, layout: LazLayout) -> int | None:
+    """Returns the number of chunks in the table; None without a table."""
+    for place in (layout.start, len(data) - 8):
+        if 0 <= place <= len(data) - 8:
+            (table,) = struct.unpack_from("<q", data, place)
+            # streaming writers put the offset at the end
+            if layout.start < table <= len(data) - 8:
+                return int(struct.unpack_from("<I", data, table + 4)[0])
+    return None
+
+
+def _chunk_problem(data: bytes, layout: LazLayout, chunks: int, layers: int) -> str:
+    """Follows the layered chunks by the sizes at their beginning; returns the first problem, or ""."""
+    sizes = struct.Struct(f"<{1 + layers}I")
+    at = layout.start + 8
+    for number in range(chunks):
+        head = at + layout.point_bytes
+        if head + sizes.size > len(data):
+            return f"its chunk {number} of {chunks} is truncated"
+        at = head + sizes.size + sum(sizes.unpack_from(data, head)[1:])
+        if at > len(data):
+            return f"its chunk {number} of {chunks} is longer than the file"
+    return ""
+
+
+# TODO-MERGED docstring of laz_process.py:
+# Decodes LAZ in a process of its own.
+#
+# On some damaged points, which no header shows, the decoder (lazrs 0.8.2) reads memory that is not its own, and the
+# system ends its process. That must not be the server. The process is kept for further files, and ends with this one.
+
+
+Columns = dict[str, np.ndarray]
+PROGRAM = (
+    "import json, sys; sys.path[:] = json.loads(sys.stdin.buffer.readline()); "
+    "from annotator.recordings.clouds import las_file; las_file.serve()"
+)
+
+
+class _Decoder:
+    """The process; it is started when it is needed, and again after a crash."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._lock = Lock()
+        self._owner = 0
+        atexit.register(self._end)
+
+    def __call__(self, path: Path, data: bytes) -> Columns:
+        with self._lock:
+            try:
+                return self._answer(path, data)
+            except FrameError:
+                raise
+            except (OSError, EOFError, ValueError) as error:
+                self._end()
+                raise FrameError(path, "its points are damaged (the decoder crashed on them)", CLOUD_REMEDY) from error
+            except BaseException:
+                # interrupted: the answer is still to come
+                self._end()
+                raise
+
+    def _answer(self, path: Path, data: bytes) -> Columns:
+        # a fork of this process needs its own
+        if self._process is None or self._owner != os.getpid():
+            self._process, self._owner = _started(), os.getpid()
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write(json.dumps({"path": str(path), "bytes": len(data)}).encode() + b"\n" + data)
+        self._process.stdin.flush()
+        head = json.loads(self._process.stdout.readline())
+        if "problem" in head:
+            raise FrameError(path, head["problem"])
+        columns = {name: np.empty(count, kind) for name, kind, count in head["columns"]}
+        for values in columns.values():
+            if _filled(self._process.stdout, values) < values.nbytes:
+                raise EOFError
+        return columns
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None and self._owner == os.getpid():
+            process.kill()
+            process.wait()
+            for stream in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    if stream is not None:
+                        stream.close()
+
+
+decode_laz = _Decoder()
+
+
+def _started() -> subprocess.Popen[bytes]:
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", PROGRAM],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        # an interrupt at the terminal is for this process, which then ends the other
+        process_group=0 if os.name != "nt" else None,
+    )
+    assert process.stdin is not None
+    process.stdin.write(json.dumps(sys.path).encode() + b"\n")
+    return process
+
+
+def _filled(stream: IO[bytes], values: np.ndarray) -> int:
+    """Fills an array with the bytes of a stream; returns how many there were."""
+    place = values.data.cast("B") if values.nbytes else memoryview(b"")
+    done = 0
+    while done < values.nbytes and (count := stream.readinto(place[done:])):  # type: ignore[attr-defined]
+        done += count
+    return done
+
+
+def serve(decode: Callable[[Path, bytes], Columns]) -> None:
+    """Decodes what comes in, until there is no more."""
+    out: Any = os.fdopen(os.dup(1), "wb")
+    # what libraries print must not be taken for an answer
+    os.dup2(2, 1)
+    while line := sys.stdin.buffer.readline():
+        asked = json.loads(line)
+        data = sys.stdin.buffer.read(asked["bytes"])
+        if len(data) < asked["bytes"]:
+            return
+        columns: Columns = {}
+        try:
+            columns = decode(Path(asked["path"]), data)
+            head: dict[str, Any] = {"columns": [(name, each.dtype.str, len(each)) for name, each in columns.items()]}
+        except FrameError as error:
+            head = {"problem": str(error).removeprefix(f"{error.path}: ")}
+        out.write(json.dumps(head).encode() + b"\n")
+        for values in columns.values():
+            out.write(values.tobytes())
+        out.flush()
+
+
 SIGNATURE = b"LASF"
 # From byte 94: header size, offset of the points, number of records before them, point format, bytes per point, points.
 HEAD_AT, HEAD = 94, struct.Struct("<HIIBHI")
-SHORTEST_HEADER = 227
+SHORTEST_LAS_HEADER = 227
 POINT_FORMAT_AT, COMPRESSED_BITS = 104, 0xC0
 RECORD_HEAD_BYTES = 54
 POINTS_AT_ONCE = 1 << 16
@@ -75,10 +323,10 @@ def decode(path: Path, data: bytes) -> dict[str, np.ndarray]:
 
 def _check_header(path: Path, data: bytes) -> None:
     """Rejects impossible record counts, which would keep laspy busy for hours."""
-    if not data.startswith(SIGNATURE) or len(data) < SHORTEST_HEADER:
+    if not data.startswith(SIGNATURE) or len(data) < SHORTEST_LAS_HEADER:
         raise FrameError(path, "is not a LAS file, or its header is truncated", CLOUD_REMEDY)
     header_bytes, start, records, _, point_bytes, _ = HEAD.unpack_from(data, HEAD_AT)
-    if not SHORTEST_HEADER <= header_bytes <= start <= len(data) or point_bytes == 0:
+    if not SHORTEST_LAS_HEADER <= header_bytes <= start <= len(data) or point_bytes == 0:
         raise FrameError(
             path, f"the LAS header declares an impossible position of the points, byte {start}", CLOUD_REMEDY
         )

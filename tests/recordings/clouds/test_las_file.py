@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.clouds import las_file, laz_check
+from annotator.recordings.clouds import las_file
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.las_file import parse_las
 from annotator.types.errors import FrameError, MissingExtraError
@@ -167,10 +167,10 @@ def test_an_intensity_of_255_everywhere_is_none():
 
 
 def test_the_items_of_each_point_format_are_those_of_the_compressor():
-    for point_format, items in laz_check.ITEMS.items():
+    for point_format, items in las_file.ITEMS.items():
         record = lazrs.LazVlr.new_for_compression(point_format, 5).record_data()
         size = sum(size for _, size in items) + 5
-        assert not isinstance(laz_check._items(laz_check.LazLayout(record, point_format, size, 1, 0)), str)
+        assert not isinstance(las_file._items(las_file.LazLayout(record, point_format, size, 1, 0)), str)
 
 
 def test_a_crash_of_the_decoder_is_an_error_of_the_file(tmp_path: Path):
