@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.recordings.options import Place, ReaderOptions
 from annotator.recordings.recording import KeyedFrames, files_of, origin_of
 from annotator.recordings.rig import Scan, Scanned

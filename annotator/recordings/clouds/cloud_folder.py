@@ -34,8 +34,7 @@ from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.origin import Origin, without_strays, world_pose
-from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti_frame import NEAREST_Z_M, UP, KittiCalibration, read_calibration

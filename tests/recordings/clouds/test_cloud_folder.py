@@ -14,7 +14,7 @@ from kitti_samples import HEIGHT, OBJECT_CALIB, WIDTH, by_formula
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.columns import from_columns
-from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.types import Camera, PointCloud
 from annotator.types.errors import FrameError, UnknownFormatError
 

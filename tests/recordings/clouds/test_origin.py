@@ -16,7 +16,7 @@ from kitti_samples import OBJECT_CALIB
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.origin import FARTHEST_MIDDLE_M, STEP_M, Origin
+from annotator.recordings.clouds.virtual_camera import FARTHEST_MIDDLE_M, STEP_M, Origin
 from annotator.recordings.recording import origin_of
 from annotator.recordings.ros import point_clouds
 from annotator.recordings.scan_file import Scans
