@@ -15,8 +15,7 @@ from kitti_samples import OBJECT_CALIB, TRACKING_CALIB
 from annotator.cli.main import main
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
-from annotator.recordings.scan_columns import weigh_columns
-from annotator.recordings.scan_file import Scans, said_columns
+from annotator.recordings.scan_file import Scans, said_columns, weigh_columns
 from annotator.types.errors import ConfigError, FrameError, UnclearError
 from annotator.workflows.checking.check import check_datasets
 from benchmarks.column_scans import OTHERS, make_set
