@@ -17,9 +17,9 @@ from annotator.files import TABLE_BYTES, read_text_file
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.kitti_frame import UP, KittiCalibration, read_calibration, read_frame, read_raw_calibration
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
+from annotator.recordings.look_around import Scan
 from annotator.recordings.options import ReaderOptions
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rig import Scan
 from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from annotator.recordings.listing import path_errors
-from annotator.recordings.look_around import look_around
+from annotator.recordings.look_around import Scanned, look_around
 from annotator.recordings.nearest import (
     Below,
     kind_of_file,
@@ -19,7 +19,6 @@ from annotator.recordings.nearest import (
 )
 from annotator.recordings.options import ReaderOptions, option_flag
 from annotator.recordings.recording import NotFound, Recording
-from annotator.recordings.rig import Scanned
 from annotator.recordings.table import OPTIONS, QUICK_CHECKS, READERS
 from annotator.types.errors import ConfigError, UnknownFormatError
 

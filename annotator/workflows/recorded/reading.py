@@ -30,9 +30,8 @@ from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.exports import OpenLabelFolder
 from annotator.recordings.kitti import KittiRaw, KittiTracking
-from annotator.recordings.look_around import LookAround
+from annotator.recordings.look_around import LookAround, Scanned
 from annotator.recordings.nuscenes import NuScenes
-from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
