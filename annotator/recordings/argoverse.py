@@ -18,9 +18,8 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti_frame import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
-from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError

@@ -18,8 +18,7 @@ from annotator.geometry.transforms import level_pose
 from annotator.recordings.kitti_frame import UP, KittiCalibration, read_calibration, read_frame, read_raw_calibration
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.look_around import Scan
-from annotator.recordings.options import ReaderOptions
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError

@@ -17,8 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.transforms import right_handed_axes
 from annotator.recordings.clouds.virtual_camera import virtual_image
-from annotator.recordings.options import Place, ReaderOptions
-from annotator.recordings.recording import KeyedFrames, Recording, files_of, origin_of
+from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, Recording, files_of, origin_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError
 

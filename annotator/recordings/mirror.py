@@ -24,8 +24,7 @@ from typing import Any
 
 from annotator.file_names import normal
 from annotator.recordings.open import NO_OPTIONS, open_recording
-from annotator.recordings.options import ReaderOptions
-from annotator.recordings.recording import Recording
+from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.sunrgbd import KEY_SEPARATOR
 from annotator.types import Frame
 from annotator.types.errors import RecordingError

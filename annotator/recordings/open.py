@@ -17,8 +17,7 @@ from annotator.recordings.nearest import (
     recording_above,
     recordings_below,
 )
-from annotator.recordings.options import ReaderOptions, option_flag
-from annotator.recordings.recording import NotFound, Recording
+from annotator.recordings.recording import NotFound, ReaderOptions, Recording, option_flag
 from annotator.recordings.table import OPTIONS, QUICK_CHECKS, READERS
 from annotator.types.errors import ConfigError, UnknownFormatError
 

@@ -27,9 +27,8 @@ from scipy.spatial.transform import Rotation
 from annotator.file_names import OutsideError, inside, normal, posix_path, stem_of
 from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.listing import IMAGE_SUFFIXES
-from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import are_plausible
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.rgbd_camera import FILE_NAME, RgbdCamera, read_camera
 from annotator.recordings.rgbd_folder import read_images
 from annotator.text import to_number

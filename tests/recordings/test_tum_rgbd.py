@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.recordings import open_recording
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.tum_rgbd import _pairs
 from annotator.types.errors import FrameError, RecordingError
 

@@ -40,8 +40,7 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti_frame import NEAREST_Z_M, UP, KittiCalibration, read_calibration
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import Scan
-from annotator.recordings.options import Place, ReaderOptions, option_flag
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.scan_file import Scans
 from annotator.types import Camera, Frame, PointCloud

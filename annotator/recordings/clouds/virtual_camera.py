@@ -21,8 +21,8 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.options import Place
 from annotator.recordings.plausible import DISTANCES_M
+from annotator.recordings.recording import Place
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 

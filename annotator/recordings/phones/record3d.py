@@ -32,10 +32,9 @@ from annotator.geometry.projection import resized
 from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.listing import sorted_keys
-from annotator.recordings.options import ReaderOptions
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
 from annotator.recordings.plausible import is_pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.rgbd_camera import Number, Positive, Side, pinhole
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError

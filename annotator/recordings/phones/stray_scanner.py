@@ -31,10 +31,9 @@ from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.image_file import read_confidence, read_depth
 from annotator.recordings.listing import frame_file
-from annotator.recordings.options import ReaderOptions
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.rgbd_camera import pinhole
 from annotator.recordings.video_file import VideoFile, open_video
 from annotator.text import to_number

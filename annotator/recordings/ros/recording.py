@@ -28,8 +28,7 @@ from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, wi
 from annotator.recordings.deep_images import Levels
 from annotator.recordings.kitti_frame import UP
 from annotator.recordings.look_around import Scan, level_turn
-from annotator.recordings.options import Place, ReaderOptions, option_flag
-from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message

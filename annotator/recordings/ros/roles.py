@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from annotator.recordings.options import ReaderOptions, option_flag
+from annotator.recordings.recording import ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic
 from annotator.recordings.ros.camera_info import baseline_m
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.video_file import open_video
 from annotator.types import Frame
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
