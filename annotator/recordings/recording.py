@@ -20,7 +20,7 @@ Place = tuple[Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_na
 
 
 class ReaderOptions(BaseModel):
-    """How a recording is read; None = the reader decides. `annotator.recordings.table.OPTIONS` says who takes what.
+    """How a recording is read; None = the reader decides. `annotator.recordings.open.OPTIONS` says who takes what.
 
     The descriptions are the help texts of the command line.
     """
@@ -117,7 +117,7 @@ class Recording(Protocol):
 
     @property
     def format(self) -> str:
-        """The reader's name in `annotator.recordings.table`."""
+        """The reader's name in `annotator.recordings.open`."""
 
     @property
     def name(self) -> str:

@@ -18,7 +18,7 @@ from annotator.recordings import (
     parse_options,
     stored_options,
 )
-from annotator.recordings.table import READERS
+from annotator.recordings.open import READERS
 from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
 
 REAL = [

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from annotator.recordings import nearest, open_recording
-from annotator.recordings.nearest import PARTS, nearest_formats, recordings_below
-from annotator.recordings.open import detect_format
+from annotator.recordings import open, open_recording
+from annotator.recordings.open import PARTS, detect_format, nearest_formats, recordings_below
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 CASES = [
@@ -88,12 +87,12 @@ def test_recordings_below_that_cannot_be_opened_are_shown_with_their_problem(tmp
 def test_the_search_is_bounded_in_number_and_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     make(tmp_path, *(f"{number:03d}/" for number in range(60)), "999/color/1.png", "999/depth/1.png")
     assert recordings_below(tmp_path, detect_format, ()).recordings == ["999"]
-    monkeypatch.setattr(nearest, "MOST_FOLDERS", 50)
+    monkeypatch.setattr(open, "MOST_FOLDERS", 50)
     below = recordings_below(tmp_path, detect_format, ())
     assert (below.recordings, below.is_partial) == ([], True)
     assert "not all were searched" in refusal(tmp_path)
-    monkeypatch.setattr(nearest, "MOST_FOLDERS", 500)
-    monkeypatch.setattr(nearest, "MOST_SECONDS", 0.0)
+    monkeypatch.setattr(open, "MOST_FOLDERS", 500)
+    monkeypatch.setattr(open, "MOST_SECONDS", 0.0)
     assert recordings_below(tmp_path, detect_format, ()).is_partial
 
 
