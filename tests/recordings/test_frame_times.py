@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from annotator.recordings import open_recording
-from annotator.recordings.frame_times import known_times, read_times
-from annotator.recordings.times import has_times, recorded_times
+from annotator.recordings.frame_times import has_times, known_times, read_times, recorded_times
 from annotator.types.errors import RecordingError
 
 EPOCH, STEP = 1_700_000_000_000_000_000, 100_000_000

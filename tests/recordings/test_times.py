@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from annotator.recordings.times import Clock
+from annotator.recordings.frame_times import Clock
 from annotator.types import Frame
 
 
@@ -53,7 +53,7 @@ def test_the_nearest_image_in_time_is_taken(times_ns: list[int | None], offset_m
 def test_times_are_read_once_for_all_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     reads: list[str] = []
     monkeypatch.setattr(
-        "annotator.recordings.times.recorded_times", lambda of: reads.append(of.name) or {"0": 0, "1": 9}
+        "annotator.recordings.frame_times.recorded_times", lambda of: reads.append(of.name) or {"0": 0, "1": 9}
     )
     clock = Clock(Timed([0, 9]))
     assert [clock.image_at(i % 2, 0.0) for i in range(100)] == [0, 1] * 50

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from annotator.project import StoredFrame
 from annotator.recordings import Recording
-from annotator.recordings.times import recorded_times
+from annotator.recordings.frame_times import recorded_times
 from annotator.tracking.motion import frame_times
 
 

@@ -12,7 +12,7 @@ from annotator.geometry.thinning import thin
 from annotator.project import Project, StoredRecording
 from annotator.project.adjusting.adjustment import Up
 from annotator.recordings.clouds.virtual_camera import has_virtual_image
-from annotator.recordings.times import has_times, recorded_times
+from annotator.recordings.frame_times import has_times, recorded_times
 from annotator.types import Frame
 from annotator.workflows.workbench.frame_cache import FrameCache
 
