@@ -18,7 +18,7 @@ from jaxtyping import Float32, UInt8
 from annotator.frame_limits import require_pixels
 from annotator.geometry.depth_values import in_metres
 from annotator.image_bytes import decode_image
-from annotator.recordings.deep_images import Levels, contrast_levels, depth_levels, eight_bits
+from annotator.recordings.image_file import Levels, contrast_levels, depth_levels, pixels_as_eight_bits
 from annotator.recordings.ros.decode import FIELD_ERRORS, byte_array
 from annotator.recordings.ros.rvl import decode_rvl
 
@@ -186,4 +186,4 @@ def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bo
     """Returns pixels of 8 or 16 bits as 8 bits."""
     if values.dtype == np.uint8:
         return values
-    return eight_bits(values, common(contrast_levels(values) if is_grey else depth_levels(values)))
+    return pixels_as_eight_bits(values, common(contrast_levels(values) if is_grey else depth_levels(values)))
