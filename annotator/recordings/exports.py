@@ -22,7 +22,7 @@ from annotator.recordings.image_file import read_color_image
 from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
 from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import Number, Positive, Side
+from annotator.recordings.rgbd_folder import Number, Positive, Side
 from annotator.text import decoded
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError

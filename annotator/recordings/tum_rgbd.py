@@ -29,8 +29,7 @@ from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.rgbd_camera import FILE_NAME, RgbdCamera, read_camera
-from annotator.recordings.rgbd_folder import read_images
+from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
 from annotator.text import to_number
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount

@@ -41,7 +41,7 @@ from annotator.recordings.kitti_frame import NEAREST_Z_M, UP, KittiCalibration, 
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import Scan
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
-from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
+from annotator.recordings.rgbd_folder import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.scan_file import Scans
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError

@@ -35,7 +35,7 @@ from annotator.recordings.listing import sorted_keys
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, up_in_camera
 from annotator.recordings.plausible import is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.rgbd_camera import Number, Positive, Side, pinhole
+from annotator.recordings.rgbd_folder import Number, Positive, Side, pinhole
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
 from annotator.types.times import LATEST_NS

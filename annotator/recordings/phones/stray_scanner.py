@@ -34,7 +34,7 @@ from annotator.recordings.listing import frame_file
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
-from annotator.recordings.rgbd_camera import pinhole
+from annotator.recordings.rgbd_folder import pinhole
 from annotator.recordings.video_file import VideoFile, open_video
 from annotator.text import to_number
 from annotator.types import Camera, Frame
