@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.exif import Size
 from annotator.feather import FeatherError, Kind, read_feather
+from annotator.image_bytes import Size
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti_frame import visible_cloud

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from annotator.exif import UPRIGHT, Size, described, is_turned, orientation_of, turned
 from annotator.frame_limits import read_frame_file
-from annotator.image_bytes import decode_image
+from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
 from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.types.errors import FrameError
 
@@ -93,7 +92,7 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = False) -> ColorImage:
-    """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.exif`).
+    """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.image_bytes`).
 
     More than 8 bits are reduced to 8, by one depth for the images of a folder (`deep_images`).
 

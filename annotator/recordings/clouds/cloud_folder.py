@@ -26,12 +26,12 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.exif import UPRIGHT, Size
 from annotator.file_names import normal, spelled
 from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import UPRIGHT, Size
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.exif import UPRIGHT, as_stored, described, is_turned
 from annotator.file_names import normal, spelled
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
@@ -25,6 +24,7 @@ from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_s
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.read import RcvDataset, read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
+from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.recordings import Recording
 from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
