@@ -21,9 +21,9 @@ from pydantic import (
     model_validator,
 )
 
-from annotator.file_names import is_within
 from annotator.files import read_file, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
+from annotator.text import is_within
 from annotator.types.errors import RESTORE, ConfigError, ProjectError
 from annotator.types.validation import first_problem
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
-from annotator.file_names import is_within
 from annotator.project.adjusting.adjustment import adjustment_in
 from annotator.project.schema import AnyRow, adjustments, frames, labels, moves, recordings, removed_rows
 from annotator.project.store import Store
 from annotator.project.tidying.removed import hide_removed, show_again
+from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError

@@ -15,7 +15,6 @@ from jaxtyping import Float64, UInt8
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.file_names import OutsideError, inside, normal, stem_of
 from annotator.files import open_file, read_file, read_text_file
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.image_file import read_color_image
@@ -23,7 +22,7 @@ from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
 from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_folder import Number, Positive, Side
-from annotator.text import decoded
+from annotator.text import OutsideError, decoded, inside, normal, stem_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.times import LATEST_NS, in_time, too_late

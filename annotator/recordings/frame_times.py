@@ -12,10 +12,10 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.recordings.kitti import KittiFolder
 from annotator.recordings.recording import Recording
+from annotator.text import normal
 from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
 from annotator.types.times import LATEST_NS, too_dense, too_late

@@ -12,7 +12,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from annotator.file_names import spelled
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.geometry.transforms import level_pose
 from annotator.recordings.kitti_frame import UP, KittiCalibration, read_calibration, read_frame, read_raw_calibration
@@ -20,6 +19,7 @@ from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sor
 from annotator.recordings.look_around import Scan
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.scan_file import Scans
+from annotator.text import spelled
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
-from annotator.file_names import normal, spelled
+from annotator.text import normal, spelled
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.names import first_few
 

@@ -22,10 +22,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from annotator.file_names import normal
 from annotator.recordings.open import NO_OPTIONS, open_recording
 from annotator.recordings.recording import ReaderOptions, Recording
 from annotator.recordings.sunrgbd import KEY_SEPARATOR
+from annotator.text import normal
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import posix_path, spelled
 from annotator.geometry.quaternion_order import Quaternions
 from annotator.geometry.transforms import FORWARD
 from annotator.nuscenes_tables import (
@@ -35,6 +34,7 @@ from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, v
 from annotator.recordings.plausible import is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
+from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.file_names import spelled
 from annotator.files import open_file, read_text_file
 from annotator.frame_limits import VARIABLE, frame_memory
 from annotator.geometry.projection import pixel_colors, project, unproject_depth
@@ -34,7 +33,7 @@ from annotator.recordings.listing import (
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rotated_depth import decode_depth
-from annotator.text import to_number
+from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
 

@@ -24,13 +24,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
-from annotator.file_names import OutsideError, inside, normal, posix_path, stem_of
 from annotator.files import TABLE_BYTES, read_text_file, why_missing
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
-from annotator.text import to_number
+from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import FrameError, RecordingError

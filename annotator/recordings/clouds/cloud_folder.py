@@ -26,7 +26,6 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import normal, spelled
 from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
@@ -43,6 +42,7 @@ from annotator.recordings.look_around import Scan
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.rgbd_folder import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.scan_file import Scans
+from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.file_names import normal, spelled
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.frames_csv import read_frames
@@ -33,6 +32,7 @@ from annotator.recordings.kitti import KittiRaw, KittiTracking
 from annotator.recordings.look_around import LookAround, Scanned
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.sunrgbd import SunRgbdScenes
+from annotator.text import normal, spelled
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
 from annotator.workflows.importing.readers.frame_boxes import of_labelcloud
