@@ -8,9 +8,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8, UInt16
+from jaxtyping import Float32, UInt8, UInt16
 
 from annotator.frame_limits import read_frame_file
+from annotator.geometry.depth_values import in_metres, measured
 from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
 from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.types.errors import FrameError
@@ -169,3 +170,28 @@ def _decoded(path: Path, flags: int, give_points: bool = False) -> tuple[bytes, 
         raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
     except ValueError as error:
         raise FrameError(path, str(error), REMEDY) from error
+
+
+# TODO-MERGED docstring of rotated_depth.py:
+# SUN RGB-D's depth images: millimetres whose 16 bits are rotated left by three (SUNRGBDtoolbox, `read3dPoints.m`).
+
+
+# Depths below 8.192 m become multiples of eight, which few plain values are.
+LEAST_MULTIPLES = 0.9
+# Read as they are, their far parts are beyond this, metres: farther than depth cameras see.
+FAR_M, FAR_SHARE = 8.192, 0.95
+
+
+def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of a SUN RGB-D depth image."""
+    return in_metres(raw >> np.uint16(3) | raw << np.uint16(13), 1000.0)
+
+
+def looks_rotated(raw: UInt16[np.ndarray, "h w"], depth_scale: float) -> bool:
+    """True if a depth image of so many units per metre is rather one of SUN RGB-D."""
+    known = measured(raw)
+    count = np.count_nonzero(known)
+    # counted without a copy of the values: nearly all images end here
+    if count == 0 or 1 - np.count_nonzero((raw & np.uint16(7)).astype(bool) & known) / count < LEAST_MULTIPLES:
+        return False
+    return bool(np.quantile(raw[known], FAR_SHARE) / depth_scale > FAR_M)

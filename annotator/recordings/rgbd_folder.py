@@ -25,11 +25,10 @@ from annotator.geometry.depth_values import in_metres
 from annotator.geometry.projection import pixel_colors, resized, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
-from annotator.recordings.image_file import ColorImage, read_color_image, read_depth
+from annotator.recordings.image_file import ColorImage, decode_depth, looks_rotated, read_color_image, read_depth
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rotated_depth import decode_depth, looks_rotated
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, UnclearError

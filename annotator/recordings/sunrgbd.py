@@ -19,7 +19,7 @@ from annotator.geometry.projection import pixel_colors, project, unproject_depth
 from annotator.mat_file import MatFileError, MatSizeError, read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.image_file import read_color_image, read_depth
+from annotator.recordings.image_file import decode_depth, read_color_image, read_depth
 from annotator.recordings.listing import (
     IMAGE_SUFFIXES,
     REMEDIES,
@@ -32,7 +32,6 @@ from annotator.recordings.listing import (
 )
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rotated_depth import decode_depth
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError

@@ -17,7 +17,7 @@ from sunrgbd_samples import DEPTH_MM, IMAGE, RTILT, WIDTH, A, K, png, upright_po
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.rotated_depth import decode_depth
+from annotator.recordings.image_file import decode_depth
 from annotator.types import Frame
 from annotator.types.errors import FormatError, FrameError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_truth
