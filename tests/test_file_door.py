@@ -37,7 +37,7 @@ SUSPECT = re.compile("|".join(rf"\b{re.escape(name.rpartition('.')[2])}\(" for n
 EXCEPT = {
     "files.py": "it is the door",
     "project/store.py": "SQLite; the path is checked to be a regular file",
-    "recordings/ros/sqlite_file.py": "SQLite; the file's beginning is read through the door first",
+    "recordings/ros/bag_files.py": "SQLite; the file's beginning is read through the door first",
     "cli/main.py": "os.devnull",
     "project/backup/archive.py": "a backup's list of files may be long; its file is opened through the door",
     "project/backup/content.py": "SQLite, on a copy of our own",

@@ -221,7 +221,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 QUICK_CHECKS: dict[str, str] = {
     "record3d": "annotator.recordings.phones.record3d:is_record3d",
     "azure_kinect": "annotator.recordings.kinect.mkv_recording:is_azure_kinect",
-    "ros_bag": "annotator.recordings.ros.files:is_bag",
+    "ros_bag": "annotator.recordings.ros.bag:is_bag",
     "nuscenes": "annotator.recordings.nuscenes:is_nuscenes",
     "argoverse2": "annotator.recordings.argoverse:is_argoverse2",
 }

@@ -59,7 +59,7 @@ class RecordingReport(BaseModel):
         frame: the first readable frame.
         broken: the errors of the frames before it, by key.
         notes: what the reader says about it.
-        origin: of clouds in map coordinates without a camera (`annotator.recordings.clouds.virtual_camera`); None for others.
+        origin: of clouds in map coordinates without a camera (`clouds.virtual_camera`); None for others.
         topics: of a bag; empty for other formats.
     """
 

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from annotator.recordings.ros.bag import Channel, Topic, short_type
+from annotator.recordings.ros.bag import Topic, short_type
+from annotator.recordings.ros.bag_files import Channel
 from annotator.types.errors import MissingExtraError
 from annotator.types.times import LATEST_NS
 

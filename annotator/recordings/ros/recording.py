@@ -29,10 +29,9 @@ from annotator.recordings.image_file import Levels
 from annotator.recordings.kitti_frame import UP
 from annotator.recordings.look_around import Scan, level_turn
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
-from annotator.recordings.ros.bag import Bag, Topic
+from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
 from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
-from annotator.recordings.ros.files import LOOKED_FOR, open_bag
 from annotator.recordings.ros.gravity import up_near
 from annotator.recordings.ros.images import color_image, depth_image, levels_of
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns

@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from annotator.recordings.recording import ReaderOptions
-from annotator.recordings.ros.files import open_bag
+from annotator.recordings.ros.bag import open_bag
 from annotator.recordings.ros.realsense import realsense_uses
 from annotator.recordings.ros.roles import choose, options_of, uses
 from annotator.types.errors import InputError

@@ -10,7 +10,7 @@ from ros_takes import write_take
 
 from annotator.recordings import detect_format, open_recording
 from annotator.recordings.ros import decode
-from annotator.recordings.ros.files import open_bag
+from annotator.recordings.ros.bag import open_bag
 from annotator.types.errors import MissingExtraError, RecordingError, UnknownFormatError
 from benchmarks.bag_writer import BagWriter
 

@@ -13,10 +13,9 @@ from foxglove_takes import WRITERS, picture_take, write_mcap
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
-from ros_takes import IMAGE, MS, START_NS, seen_points, write_take
+from ros_takes import IMAGE, MS, START_NS, write_take
 
 from annotator.recordings import open_recording
-from annotator.recordings.ros.files import open_bag
 from annotator.types.errors import FrameError, RecordingError
 from benchmarks.bag_writer import CONTAINERS, BagWriter
 
@@ -26,16 +25,13 @@ def cut(path: Path, share: float) -> None:
         opened.truncate(int(path.stat().st_size * share))
 
 
-@pytest.mark.parametrize("compression", ["", "lz4", "bz2"])
-def test_a_cut_ros1_bag_is_read_as_far_as_it_is_sound(tmp_path: Path, compression: str):
-    with BagWriter(tmp_path, "ros1", compression) as bag:
-        bag.writer.chunk_threshold = 5000
-        write_take(bag, 40)
-    cut(bag.path, 0.6)
-    recording = open_recording(bag.path)
-    assert any("truncated" in note or "damaged" in note for note in recording.notes)
-    assert 15 < len(recording) < 40
-    np.testing.assert_allclose(recording.frame(len(recording) - 1).cloud.xyz_m, seen_points(), atol=1e-6)
+@pytest.mark.parametrize("share", [0.6, 0.999])
+def test_a_ros1_bag_without_its_index_is_refused_with_the_command_that_restores_it(tmp_path: Path, share: float):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag, 10)
+    cut(bag.path, share)
+    with pytest.raises(RecordingError, match=r"has no index, or is damaged .*; run rosbag reindex take\.bag"):
+        open_recording(bag.path)
 
 
 @pytest.mark.parametrize("how", WRITERS)
@@ -54,26 +50,12 @@ def test_a_cut_mcap_file_is_read_as_far_as_it_is_sound(tmp_path: Path, how: dict
     np.testing.assert_array_equal(recording.frame(len(recording) - 1).rgb, last)
 
 
-def test_a_ros1_bag_that_was_not_closed(tmp_path: Path):
-    """The recorder wrote chunks with their indices, but neither connections nor the place of the index."""
-    with BagWriter(tmp_path, "ros1") as bag:
-        write_take(bag, 3)
-    content = bytearray(bag.path.read_bytes())
-    at = content.index(b"index_pos=") + 10
-    place = int.from_bytes(content[at : at + 8], "little")
-    content[at : at + 8] = bytes(8)
-    bag.path.write_bytes(content[:place])
-    recording = open_recording(bag.path)
-    assert recording.notes == ("take.bag was not closed by its recorder; it is read as far as it is sound",)
-    assert len(recording.frame(2).cloud)
-
-
 def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
     for container, compression in (("ros1", "lz4"), ("mcap", "storage")):
         with BagWriter(tmp_path, container, compression) as bag:
             if container == "ros1":
                 bag.writer.chunk_threshold = 5000
-            write_take(bag, 400)
+            write_take(bag, 400 if container == "mcap" else 100)
         file = bag.path if bag.path.is_file() else next(bag.path.glob("*.mcap"))
         content = bytearray(file.read_bytes())
         middle = len(content) // 2
@@ -86,31 +68,7 @@ def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
                 readable += len(recording.frame(i).cloud) > 0
             except FrameError as error:
                 assert str(error).startswith(str(bag.path))
-        assert readable > 150
-
-
-# a search that starts anew at each of them takes hours
-@pytest.mark.timeout(120)
-def test_an_index_of_thousands_of_damaged_chunks_is_read_once(tmp_path: Path):
-    count = 20_000
-
-    def record(op: int, *fields: bytes) -> bytes:
-        named = [b"op=" + bytes([op]), *fields]
-        head = b"".join(len(field).to_bytes(4, "little") + field for field in named)
-        return len(head).to_bytes(4, "little") + head + bytes(4)
-
-    def start(index_at: int) -> bytes:
-        return b"#ROSBAG V2.0\n" + record(3, b"index_pos=" + index_at.to_bytes(8, "little"))
-
-    damaged_at = len(start(0))
-    places = range(damaged_at, damaged_at + 4 * count, 4)
-    index = b"".join(record(6, b"chunk_pos=" + place.to_bytes(8, "little")) for place in places)
-    path = tmp_path / "a.bag"
-    path.write_bytes(start(places.stop) + b"\xff" * 4 * count + index)
-    bag = open_bag(path)
-    assert bag is not None
-    assert bag.notes[0] == f"a.bag is damaged at byte {damaged_at}; 4 bytes are lost"
-    assert bag.notes[-1] == "a.bag is damaged at 19992 more places"
+        assert readable > 30
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +111,7 @@ DAMAGES: list[Callable[[bytes, int, st.DataObject], bytes]] = [
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_damaged_bags_give_frames_or_errors_that_name_the_file(takes: list[Path], data: st.DataObject):
     path = data.draw(st.sampled_from(takes))
     files = [path] if path.is_file() else sorted(path.iterdir())
