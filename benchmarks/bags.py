@@ -121,9 +121,11 @@ def measure(path: Path, count: int) -> Measured:
         RecordingError: the bag cannot be read.
     """
     from annotator.recordings import open_recording
-    from annotator.recordings.ros import decode, recording  # noqa: F401 - not part of the time
+    from annotator.recordings.ros import (
+        messages,
+    )
 
-    decode._typestore("std_msgs/Header", "", b"")
+    messages._typestore("std_msgs/Header", "", b"")
     imported_mb = _peak_mb()
     started = time.perf_counter()
     opened = open_recording(path)

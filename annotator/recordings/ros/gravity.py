@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from annotator.recordings.kinect.calibration import MOST_SAMPLES, SAMPLE, WITHIN_NS, up_at_rest
 from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
+from annotator.recordings.ros.messages import FIELD_ERRORS, frame_id, message
 
 
 def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"], str] | None:

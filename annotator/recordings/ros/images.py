@@ -19,7 +19,7 @@ from annotator.frame_limits import require_pixels
 from annotator.geometry.depth_values import in_metres
 from annotator.image_bytes import decode_image
 from annotator.recordings.image_file import Levels, contrast_levels, depth_levels, pixels_as_eight_bits
-from annotator.recordings.ros.decode import FIELD_ERRORS, byte_array
+from annotator.recordings.ros.messages import FIELD_ERRORS, byte_array
 from annotator.recordings.ros.rvl import decode_rvl
 
 # bytes per value and channels of the encodings without colour conversion

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Int64
 
 from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.decode import SECOND, quick_stamp_ns
 from annotator.recordings.ros.kept_times import kept_times
+from annotator.recordings.ros.messages import SECOND, quick_stamp_ns
 from annotator.types.amounts import amount
 
 Clock = Literal["header", "log"]

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.ros.bag import Bag, Topic
-from annotator.recordings.ros.decode import FIELD_ERRORS
+from annotator.recordings.ros.messages import FIELD_ERRORS
 from annotator.recordings.ros.roles import IMU_TYPE, Chosen, first_message
 from annotator.types.errors import RecordingError
 

@@ -30,12 +30,18 @@ from annotator.recordings.kitti_frame import UP
 from annotator.recordings.look_around import Scan, level_turn
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
-from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
-from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 from annotator.recordings.ros.gravity import up_near
 from annotator.recordings.ros.images import color_image, depth_image, levels_of
+from annotator.recordings.ros.messages import (
+    FIELD_ERRORS,
+    RECTIFIED,
+    BagCamera,
+    cloud_of,
+    frame_id,
+    message,
+    read_camera_info,
+)
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
-from annotator.recordings.ros.point_clouds import read_cloud
 from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
 from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, first_of_pair, frame_of
 from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
@@ -191,9 +197,9 @@ class RosBag(KeyedFrames):
         """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
         topic, first = self.chosen.partner, self.pairs.cloud
         with _naming(topic):
-            raw = read_cloud(self.path, content)
+            raw = cloud_of(self.path, content)
         return self.scale.apply(
-            topic, raw, lambda: map(int, first), lambda number: read_cloud(self.path, message(topic, number))
+            topic, raw, lambda: map(int, first), lambda number: cloud_of(self.path, message(topic, number))
         )
 
     def camera(self, log_ns: int) -> BagCamera:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.ros.bag import Bag, Topic
-from annotator.recordings.ros.decode import FIELD_ERRORS, SECOND, message, stamp_ns
+from annotator.recordings.ros.messages import FIELD_ERRORS, SECOND, message, stamp_ns
 
 TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage", "foxglove/FrameTransform", "foxglove/FrameTransforms")
 STATIC = "static"

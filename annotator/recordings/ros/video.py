@@ -12,8 +12,8 @@ from jaxtyping import UInt8
 
 from annotator.frame_limits import most_pixels
 from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.decode import byte_array, message
 from annotator.recordings.ros.h264 import KEY_SLICE, lost_before, nal_units
+from annotator.recordings.ros.messages import byte_array, message
 from annotator.recordings.video_file import STRICT, STRICTEST
 
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}

@@ -13,8 +13,8 @@ import pytest
 
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import CommonScale, RawCloud, from_columns
-from annotator.recordings.ros.point_clouds import ROS_TYPES
-from annotator.recordings.ros.point_clouds import read_cloud as read_message
+from annotator.recordings.ros.messages import ROS_TYPES
+from annotator.recordings.ros.messages import cloud_of as read_message
 from annotator.types.errors import FrameError
 
 N = 12

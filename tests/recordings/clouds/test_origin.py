@@ -18,7 +18,7 @@ from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import FARTHEST_MIDDLE_M, STEP_M, Origin
 from annotator.recordings.recording import origin_of
-from annotator.recordings.ros import point_clouds
+from annotator.recordings.ros import messages
 from annotator.recordings.scan_file import Scans
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError
@@ -221,7 +221,7 @@ def ros_message(folder: Path, xyz: np.ndarray) -> np.ndarray:
         width=len(xyz), height=1, row_step=0, point_step=12, is_bigendian=False, fields=fields,
         data=np.frombuffer(rows.tobytes(), np.uint8),
     )  # fmt: skip
-    return point_clouds.read_cloud(folder, message).xyz_m
+    return messages.read_cloud(folder, message).xyz_m
 
 
 @pytest.mark.parametrize("read", [bin_file, npy_file, ros_message])

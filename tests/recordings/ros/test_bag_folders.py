@@ -9,7 +9,7 @@ import pytest
 from ros_takes import write_take
 
 from annotator.recordings import detect_format, open_recording
-from annotator.recordings.ros import decode
+from annotator.recordings.ros import messages
 from annotator.recordings.ros.bag import open_bag
 from annotator.types.errors import MissingExtraError, RecordingError, UnknownFormatError
 from benchmarks.bag_writer import BagWriter
@@ -59,7 +59,7 @@ def test_the_parts_of_a_recording_are_one_bag_and_other_files_are_not(tmp_path: 
 def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with BagWriter(tmp_path, "ros1") as bag:
         write_take(bag)
-    decode._decoder.cache_clear()
+    messages._decoder.cache_clear()
     monkeypatch.setitem(__import__("sys").modules, "rosbags.typesys", None)
     assert detect_format(bag.path) == "ros_bag"
     with pytest.raises(MissingExtraError, match=r"rosbags is not installed; .*scripts/setup ros"):

@@ -29,7 +29,7 @@ from annotator.cli.reader_options import ReadAs
 from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros import transforms
-from annotator.recordings.ros.decode import message
+from annotator.recordings.ros.messages import message
 from annotator.recordings.ros.topics import list_topics
 from annotator.recordings.ros.transforms import LinkMissingError, Links
 from annotator.types.errors import ConfigError, FrameError, InputError, RecordingError

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.image_file import read_depth, read_rgb
 from annotator.recordings.ros import realsense
-from annotator.recordings.ros.point_clouds import read_cloud
+from annotator.recordings.ros.messages import cloud_of
 from annotator.recordings.ros.recording import RosBag, message
 from annotator.recordings.ros.topics import list_topics
 from annotator.types import Camera
@@ -59,7 +59,7 @@ def test_kitti_frames_come_back_from_a_bag(shared: Path, tmp_path: Path, contain
         assert_same_camera(frame.camera, expected.camera)
         assert frame.timestamp_ns == START_NS + i * 100_000_000 + late_ns
         # the message's points bit for bit
-        raw = read_cloud(recording.path, message(recording.chosen.partner, int(recording.pairs.cloud[i])))
+        raw = cloud_of(recording.path, message(recording.chosen.partner, int(recording.pairs.cloud[i])))
         scan = read_scan(folder / "velodyne" / f"{i:06d}.bin")
         np.testing.assert_array_equal(raw.xyz_m.astype(np.float32), scan[:, :3])
         np.testing.assert_array_equal(raw.reflectance, scan[:, 3])
