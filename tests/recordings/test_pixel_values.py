@@ -14,7 +14,7 @@ import pytest
 from annotator.recordings import open_recording
 from annotator.recordings.image_file import decode_depth, looks_rotated, read_rgb
 from annotator.recordings.phones.stray_scanner import _depth_m
-from annotator.recordings.ros.images import color_image, depth_image
+from annotator.recordings.ros.pictures import color_image, depth_image
 
 WIDTH, HEIGHT = 12, 8
 CAMERA = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}

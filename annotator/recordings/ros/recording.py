@@ -31,7 +31,6 @@ from annotator.recordings.look_around import Scan, level_turn
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
 from annotator.recordings.ros.gravity import up_near
-from annotator.recordings.ros.images import color_image, depth_image, levels_of
 from annotator.recordings.ros.messages import (
     FIELD_ERRORS,
     RECTIFIED,
@@ -42,10 +41,10 @@ from annotator.recordings.ros.messages import (
     read_camera_info,
 )
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
+from annotator.recordings.ros.pictures import color_image, depth_image, levels_of, video_image
 from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
 from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, first_of_pair, frame_of
 from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
-from annotator.recordings.ros.video import video_image
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, GeometryError, RecordingError

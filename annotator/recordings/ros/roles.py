@@ -11,8 +11,8 @@ import numpy as np
 
 from annotator.recordings.recording import ReaderOptions, option_flag
 from annotator.recordings.ros.bag import Bag, Topic
-from annotator.recordings.ros.images import Picture, describe
 from annotator.recordings.ros.messages import FIELD_ERRORS, baseline_m, frame_id, message
+from annotator.recordings.ros.pictures import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, RecordingError

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from ros_takes import MS, START_NS
 
 from annotator.recordings import open_recording
-from annotator.recordings.ros import video
+from annotator.recordings.ros import pictures
 from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.h264 import lost_before
+from annotator.recordings.ros.pictures import lost_before
 
 ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
     "h264": ("libx264", {"tune": "zerolatency"}),
@@ -62,9 +62,9 @@ def test_video_is_decoded_from_the_last_key_frame(tmp_path: Path, form: str):
 def picture(monkeypatch: pytest.MonkeyPatch, form: str, packets: list[bytes], i: int) -> np.ndarray:
     """The picture of message `i` of a topic with these packets."""
     contents = [SimpleNamespace(data=packet, format=form) for packet in packets]
-    monkeypatch.setattr(video, "message", lambda _, i: contents[i])
+    monkeypatch.setattr(pictures, "message", lambda _, i: contents[i])
     none = np.empty(0, np.int64)
-    return video.video_image(Topic("/video", "foxglove/CompressedVideo", (), none, none, none), i, contents[i])
+    return pictures.video_image(Topic("/video", "foxglove/CompressedVideo", (), none, none, none), i, contents[i])
 
 
 def test_pictures_made_up_from_damaged_video_are_errors(monkeypatch: pytest.MonkeyPatch):

@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.projection import project
-from annotator.recordings.ros.images import BAYER, color_image, depth_image, describe
 from annotator.recordings.ros.messages import cloud_of, read_camera_info
-from annotator.recordings.ros.rvl import decode_rvl
+from annotator.recordings.ros.pictures import BAYER, color_image, decode_rvl, depth_image, describe
 from annotator.types.errors import FrameError
 from benchmarks.bag_writer import TYPE_NUMBERS, structured
 
