@@ -42,8 +42,18 @@ from annotator.recordings.ros.messages import (
 )
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
 from annotator.recordings.ros.pictures import color_image, depth_image, levels_of, video_image
-from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
-from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, first_of_pair, frame_of
+from annotator.recordings.ros.topics import (
+    IMU_TYPE,
+    VIDEO_TYPE,
+    Chosen,
+    ImageTopic,
+    RealSense,
+    between_streams,
+    choose,
+    first_of_pair,
+    frame_of,
+    realsense_of,
+)
 from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud

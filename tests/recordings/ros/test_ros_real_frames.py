@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.image_file import read_depth, read_rgb
-from annotator.recordings.ros import realsense
+from annotator.recordings.ros import topics
 from annotator.recordings.ros.messages import cloud_of
 from annotator.recordings.ros.recording import RosBag, message
 from annotator.recordings.ros.topics import list_topics
@@ -141,10 +141,10 @@ def test_a_real_realsense_recording(shared: Path):
 @pytest.mark.shared
 def test_realsense_topics_of_other_messages_are_errors(shared: Path, monkeypatch: pytest.MonkeyPatch):
     path = shared / "data" / "realsense" / "single_depth_color_640x480.bag"
-    first = realsense._first
+    first = topics._first
     for part, problem in (("Depth Units", "the unit of its depth is missing"), ("/tf/0", "is not a rotation and a")):
         monkeypatch.setattr(
-            realsense, "_first", lambda bag, name, part=part: object() if part in name else first(bag, name)
+            topics, "_first", lambda bag, name, part=part: object() if part in name else first(bag, name)
         )
         with pytest.raises(RecordingError, match=problem):
             open_recording(path)
