@@ -30,7 +30,6 @@ from annotator.recordings.kitti_frame import UP
 from annotator.recordings.look_around import Scan, level_turn
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
-from annotator.recordings.ros.gravity import up_near
 from annotator.recordings.ros.messages import (
     FIELD_ERRORS,
     RECTIFIED,
@@ -54,7 +53,7 @@ from annotator.recordings.ros.topics import (
     frame_of,
     realsense_of,
 )
-from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
+from annotator.recordings.ros.transforms import LinkMissingError, TransformReader, up_near
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, GeometryError, RecordingError
