@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ros_takes import MS, START_NS, write_take
 
-from annotator.recordings.ros import kept_times, pairing
+from annotator.recordings.ros import pairing
 from annotator.recordings.ros.bag import open_bag
 from annotator.recordings.ros.bag_files import KEPT, MOST_KEPT_BYTES, Chunk, ChunkedFile, unpack
 from benchmarks.bag_writer import BagWriter
@@ -53,7 +53,7 @@ def test_the_kept_contents_of_many_files_are_few(tmp_path: Path):
 
 def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(kept_times, "SLOW_S", -1.0)
+    monkeypatch.setattr(pairing, "SLOW_S", -1.0)
     # bz2 is read by several threads
     monkeypatch.setattr(pairing.os, "cpu_count", lambda: 4)
     with BagWriter(tmp_path, "ros1", "bz2") as bag:
@@ -62,7 +62,7 @@ def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytes
     assert opened is not None
     topic, expected = opened.topics["/points"], START_NS + np.arange(3) * 100 * MS
     np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
-    (file,) = kept_times.cache_folder().iterdir()
+    (file,) = pairing.cache_folder().iterdir()
     # the second time they are read from there, unless the file is damaged or the bag has changed
     with monkeypatch.context() as patched:
         patched.setattr(pairing, "quick_stamp_ns", lambda *_: pytest.fail("the bag is read"))
@@ -71,4 +71,4 @@ def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytes
     np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
     bag.path.touch()
     pairing.stamps_ns.__wrapped__(topic)
-    assert len(list(kept_times.cache_folder().iterdir())) == 2
+    assert len(list(pairing.cache_folder().iterdir())) == 2
