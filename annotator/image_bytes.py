@@ -1,8 +1,18 @@
-"""Strict decoding of PNG and JPEG bytes: truncated, damaged and too large images are errors.
+"""PNG and JPEG files: strict decoding, and the EXIF orientation.
 
 OpenCV decodes a truncated file without an error and fills the missing part with grey. So the bytes are checked for
-completeness first. PNG: W3C "PNG Specification", section 5 (chunks, CRC). JPEG: ITU-T T.81, annex B (markers, frame
-header).
+completeness first: truncated, damaged and too large images are errors. PNG: W3C "PNG Specification", section 5 (chunks,
+CRC). JPEG: ITU-T T.81, annex B (markers, frame header).
+
+EXIF orientation: how an image file asks to be turned or mirrored when it is shown. Viewers, browsers and most labelling
+tools turn the image; a camera's calibration and a depth image usually belong to the pixels as they are stored. One rule
+for images, their 2D boxes and their masks:
+
+- A size that fits only one of the two, turned or as stored, decides. It comes from the calibration or the label file.
+- A depth image of the same camera decides for the pixels as stored, since it has no such tag.
+- Otherwise nothing is guessed: it is refused.
+
+Source: CIPA DC-008 (Exif 2.32), 4.6.4, tag Orientation; PNG third edition, 11.3.3.7, eXIf.
 """
 
 from __future__ import annotations
@@ -132,19 +142,6 @@ def declared_size(data: bytes) -> tuple[int, int]:
             break
         at += 1 if data[at + 1] == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4])
     return 0, 0
-
-
-# TODO-MERGED docstring of exif.py:
-# EXIF orientation: how an image file asks to be turned or mirrored when it is shown.
-#
-# Viewers, browsers and most labelling tools turn the image; a camera's calibration and a depth image usually belong to
-# the pixels as they are stored. One rule for images, their 2D boxes and their masks:
-#
-# - A size that fits only one of the two, turned or as stored, decides. It comes from the calibration or the label file.
-# - A depth image of the same camera decides for the pixels as stored, since it has no such tag.
-# - Otherwise nothing is guessed: it is refused.
-#
-# Source: CIPA DC-008 (Exif 2.32), 4.6.4, tag Orientation; PNG third edition, 11.3.3.7, eXIf.
 
 
 Size = tuple[int, int]

@@ -1,4 +1,7 @@
-"""Text in files as people's tools write it: its encoding, and the numbers in it."""
+"""Text in files as people's tools write it: its encoding, the numbers and the names in it.
+
+Names and paths are of any system, in any Unicode form, and never lead out of their folder.
+"""
 
 from __future__ import annotations
 
@@ -62,10 +65,6 @@ def to_number(text: str) -> float:
     has_comma = any(_DECIMAL_COMMA.fullmatch(part.strip()) for part in text.split(";"))
     problem = "has a decimal comma; write a point" if has_comma else "is not a number"
     raise ValueError(f"{text[:SHOWN]!r} {problem}")
-
-
-# TODO-MERGED docstring of file_names.py:
-# Names and paths that stand in files: of any system, in any Unicode form, and never leading out of their folder.
 
 
 # A path on a drive or a share of Windows. A single letter and a colon alone may be a name.

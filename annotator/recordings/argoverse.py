@@ -1,4 +1,15 @@
-"""Argoverse 2's sensor data set: logs with camera images, or of the LiDAR alone."""
+"""Argoverse 2's sensor data set: one log, seen by one of its cameras, or by a virtual one if it has no images.
+
+sensors/lidar/TIME_NS.feather              x y z (metres, ego frame at that time), intensity (0..255)
+sensors/cameras/CAMERA/TIME_NS.jpg         optional, without distortion
+calibration/intrinsics.feather             fx_px fy_px cx_px cy_px of each camera
+calibration/egovehicle_SE3_sensor.feather  the sensors' poses on the vehicle: quaternion w x y z, metres
+city_SE3_egovehicle.feather                the vehicle's poses at the times of all images and sweeps; z is up
+[annotations.feather, read by annotator.formats.argoverse]
+
+A frame is a sweep with the image nearest in time. The vehicle's poses at both times move the sweep to the image's time.
+k1 k2 k3 of the intrinsics belong to the images before they were undistorted, and are not read.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +35,6 @@ from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.types.times import LATEST_NS, too_late
-
-# TODO-MERGED docstring of log.py:
-# Argoverse 2's sensor data set: one log, seen by one of its cameras, or by a virtual one if it has no images.
-#
-# sensors/lidar/TIME_NS.feather              x y z (metres, ego frame at that time), intensity (0..255)
-# sensors/cameras/CAMERA/TIME_NS.jpg         optional, without distortion
-# calibration/intrinsics.feather             fx_px fy_px cx_px cy_px of each camera
-# calibration/egovehicle_SE3_sensor.feather  the sensors' poses on the vehicle: quaternion w x y z, metres
-# city_SE3_egovehicle.feather                the vehicle's poses at the times of all images and sweeps; z is up
-# [annotations.feather, read by annotator.formats.argoverse]
-#
-# A frame is a sweep with the image nearest in time. The vehicle's poses at both times move the sweep to the image's time.
-# k1 k2 k3 of the intrinsics belong to the images before they were undistorted, and are not read.
-
 
 LOOKED_FOR = "sensors/lidar/TIME_NS.feather and city_SE3_egovehicle.feather (a log of Argoverse 2's sensor data set)"
 SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"

@@ -1,4 +1,16 @@
-"""Datasets that annotator exported, opened as recordings again."""
+"""Datasets that annotator exported, opened as recordings again: unrelated single frames.
+
+rcv, its own format
+    dataset.json           the frames' ids, in order; they need not be consecutive
+    labels/ID.json         the frame's camera, up direction, time and files [and its labels, read by annotator.formats]
+    images/ID.png|jpg      clouds/ID.ply, in the camera's frame
+OpenLABEL, or one part of a divided export
+    RECORDING.json         one document per recording: frames with files, times and intrinsics [and labels]
+    images/ID.png|jpg      clouds/ID.ply, in the camera's frame
+    frames.csv             the frames' origins, here or above the parts
+
+The keys are the ids. OpenLABEL of other programs is not opened: its clouds may be in any frame.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +39,6 @@ from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.times import LATEST_NS, in_time, too_late
 from annotator.types.validation import first_problem
-
-# TODO-MERGED docstring of files.py:
-# The files of an exported frame: image and cloud in the camera's frame; and JSON documents.
-
 
 REMEDY = "export the dataset again"
 # A document may describe a whole recording.
@@ -104,16 +112,6 @@ def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> 
         raise FrameError(
             path, f"has {width} x {height} pixels, but its camera {camera.width_px} x {camera.height_px}", REMEDY
         )
-
-
-# TODO-MERGED docstring of openlabel_folder.py:
-# annotator's exports in OpenLABEL, or one part of a divided one: unrelated single frames.
-#
-# RECORDING.json         one document per recording: frames with files, times and intrinsics [and labels]
-# images/ID.png|jpg      clouds/ID.ply, in the camera's frame
-# frames.csv             the frames' origins, here or above the parts
-#
-# The keys are the ids. Documents of other programs are not opened: their clouds may be in any frame.
 
 
 OPENLABEL_LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
@@ -270,16 +268,6 @@ def _openlabel_camera(document: Path, key: str, record: Any) -> Camera:
         return Camera(*size, fx, fy, cx, cy, distortion if any(distortion) else ())
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FrameError(document, f"frame {key}: its intrinsics are invalid ({str(error)[:80]})", REMEDY) from error
-
-
-# TODO-MERGED docstring of rcv_dataset.py:
-# annotator's own dataset format `rcv`: unrelated single frames.
-#
-# dataset.json           the frames' ids, in order
-# labels/ID.json         the frame's camera, up direction, time and files [and its labels, read by annotator.formats]
-# images/ID.png|jpg      clouds/ID.ply, in the camera's frame
-#
-# The dataset does not say whether its frames are consecutive, so they are not taken as a sequence.
 
 
 MANIFEST, LABELS = "dataset.json", "labels"

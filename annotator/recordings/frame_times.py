@@ -1,6 +1,7 @@
-"""`timestamps.csv`: the capture time of each frame of a folder; optional, a format of annotator.
+"""The times of a recording's frames, without reading the frames; and `timestamps.csv`, the times of a folder's frames.
 
-One line per frame under the header `key,timestamp_ns`; whole nanoseconds of any single clock.
+The file is optional, a format of annotator: one line per frame under the header `key,timestamp_ns`; whole nanoseconds
+of any single clock.
 """
 
 from __future__ import annotations
@@ -99,10 +100,6 @@ def _unit_problem(times_ns: Times) -> str | None:
     step = float(np.median(np.diff(times)))
     are_us = SINCE_1970_US[0] <= times[0] and times[-1] <= SINCE_1970_US[1]
     return too_dense(step) if step <= (MOST_DENSE_US if are_us else MOST_DENSE_NS) else None
-
-
-# TODO-MERGED docstring of times.py:
-# The times of a recording's frames, without reading the frames.
 
 
 @runtime_checkable

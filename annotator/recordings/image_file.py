@@ -1,4 +1,12 @@
-"""Reads the colour and depth images of recordings."""
+"""Reads the colour and depth images of recordings.
+
+Of colours and grey with more than 8 bits, black stays at 0, and the lowest usual depth that holds the brightest
+number is white: the numbers of 10 or 12 bits stand in 16 as they are, and would look black. Grey of ROS messages is
+infrared or thermal light as a rule: from the darkest to the brightest hundredth. The first images of a recording
+decide for all of them, so that it does not flicker.
+
+SUN RGB-D's depth images are millimetres whose 16 bits are rotated left by three (SUNRGBDtoolbox, `read3dPoints.m`).
+"""
 
 from __future__ import annotations
 
@@ -15,13 +23,6 @@ from annotator.geometry.depth_values import in_metres, measured
 from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
 from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.types.errors import FrameError
-
-# TODO-MERGED docstring of deep_images.py:
-# Images of more than 8 bits as 8 bits: the numbers of 10 or 12 bits stand in 16 as they are, and look black.
-#
-# Colours, and grey of image files, keep black at 0, and the lowest usual depth that holds the brightest number is white.
-# Grey of ROS messages is infrared or thermal light as a rule: from the darkest to the brightest hundredth. The first
-# images of a recording decide for all of them, so that it does not flicker.
 
 
 @dataclass(frozen=True)
@@ -170,10 +171,6 @@ def _decoded(path: Path, flags: int, give_points: bool = False) -> tuple[bytes, 
         raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
     except ValueError as error:
         raise FrameError(path, str(error), REMEDY) from error
-
-
-# TODO-MERGED docstring of rotated_depth.py:
-# SUN RGB-D's depth images: millimetres whose 16 bits are rotated left by three (SUNRGBDtoolbox, `read3dPoints.m`).
 
 
 # Depths below 8.192 m become multiples of eight, which few plain values are.

@@ -1,4 +1,15 @@
-"""KITTI recordings: object, tracking and raw-drive folders."""
+"""KITTI recordings: an image folder and a folder of LiDAR scans with the same keys.
+
+object     [training/]image_2/KEY.png  velodyne/KEY.bin  calib/KEY.txt  [label_2/KEY.txt]; unrelated single frames
+tracking   image_02/KEY.png  velodyne/KEY.bin  calib.txt  [label_02.txt]; consecutive frames of a drive, 10 a second; or
+           the data set, where each drive is a scene:
+           [training/]image_02/DRIVE/KEY.png  velodyne/DRIVE/KEY.bin  calib/DRIVE.txt  [label_02/DRIVE.txt]
+raw        DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIVE/image_02/timestamps.txt
+           calib_cam_to_cam.txt  calib_velo_to_cam.txt, in the drive's folder or in that of its day above it
+           [tracklet_labels.xml]; the layout of the download ("synced and rectified")
+
+Labels are read by annotator.formats.kitti.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +33,6 @@ from annotator.recordings.scan_file import Scans
 from annotator.text import spelled
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-
-# TODO-MERGED docstring of folder.py:
-# The common base of all KITTI folders: an image folder and a folder of LiDAR scans with the same keys.
-
 
 # The rotating LiDAR triggers KITTI's sensors ten times a second.
 PERIOD_NS = 100_000_000
@@ -133,12 +140,6 @@ def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> N
         )
 
 
-# TODO-MERGED docstring of object_folder.py:
-# KITTI object detection folders: unrelated single frames.
-#
-# [training/]image_2/KEY.png  velodyne/KEY.bin  calib/KEY.txt  [label_2/KEY.txt]
-
-
 OBJECT_LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
 
 
@@ -179,14 +180,6 @@ def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFo
             require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
             return KittiObject(path, keys, root, reader=Scans(options.columns))
     return NotFound(OBJECT_LOOKED_FOR)
-
-
-# TODO-MERGED docstring of raw_drive.py:
-# KITTI raw drives, in the layout of the download ("synced and rectified").
-#
-# DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIVE/image_02/timestamps.txt
-# calib_cam_to_cam.txt  calib_velo_to_cam.txt    in the drive's folder, or in the folder of its day above it
-# [tracklet_labels.xml, read by annotator.formats.kitti.tracklets]
 
 
 RAW_LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, here or in the folder above)"
@@ -259,15 +252,6 @@ def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
     """
     keys = keys_in(path, KittiRaw.images, KittiRaw.scans)
     return NotFound(RAW_LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))
-
-
-# TODO-MERGED docstring of tracking_folder.py:
-# KITTI tracking: consecutive frames of one drive, 10 a second; or the data set, where each drive is a scene.
-#
-# image_02/KEY.png  velodyne/KEY.bin  calib.txt  [label_02.txt]
-# [training/]image_02/DRIVE/KEY.png  velodyne/DRIVE/KEY.bin  calib/DRIVE.txt  [label_02/DRIVE.txt]
-#
-# Labels are read by annotator.formats.kitti.label_files.
 
 
 TRACKING_LOOKED_FOR = (

@@ -1,8 +1,12 @@
-"""KITTI calibration files: the projection of LiDAR points into colour camera 2.
+"""Frames of KITTI: image, LiDAR scan, and the calibration that projects the scan into colour camera 2.
 
 KITTI object devkit, readme.txt ("Calibration"): `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar`, all row-major. The
 tracking files call two of the matrices R_rect and Tr_velo_cam and omit the colon. Raw drives (raw devkit, readme.txt)
 have the same matrices in two files: P_rect_02 and R_rect_00, and the LiDAR's pose as R and T.
+
+A frame's cloud holds the points in front of the camera that project inside the image, each with its reflectance and
+the colour of the nearest pixel (exact except for the parallax between camera and LiDAR). The rest of a 360 degree scan
+has no colour and no label, and is dropped.
 """
 
 from __future__ import annotations
@@ -148,14 +152,6 @@ def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shap
     if not are_plausible(values):
         raise FrameError(path, f"{name} has a number that is not finite or is too large", REMEDY)
     return values.reshape(shape)
-
-
-# TODO-MERGED docstring of frame.py:
-# Reads a KITTI frame from its three files: image, LiDAR scan, calibration.
-#
-# The cloud holds the points in front of the camera that project inside the image, each with its reflectance and the
-# colour of the nearest pixel (exact except for the parallax between camera and LiDAR). The rest of a 360 degree scan has
-# no colour and no label, and is dropped.
 
 
 NEAREST_Z_M = 0.1

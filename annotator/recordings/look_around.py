@@ -1,4 +1,6 @@
-"""Virtual cameras around a LiDAR, so that everything it sees can be labelled, also where no camera looks.
+"""What rigs can say beside their frames, and virtual cameras around a LiDAR, to label all that it sees.
+
+A *rig* is a set of recordings of one path that differ only in their option `camera`. They share a clock and clouds.
 
 Each virtual camera is a recording of a rig. Their images overlap by `OVERLAP`, so an object at a border is whole in
 one of them. The image is rendered from the points; the cloud is the whole scan.
@@ -20,11 +22,6 @@ from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, Recording, files_of, origin_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError
-
-# TODO-MERGED docstring of rig.py:
-# What recordings of several cameras, and of LiDARs, can say beside their frames.
-#
-# A *rig* is a set of recordings of one path that differ only in their option `camera`. They share a clock and clouds.
 
 
 @runtime_checkable

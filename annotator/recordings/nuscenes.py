@@ -1,4 +1,12 @@
-"""nuScenes: its tables, and one recording per scene and camera."""
+"""nuScenes: one scene, seen by one of its cameras.
+
+v1.0-*/*.json   the tables (scene, sample, sample_data, sensor, calibrated_sensor, ego_pose)
+samples/, sweeps/   images and scans, where the tables say; a scan is float32 x y z intensity (0..255) ring
+[sample_annotation.json, instance.json, category.json: read by annotator.formats.nuscenes]
+
+A frame is an image with the scan of its sample; between samples, with the scan that was being taken, else the one
+before. The vehicle's poses at both times move the scan to the image's time. Labels are in the global frame.
+"""
 
 from __future__ import annotations
 
@@ -38,10 +46,6 @@ from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-
-# TODO-MERGED docstring of scenes.py:
-# The sensors' data of one scene of nuScenes, from its tables.
-
 
 LIDAR = "LIDAR_TOP"
 TABLE_REMEDY = "correct the table, or copy it again from the data set"
@@ -227,17 +231,6 @@ def _table(model: type[Record]) -> str:
     return {"SampleData": "sample_data", "CalibratedSensor": "calibrated_sensor", "EgoPose": "ego_pose"}.get(
         model.__name__, model.__name__.lower()
     )
-
-
-# TODO-MERGED docstring of recording.py:
-# nuScenes: one scene, seen by one of its cameras.
-#
-# v1.0-*/*.json   the tables (scene, sample, sample_data, sensor, calibrated_sensor, ego_pose)
-# samples/, sweeps/   images and scans, where the tables say; a scan is float32 x y z intensity (0..255) ring
-# [sample_annotation.json, instance.json, category.json: read by annotator.formats.nuscenes]
-#
-# A frame is an image with the scan of its sample; between samples, with the scan that was being taken, else the one
-# before. The vehicle's poses at both times move the scan to the image's time. Labels are in the global frame.
 
 
 LOOKED_FOR = "nuScenes' tables (v1.0-*/scene.json, sample_data.json, ...) beside samples/ and sweeps/"

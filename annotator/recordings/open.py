@@ -1,4 +1,7 @@
-"""Opens the recording at a path, in any supported format."""
+"""Opens the recording at a path, in any supported format: the table of readers, and what to say where none fits.
+
+A new format needs one module, and a line in `READERS`.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,6 @@ from annotator.recordings.look_around import Scanned, look_around
 from annotator.recordings.recording import NotFound, ReaderOptions, Recording, option_flag
 from annotator.types.errors import ConfigError, RecordingError, UnknownFormatError
 from annotator.types.names import nearest
-
-# TODO-MERGED docstring of nearest.py:
-# What to say about a path that no reader recognises: the nearest format, and recordings below and above the path.
-
 
 # What each format's folder must have; `|` separates alternatives. Optional files are left out.
 PARTS: dict[str, tuple[str, ...]] = {
@@ -172,10 +171,6 @@ def kind_of_file(path: Path) -> list[str]:
     if suffix in VIDEOS:
         return ["it is a video, which has no depth; give a recording with depth images or point clouds"]
     return []
-
-
-# TODO-MERGED docstring of table.py:
-# The table of readers: name -> "module:function". A new format needs one module and one line here.
 
 
 # Tried in this order; the first reader that recognises a path opens it. A reader takes the path and returns a

@@ -1,4 +1,4 @@
-"""The interface of recordings: a list of frames that are read one at a time."""
+"""The interface of recordings, a list of frames that are read one at a time, and the options of their readers."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from annotator.types import Frame
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import ConfigError
-
-# TODO-MERGED docstring of options.py:
-# Options that decide how a recording is read, where its files alone do not.
-
 
 Place = tuple[Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)], ...]
 

@@ -34,10 +34,6 @@ from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError, UnclearError
 from annotator.types.validation import first_problem
 
-# TODO-MERGED docstring of rgbd_camera.py:
-# The camera, depth camera and gravity files of an RGB-D folder.
-
-
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0
 MOST_OFF_ROTATION = 1e-3

@@ -1,10 +1,20 @@
 """`.bin` scans: rows of 32-bit floats without a header: x, y, z and, in rows of four or more, reflectance.
 
 How many values a row has is never guessed. It is said by an option, by the file's name or place, or by the values of
-several scans, if only one number is plausible (`scan_columns`). Without the option, each scan must agree.
+several scans, if only one number is plausible. Without the option, each scan must agree.
 
     *.pcd.bin, LIDAR_TOP/*.bin            5, nuScenes: x y z intensity ring
     velodyne/*.bin, velodyne_points/...   4, KITTI: x y z reflectance
+
+What the values say: if rows have C values, those at positions p, p + C, p + 2C ... are of one kind (all x, all
+intensities), and those of neighbouring positions are not. So it is measured, for each C from 1 to 16, how much the
+position within a row says about a value's sign, its magnitude, and whether it is whole, zero or not a number: their
+mutual information in bits. It is highest for the true number and its multiples. Nothing is assumed about the order of
+points, the sensor's pose or the unit, but x, y and z must come first.
+
+Beams that fire in turns make every second point alike, so that rows of 3 look like rows of 6. Then the two points of
+such a row vary together, unlike coordinates and other columns, and the number is uncertain. The limits are set so that
+doubt is refused; `benchmarks/columns.py` measures how often.
 """
 
 from __future__ import annotations
@@ -28,21 +38,6 @@ from annotator.recordings.clouds.columns import (
 )
 from annotator.recordings.plausible import LARGEST, are_returns
 from annotator.types.errors import FrameError, UnclearError
-
-# TODO-MERGED docstring of scan_columns.py:
-# How many values a point of a `.bin` scan has: a test of plausibility on the values themselves.
-#
-# A `.bin` is rows of 32-bit floats without a header. If its rows have C values, the values at positions p, p + C, p + 2C
-# ... are of one kind (all x, all intensities), and those of neighbouring positions are not. So the test measures, for
-# each C from 1 to 16, how much the position within a row says about a value's sign, its magnitude, and whether it is
-# whole, zero or not a number: their mutual information in bits. It is highest for the true number and its multiples.
-# Nothing is assumed about the order of points, the sensor's pose or the unit, but x, y and z must come first.
-#
-# Beams that fire in turns make every second point alike, so that rows of 3 look like rows of 6. Then the two points of
-# such a row vary together, unlike coordinates and other columns, and the number is uncertain.
-#
-# The limits are set so that doubt is refused; `benchmarks/columns.py` measures how often.
-
 
 BYTES_PER_VALUE = 4
 FEWEST, MOST = 3, 8

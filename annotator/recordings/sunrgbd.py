@@ -1,4 +1,19 @@
-"""SUN RGB-D recordings: VoteNet's extraction, and raw scenes."""
+"""SUN RGB-D recordings: VoteNet's extraction, and raw scenes; unrelated single frames.
+
+extracted  image/KEY.jpg  calib/KEY.txt  depth/KEY.mat (`instance`: n x 6, x y z r g b)  or  points/KEY.npz
+           [label/KEY.txt, read by annotator.formats]
+scenes     one folder with one frame each; or any folder above them, such as the whole data set
+           SCENE/intrinsics.txt  SCENE/image/*.jpg  SCENE/depth/*.png  SCENE/depth_bfx/*.png  SCENE/extrinsics/*.txt
+           [SCENE/annotation3Dfinal/index.json, read by annotator.formats]
+
+The data set counts pixels from 1, so 1 is subtracted from its principal point. Labels and extracted clouds are in the
+frame "upright depth": x right, y forward, z up, origin at the camera, tilt removed. A camera's point is mapped there
+by `Rtilt * [X, Z, -Y]`. Raw scenes have extrinsics E instead, with `Rtilt = A E B`; A and B only convert between
+camera axes and upright axes, so E alone levels the camera (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
+
+Of raw scenes, the sensor's own depth images (`depth/`) are read, as in VoteNet; those with filled holes (`depth_bfx/`)
+only if `depth/` has none.
+"""
 
 from __future__ import annotations
 
@@ -35,15 +50,6 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import FrameError
-
-# TODO-MERGED docstring of calibration.py:
-# SUN RGB-D's calibrations in both of its layouts: camera matrix and tilt.
-#
-# The data set counts pixels from 1, so 1 is subtracted from its principal point. Labels and extracted clouds are in the
-# frame "upright depth": x right, y forward, z up, origin at the camera, tilt removed. A camera's point is mapped there by
-# `Rtilt * [X, Z, -Y]`. Raw scenes have extrinsics E instead, with `Rtilt = A E B`; A and B only convert between camera
-# axes and upright axes, so E alone levels the camera (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
-
 
 REMEDY = "copy the calibration again from the data set"
 # From camera axes (x right, y down, z forward) to upright ones (x right, y forward, z up), both without tilt.
@@ -142,14 +148,6 @@ def _text(path: Path) -> str:
         raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
     except (OSError, UnicodeDecodeError) as error:
         raise FrameError(path, f"the calibration cannot be read ({error})", REMEDY) from error
-
-
-# TODO-MERGED docstring of extracted.py:
-# SUN RGB-D in VoteNet's layout: unrelated single frames.
-#
-# image/KEY.jpg  calib/KEY.txt  depth/KEY.mat (`instance`: n x 6, x y z r g b)  or  points/KEY.npz
-# [label/KEY.txt, read by annotator.formats]
-# Clouds and labels are in the frame "upright depth" (`calibration.py`).
 
 
 EXTRACTED_LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"
@@ -294,16 +292,6 @@ def _colors(raw: RawCloud, px: np.ndarray, rgb: np.ndarray) -> np.ndarray | None
         return None
     u, v = np.clip(np.rint(px), 0, np.array(rgb.shape[1::-1]) - 1).astype(np.int64).T
     return rgb[v, u]
-
-
-# TODO-MERGED docstring of scenes.py:
-# SUN RGB-D's raw scenes: one folder with one frame each; or any folder above them, such as the whole data set.
-#
-# SCENE/intrinsics.txt  SCENE/image/*.jpg  SCENE/depth/*.png  SCENE/depth_bfx/*.png  SCENE/extrinsics/*.txt
-# [SCENE/annotation3Dfinal/index.json, read by annotator.formats]
-#
-# Depth images store millimetres, rotated left by three bits. The sensor's own images (`depth/`) are read, as in VoteNet;
-# those with filled holes (`depth_bfx/`) only if `depth/` has none.
 
 
 SCENES_LOOKED_FOR = "scene folders (intrinsics.txt, image/, depth/, extrinsics/), or folders of them"

@@ -1,4 +1,9 @@
-"""Reads a point cloud file of any supported format."""
+"""Reads a point cloud file of any supported format.
+
+NumPy arrays (`.npy`; `.npz` with an array of points and optionally one of colours) are n x 3 (x y z), n x 4 (with
+reflectance), n x 6 (with colours), or have named fields. Nothing is unpickled. Headers are checked against the file's
+size before memory is allocated. Format: NEP 1 and `numpy.lib.format`.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +33,6 @@ from annotator.recordings.clouds.pcd_file import parse_pcd
 from annotator.recordings.clouds.ply_file import parse_ply
 from annotator.recordings.scan_file import SCAN_SUFFIX, Scans
 from annotator.types.errors import FrameError
-
-# TODO-MERGED docstring of numpy_file.py:
-# Point clouds as NumPy arrays: `.npy`, and `.npz` with an array of points and optionally one of colours.
-#
-# An array is n x 3 (x y z), n x 4 (with reflectance), n x 6 (with colours), or has named fields. Nothing is unpickled.
-# Headers are checked against the file's size before memory is allocated. Format: NEP 1 and `numpy.lib.format`.
-
 
 POINT_NAMES = ("points", "xyz", "xyz_m", "pc", "cloud", "arr_0")
 COLOR_ARRAY_NAMES = ("colors", "colours", "rgb", "color")

@@ -1,4 +1,17 @@
-"""Converts the named columns of point cloud files to points, colours and reflectances."""
+"""Converts the named columns of point cloud files to points, colours and reflectances.
+
+Colours, of any type of number, become 8 bits: three columns, or a packed one. Alpha is left out.
+
+    3 columns   8-bit integers as they are (signed ones by their bits); floats up to 1 are fractions; of all others,
+                the lowest of the usual depths (8 to 16, 32 bits) that holds the highest value is the depth of all
+    packed      0xAARRGGBB: a whole number of any type that is long enough, or the 32-bit float with these bits (PCL)
+
+Text has no types: there, the values themselves say which of these they are. A colour that is not finite is black, and
+a cloud without any finite colour has none.
+
+Many files do not say whether their values are fractions, 8 or 16 bits, and a dark scan looks like one of a smaller
+scale. The first scans of a recording decide for all: one scale of reflectance, and one of colours.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +30,6 @@ from annotator.frame_limits import memory_problem
 from annotator.recordings.plausible import are_returns
 from annotator.text import to_number
 from annotator.types.errors import FrameError
-
-# TODO-MERGED docstring of colors.py:
-# Colours of points, of any type of number, as 8 bits: three columns, or a packed one. Alpha is left out.
-#
-#     3 columns   8-bit integers as they are (signed ones by their bits); floats up to 1 are fractions; of all others, the
-#                 lowest of the usual depths (8 to 16, 32 bits) that holds the highest value is the depth of all
-#     packed      0xAARRGGBB: a whole number of any type that is long enough, or the 32-bit float with these bits (PCL)
-#
-# Text has no types: there, the values themselves say which of these they are. A colour that is not finite is black, and a
-# cloud without any finite colour has none.
-
 
 NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 PACKED_NAMES = ("rgb", "rgba")
@@ -415,13 +417,6 @@ def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
         elif rows[name].ndim == 2:
             columns |= split_colors(name.lower(), rows[name])
     return columns
-
-
-# TODO-MERGED docstring of common_scale.py:
-# One scale of reflectance, and one of colours, for all scans of a recording.
-#
-# Many files do not say whether their values are fractions, 8 or 16 bits, and a dark scan looks like one of a smaller
-# scale. The first scans of a recording decide for all.
 
 
 FIRST = 3

@@ -2,6 +2,13 @@
 
 Format: ASPRS, "LAS Specification 1.4", R15. Coordinates are integers with a scale and an offset, usually map
 coordinates in metres (`cloud_folder` moves the origin). Intensity and colours have 16 bits; some writers use fewer.
+
+The decompressor of LAZ trusts the headers: it allocates memory for the chunks and layers that they declare, and aborts
+the process if that fails. So they are checked first, against the file's size (laszip, `src/laszip.hpp`,
+`src/laszipdll`): a record of the items of a point; at the start of the data the offset of the chunk table; a layered
+chunk begins with a point, its number of points and the size of each layer. On some damaged points, which no header
+shows, the decoder (lazrs 0.8.2) reads memory that is not its own, and the system ends its process. So it runs in a
+process of its own, which is kept for further files, and ends with this one.
 """
 
 from __future__ import annotations
@@ -27,16 +34,6 @@ from annotator.types.errors import FrameError, MissingExtraError
 
 if TYPE_CHECKING:
     import laspy
-
-
-# TODO-MERGED docstring of laz_check.py:
-# Checks the headers of a LAZ file's compressed points against the file's size.
-#
-# The decompressor trusts the headers: it allocates memory for the chunks and layers that they declare, and aborts the
-# process if that fails. So the headers are checked first.
-#
-# Format: laszip (`src/laszip.hpp`, `src/laszipdll`): a record of the items of a point; at the start of the data the
-# offset of the chunk table; a layered chunk begins with a point, its number of points and the size of each layer.
 
 
 # laszip's own header; used here: the compressor (first), points per chunk (seventh), number of items (last)
@@ -157,13 +154,6 @@ def _chunk_problem(data: bytes, layout: LazLayout, chunks: int, layers: int) -> 
     return ""
 
 
-# TODO-MERGED docstring of laz_process.py:
-# Decodes LAZ in a process of its own.
-#
-# On some damaged points, which no header shows, the decoder (lazrs 0.8.2) reads memory that is not its own, and the
-# system ends its process. That must not be the server. The process is kept for further files, and ends with this one.
-
-
 Columns = dict[str, np.ndarray]
 PROGRAM = (
     "import json, sys; sys.path[:] = json.loads(sys.stdin.buffer.readline()); "
@@ -247,7 +237,7 @@ def _filled(stream: IO[bytes], values: np.ndarray) -> int:
     return done
 
 
-def serve(decode: Callable[[Path, bytes], Columns]) -> None:
+def serve() -> None:
     """Decodes what comes in, until there is no more."""
     out: Any = os.fdopen(os.dup(1), "wb")
     # what libraries print must not be taken for an answer

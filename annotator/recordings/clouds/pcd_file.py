@@ -1,4 +1,7 @@
-"""PCD point clouds: text, binary, and compressed binary. Format: Point Cloud Library, "The PCD file format" (0.7)."""
+"""PCD point clouds: text, binary, and compressed binary. Format: Point Cloud Library, "The PCD file format" (0.7).
+
+The compression is LZF: literal runs and back references. Format: liblzf's `lzf_d.c`.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,6 @@ from annotator.recordings.clouds.columns import (
     typed,
 )
 from annotator.types.errors import FrameError
-
-# TODO-MERGED docstring of lzf.py:
-# LZF, the compression of PCD files: literal runs and back references. Format: liblzf's `lzf_d.c`.
-
 
 # The longest reference, 264 bytes, is encoded in three bytes.
 MOST_EXPANSION = 88

@@ -8,6 +8,8 @@ It is one for all frames, so that what stands still does so in all of them, and 
 
 The virtual camera stands at the origin. A frame farther away than `STEP_M` (a vehicle that drives on) has its camera
 whole steps from the origin: the points stay near the camera, which moves in few frames instead of a little in each.
+
+Its image is rendered from the points, for operators and detectors.
 """
 
 from __future__ import annotations
@@ -139,10 +141,6 @@ def _rounding_note(raw: RawCloud) -> tuple[str, ...]:
 def _far_middle(raw: RawCloud) -> Float64[np.ndarray, "3"]:
     middle = np.median(_different(raw), axis=0)
     return np.floor(middle) if is_far(middle) else NOWHERE
-
-
-# TODO-MERGED docstring of virtual_image.py:
-# Renders the image of a virtual camera from a point cloud, for operators and detectors.
 
 
 # A point is drawn as a square: this length, projected, is its side, within these bounds in pixels.

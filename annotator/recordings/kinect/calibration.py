@@ -4,6 +4,9 @@ The attachment describes both cameras at full sensor size, in fractions of it. E
 crops a window; tables and rules as in the Azure Kinect Sensor SDK (`mode_specific_calibration.c`, MIT):
 `c_px = c * width - window - 0.5`, `f_px = f * width`, where -0.5 makes the centre of the first pixel (0, 0). The lens
 model is Brown-Conrady with six radial coefficients, as in OpenCV.
+
+The accelerometer's samples, in its own axes, are corrected by the device (`src/record/internal`,
+`matroska_imu_sample_t`). At rest they give the direction of gravity.
 """
 
 from __future__ import annotations
@@ -170,14 +173,6 @@ def parse_calibration(content: bytes, depth_size: Size, color_size: Size) -> Kin
         if accelerometer
         else None,
     )
-
-
-# TODO-MERGED docstring of imu.py:
-# The direction of gravity from the Azure Kinect's accelerometer, while the device is at rest.
-#
-# The track IMU holds samples of 40 bytes: time and acceleration, time and angular velocity, in the sensor's own axes.
-# They are already corrected by the device's calibration (Azure Kinect Sensor SDK, `src/record/internal`,
-# `matroska_imu_sample_t`; MIT). A block has one of them or, laced, several.
 
 
 # Little-endian; nanoseconds on the device's clock, m/s^2, rad/s.

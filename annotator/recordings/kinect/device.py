@@ -32,10 +32,6 @@ from annotator.recordings.kinect.calibration import (
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import DeviceError
 
-# TODO-MERGED docstring of connection.py:
-# Finds and opens a connected Azure Kinect through pyk4a.
-
-
 NAME = "Azure Kinect"
 # Serial numbers have twelve digits; one or two digits are an index in the list of devices.
 INDEX = re.compile(r"\d{1,2}")

@@ -1,11 +1,11 @@
 """Azure Kinect recordings (`.mkv`), read without the SDK.
 
 Tracks COLOR (MJPEG, NV12, YUY2 or BGRA), DEPTH and IR (16 bits per pixel, big-endian, depth in millimetres), IMU; the
-calibration is attached. Tags hold the recording's start on the device's clock and the delay of the depth images.
+calibration is attached. Tags hold the recording's start on the device's clock and the delay of the depth images. YUV is
+BT.601 with values from 16 to 235, as in the SDK.
 
 A frame's camera is the colour camera. Its cloud holds the points of the depth image that this camera sees
-(`two_cameras.py`).
-`up` is known while the device is at rest (`imu.py`).
+(`two_cameras.py`). `up` is known while the device is at rest.
 """
 
 from __future__ import annotations
@@ -37,10 +37,6 @@ from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, 
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
-
-# TODO-MERGED docstring of attachments.py:
-# Reads the tags and the attached calibration of an Azure Kinect recording.
-
 
 REMEDY = "copy the recording again from its source"
 
@@ -79,10 +75,6 @@ def tagged_ns(tags: dict[str, str], name: str) -> int:
     return time_ns if abs(time_ns) <= MOST_NS else 0
 
 
-# TODO-MERGED docstring of captures.py:
-# Pairs the colour and depth images of an Azure Kinect recording by time.
-
-
 DEFAULT_PERIOD_NS = 33_333_333
 
 
@@ -118,12 +110,6 @@ def _nearest(times: np.ndarray, order: np.ndarray, time_ns: int) -> int | None:
     after = int(np.searchsorted(times, time_ns, sorter=order))
     around = order[max(after - 1, 0) : after + 1]
     return int(around[np.argmin(np.abs(times[around] - time_ns))])
-
-
-# TODO-MERGED docstring of color.py:
-# Decodes the Azure Kinect's colour images: MJPEG, NV12, YUY2 and BGRA.
-#
-# YUV is BT.601 with values from 16 to 235, as in the SDK.
 
 
 # FourCC of a track -> half bytes per pixel; None for compressed formats.

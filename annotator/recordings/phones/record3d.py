@@ -8,6 +8,11 @@ rgbd/N.conf       LZFSE: uint8, confidence 0 to 2; optional
 The format is described in issues of github.com/marek-simonik/record3d (7, 27, 33, 36). `poses` are qx qy qz qw x y z,
 camera to world, with OpenGL's camera axes (x right, y up, z backward). Older versions of the app recorded them relative
 to the first image, so that the direction of gravity is not known.
+
+LZFSE is Apple's compression. Its package (the extra `phones`) decompresses to any length, so the blocks of a stream
+are listed first, with the lengths that they declare (github.com/lzfse/lzfse, lzfse_internal.h). The archive's files
+are read without `zipfile`, which would parse the list of all files again for each: 0.2 s for 10,000 frames (PKWARE,
+"APPNOTE", 4.3.7, local file header).
 """
 
 from __future__ import annotations
@@ -40,13 +45,6 @@ from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, MissingExtraError, RecordingError
 from annotator.types.times import LATEST_NS
 from annotator.types.validation import first_problem
-
-# TODO-MERGED docstring of lzfse_api.py:
-# LZFSE, Apple's compression, through the package `lzfse` (the extra `phones`).
-#
-# The package decompresses to any length. So the blocks of a stream are listed first, with the lengths that they declare.
-# Format: github.com/lzfse/lzfse, lzfse_internal.h. A block begins with its kind and its length after decompression.
-
 
 # Data that cannot be compressed gets a little larger.
 MOST_GROWTH, HEADS_BYTES = 1.1, 4096
@@ -113,13 +111,6 @@ def _declared_bytes(data: bytes) -> tuple[int, int]:
         except struct.error as error:
             raise ValueError("its compression (LZFSE) is damaged or truncated") from error
         declared, most = declared + length, most + max(longest, length)
-
-
-# TODO-MERGED docstring of zip_entries.py:
-# Files of a zip archive, or of a folder with the same content.
-#
-# `zipfile` would parse the list of all files again for each one that is read: 0.2 s for 10,000 frames.
-# Format: PKWARE, "APPNOTE", 4.3.7 (local file header).
 
 
 SIGNATURE, HEAD = b"PK\3\4", struct.Struct("<26xHH")

@@ -1,7 +1,17 @@
-"""Messages from their bytes, by the definitions in the bag: ROS 1, ROS 2 (CDR), Protobuf and JSON.
+"""Messages of bags: decoded by the definitions in the bag, and the clouds and cameras that they describe.
 
-ROS messages are decoded by rosbags, imported only here. A decoded message is an object whose attributes are the fields
+ROS 1, ROS 2 (CDR; both by rosbags), Protobuf and JSON. A decoded message is an object whose attributes are the fields
 of its definition, except that all ROS times have `sec` and `nanosec`.
+
+Clouds: `sensor_msgs/PointCloud2`, `foxglove.PointCloud`. Cameras: `sensor_msgs/CameraInfo`,
+`foxglove.CameraCalibration`. K, D, R, P, binning and region of interest have the meaning of the comments in
+`sensor_msgs/CameraInfo.msg`, and image and region are related as in `image_geometry::PinholeCameraModel`: K and P are
+of the full sensor, of which the image is a region, binned. A rectified image (by its topic's name) has the camera P,
+without distortion, turned by R. The right camera of a stereo pair that names the tf frame of the left one is moved by
+the baseline in P.
+
+Fisheye images (`equidistant`) are undistorted, because a `Camera` is a pinhole camera. RealSense's inverse
+Brown-Conrady model maps distorted to undistorted points; it is replaced by the nearest model of OpenCV's form.
 """
 
 from __future__ import annotations
@@ -183,10 +193,6 @@ def byte_array(data: Any) -> np.ndarray:
     return np.asarray(data).view(np.uint8) if isinstance(data, np.ndarray) else np.array(data, np.uint8)
 
 
-# TODO-MERGED docstring of point_clouds.py:
-# Point clouds from `sensor_msgs/PointCloud2` and `foxglove.PointCloud`.
-
-
 # sensor_msgs/PointField.msg and foxglove.PackedElementField.NumericType
 ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
@@ -257,18 +263,6 @@ def _point_columns(points: np.ndarray) -> dict[str, np.ndarray]:
     """Returns the columns by name, in the machine's byte order."""
     names = points.dtype.names or ()
     return {name: points[name].astype(points.dtype[name].newbyteorder("=")) for name in names}
-
-
-# TODO-MERGED docstring of camera_info.py:
-# Cameras from `sensor_msgs/CameraInfo` and `foxglove.CameraCalibration`.
-#
-# K, D, R, P, binning and region of interest have the meaning of the comments in `sensor_msgs/CameraInfo.msg`, and image
-# and region are related as in `image_geometry::PinholeCameraModel`: K and P are of the full sensor, of which the image is
-# a region, binned. A rectified image (by its topic's name) has the camera P, without distortion, turned by R. The right
-# camera of a stereo pair that names the tf frame of the left one is moved by the baseline in P.
-#
-# Fisheye images (`equidistant`) are undistorted, because a `Camera` is a pinhole camera. RealSense's inverse
-# Brown-Conrady model maps distorted to undistorted points; it is replaced by the nearest model of OpenCV's form.
 
 
 RECTIFIED = re.compile(r"rect(?!angle)", re.IGNORECASE)

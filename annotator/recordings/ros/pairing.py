@@ -1,4 +1,8 @@
-"""Pairs the images of a bag with its clouds by time."""
+"""Pairs the images of a bag with its clouds by time.
+
+The header times of bags that are slow to read are kept in the user's cache folder: to find those of a bag that is
+compressed with bz2, half of it must be decompressed, half a minute for 2 GB.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +25,6 @@ from annotator.files import TABLE_BYTES, read_file, write_atomic
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import SECOND, quick_stamp_ns
 from annotator.types.amounts import amount
-
-# TODO-MERGED docstring of kept_times.py:
-# The header times of bags that are slow to read, kept in the user's cache folder.
-#
-# To find the times of a bag that is compressed with bz2, half of it must be decompressed: half a minute for 2 GB.
-
 
 LOG = logging.getLogger("annotator.bags")
 # Faster topics are not kept.

@@ -1,7 +1,17 @@
-"""Pictures from messages: `Image`, `CompressedImage`, and the forms of Foxglove.
+"""Pictures from messages: `Image`, `CompressedImage`, and the forms of Foxglove, also of a video.
 
 Encodings: `sensor_msgs/image_encodings.hpp`; `compressedDepth`: `compressed_depth_image_transport` (a header of twelve
 bytes, then PNG or RVL; floats are quantised inverse depths).
+
+RVL (A. D. Wilson, "Fast Lossless Depth Image Compression", ISS 2017, Figure 3): a picture is a list of numbers: how
+many zeros follow, how many depths follow, and each depth as the difference to the one before. A number is written in
+groups of three bits, lowest first, each with a fourth bit that says whether another group follows; eight such groups
+are a little-endian word, the first one in its highest bits.
+
+Each message of a video topic (`foxglove.CompressedVideo`) has the bytes of one picture, without pictures that depend
+on later ones. PyAV decodes it from the last key frame on. A decoder replaces a lost reference picture by another one
+without a word, and all pictures up to the next key frame are made up: of H.264, the numbers in its slice headers tell
+it (ITU-T H.264, 7.3, 7.4.3).
 """
 
 from __future__ import annotations
@@ -22,14 +32,6 @@ from annotator.recordings.image_file import Levels, contrast_levels, depth_level
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import FIELD_ERRORS, byte_array, message
 from annotator.recordings.video_file import STRICT, STRICTEST
-
-# TODO-MERGED docstring of rvl.py:
-# Depth images compressed as RVL: A. D. Wilson, "Fast Lossless Depth Image Compression" (ISS 2017), Figure 3.
-#
-# A picture is a list of numbers: how many zeros follow, how many depths follow, and each depth as the difference to the
-# one before. A number is written in groups of three bits, lowest first, each with a fourth bit that says whether another
-# group follows; eight such groups are a little-endian word, the first one in its highest bits.
-
 
 # columns and rows, which `compressed_depth_image_transport` writes before the words
 RVL_HEAD_BYTES = 8
@@ -242,13 +244,6 @@ def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bo
     return pixels_as_eight_bits(values, common(contrast_levels(values) if is_grey else depth_levels(values)))
 
 
-# TODO-MERGED docstring of h264.py:
-# Lost pictures of an H.264 stream, told by the numbers in its slice headers.
-#
-# A decoder replaces a lost reference picture by another one without a word, and all pictures up to the next key frame
-# are made up. Syntax: ITU-T H.264, 7.3 (parameter sets, slice header) and 7.4.3 (`frame_num`).
-
-
 START_CODE = b"\x00\x00\x01"
 SLICE, KEY_SLICE, SEQUENCE, PICTURE = 1, 5, 7, 8
 # Profiles whose sequence parameter sets describe chroma and scaling.
@@ -387,12 +382,6 @@ class _Bits:
         if zeros > MOST_ZEROS:
             raise ValueError("a number is too long")
         return (1 << zeros) - 1 + self.read(zeros)
-
-
-# TODO-MERGED docstring of video.py:
-# Pictures of a video topic (`foxglove.CompressedVideo`), decoded by PyAV from the last key frame on.
-#
-# Each message has the bytes of one picture, without pictures that depend on later ones (Foxglove's schema).
 
 
 CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}

@@ -1,4 +1,13 @@
-"""The topics of a bag, for people who choose among them."""
+"""What the topics of a bag are used for: chosen where it is unambiguous, else by options.
+
+RealSense's own recordings, ROS 1 bags of librealsense, have topics of their own:
+
+/device_N/sensor_N/STREAM_N/image/data         images; depth is mono16
+/device_N/sensor_N/STREAM_N/info               StreamInfo: fps
+/device_N/sensor_N/STREAM_N/info/camera_info   intrinsics
+/device_N/sensor_N/STREAM_N/tf/N               pose relative to the other streams of the same number
+/device_N/sensor_N/option/Depth Units/value    metres of a unit of depth
+"""
 
 from __future__ import annotations
 
@@ -21,10 +30,6 @@ from annotator.recordings.ros.pictures import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, InputError, RecordingError
-
-# TODO-MERGED docstring of roles.py:
-# What the topics of a bag are used for: chosen where it is unambiguous, else by options.
-
 
 IMAGE_TYPES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "foxglove/RawImage", "foxglove/CompressedImage")
 VIDEO_TYPE = "foxglove/CompressedVideo"
@@ -319,16 +324,6 @@ def _shared_parts(a: str, b: str) -> bool:
     """True if two names are in the same namespace: `/left/color` and `/left/depth`, but not at the top."""
     above = a.rpartition("/")[0]
     return bool(above) and above == b.rpartition("/")[0]
-
-
-# TODO-MERGED docstring of realsense.py:
-# RealSense's own recordings: ROS 1 bags of librealsense with topics of its own.
-#
-# /device_N/sensor_N/STREAM_N/image/data         images; depth is mono16
-# /device_N/sensor_N/STREAM_N/info               StreamInfo: fps
-# /device_N/sensor_N/STREAM_N/info/camera_info   intrinsics
-# /device_N/sensor_N/STREAM_N/tf/N               pose relative to the other streams of the same number
-# /device_N/sensor_N/option/Depth Units/value    metres of a unit of depth
 
 
 DEPTH = re.compile(r"(/device_\d+/sensor_\d+)(/Depth_\d+)/image/data")

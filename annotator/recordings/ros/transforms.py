@@ -1,7 +1,8 @@
-"""The tree of frames that tf messages describe (`tf2_msgs/TFMessage`, `foxglove.FrameTransform`).
+"""The tree of frames that tf messages describe (`tf2_msgs/TFMessage`, `foxglove.FrameTransform`), and which way is up.
 
 A link is the pose of a frame in its parent; it is interpolated between the messages before and after a time, as tf2
-does. Links of `/tf_static` hold at all times. Only messages near a time are read.
+does. Links of `/tf_static` hold at all times. Only messages near a time are read. An IMU at rest (`sensor_msgs/Imu`)
+says the direction against gravity.
 """
 
 from __future__ import annotations
@@ -233,10 +234,6 @@ def _between(
     start, end = Rotation.from_quat(first[1]), Rotation.from_quat(second[1])
     turn = start * Rotation.from_rotvec((start.inv() * end).as_rotvec() * share)
     return RigidTransform.from_components(first[0] + (second[0] - first[0]) * share, turn)
-
-
-# TODO-MERGED docstring of gravity.py:
-# The direction against gravity from a `sensor_msgs/Imu` topic, while the sensor is at rest.
 
 
 def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"], str] | None:

@@ -221,7 +221,7 @@ def ros_message(folder: Path, xyz: np.ndarray) -> np.ndarray:
         width=len(xyz), height=1, row_step=0, point_step=12, is_bigendian=False, fields=fields,
         data=np.frombuffer(rows.tobytes(), np.uint8),
     )  # fmt: skip
-    return messages.read_cloud(folder, message).xyz_m
+    return messages.cloud_of(folder, message).xyz_m
 
 
 @pytest.mark.parametrize("read", [bin_file, npy_file, ros_message])

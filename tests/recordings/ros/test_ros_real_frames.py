@@ -141,10 +141,10 @@ def test_a_real_realsense_recording(shared: Path):
 @pytest.mark.shared
 def test_realsense_topics_of_other_messages_are_errors(shared: Path, monkeypatch: pytest.MonkeyPatch):
     path = shared / "data" / "realsense" / "single_depth_color_640x480.bag"
-    first = topics._first
+    first = topics._first_named
     for part, problem in (("Depth Units", "the unit of its depth is missing"), ("/tf/0", "is not a rotation and a")):
         monkeypatch.setattr(
-            topics, "_first", lambda bag, name, part=part: object() if part in name else first(bag, name)
+            topics, "_first_named", lambda bag, name, part=part: object() if part in name else first(bag, name)
         )
         with pytest.raises(RecordingError, match=problem):
             open_recording(path)
