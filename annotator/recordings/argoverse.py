@@ -84,12 +84,7 @@ class ArgoverseLog(KeyedFrames):
         return self._sweep_file(key), frame_file(folder, self.images[i], IMAGE_SUFFIXES, f"the sweep {key}")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud holds the points inside the image, or all without images.
-
-        Raises:
-            FrameError: a missing or broken file, or no point in the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud holds the points inside the image, or all without images."""
         key = self.key(i)
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
@@ -124,12 +119,7 @@ class ArgoverseLog(KeyedFrames):
         )
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole sweep of frame `i`.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole sweep of frame `i`."""
         key = self.key(i)
         xyz_m, reflectance = self._sweep(key)
         T_city_ego = self._T_city_ego(key)
@@ -139,12 +129,7 @@ class ArgoverseLog(KeyedFrames):
         return Scan(xyz_m, None, reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
     def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, with the size that the calibration names.
-
-        Raises:
-            FrameError: it is missing or impossible.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera of frame `i`, with the size that the calibration names."""
         self.key(i)
         size = self._size()
         if size is None:
@@ -156,12 +141,7 @@ class ArgoverseLog(KeyedFrames):
         return self.key(i)
 
     def T_rig_camera(self, i: int) -> RigidTransform:
-        """Returns the camera's pose in the ego frame of the sweep's time.
-
-        Raises:
-            FrameError: a pose is missing.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera's pose in the ego frame of the sweep's time."""
         T_ego_city = self._T_city_ego(self.key(i)).inv()
         return T_ego_city * self._T_city_ego(self.images[i]) * self._mount(self.camera)
 
@@ -212,13 +192,7 @@ class ArgoverseLog(KeyedFrames):
 
 
 def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | NotFound:
-    """Opens the log at `path`; `NotFound` if it is not one. Without the option `camera`, the front one is read.
-
-    Raises:
-        MissingExtraError: pyarrow is not installed.
-        ConfigError: no such camera.
-        RecordingError: no sweep, or no image near a sweep.
-    """
+    """Opens the log at `path`; `NotFound` if it is not one. Without the option `camera`, the front one is read."""
     if not is_argoverse2(path):
         return NotFound(LOOKED_FOR)
     keys = sorted_keys(path, _times(path / SWEEPS, (".feather",)), f"{SWEEPS}/TIME_NS.feather")
@@ -252,11 +226,7 @@ def is_argoverse2(path: Path) -> bool:
 
 
 def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
-    """Returns the names of files that are times.
-
-    Raises:
-        RecordingError: a time does not fit into 64 bits.
-    """
+    """Returns the names of files that are times."""
     names = {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
     late = sorted(name for name in names if int(name) > LATEST_NS)
     if late:

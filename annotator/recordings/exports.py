@@ -46,11 +46,7 @@ MOST_DOCUMENT_BYTES = 2**28
 
 
 def read_document(path: Path) -> Any:
-    """Returns the content of a JSON file.
-
-    Raises:
-        FrameError: it cannot be read, or is not JSON.
-    """
+    """Returns the content of a JSON file."""
     try:
         return json.loads(decoded(read_file(path, MOST_DOCUMENT_BYTES)))
     except (OSError, ValueError, RecursionError) as error:
@@ -58,11 +54,7 @@ def read_document(path: Path) -> Any:
 
 
 def exported_files(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
-    """Returns the paths of files that a document names.
-
-    Raises:
-        FrameError: one is outside the dataset.
-    """
+    """Returns the paths of files that a document names."""
     try:
         return tuple(inside(folder, name) for name in names)
     except OutsideError as error:
@@ -82,9 +74,6 @@ def exported_frame(
 
     Args:
         files: image and cloud.
-
-    Raises:
-        FrameError: a file is missing or broken, or the image has another size than the camera.
     """
     image, cloud = files
     picture = read_color_image(image, (camera.width_px, camera.height_px))
@@ -147,11 +136,7 @@ class OpenLabelFolder(KeyedFrames):
     is_sequence: ClassVar[bool] = False
 
     def document(self, key: str) -> Path:
-        """Returns the document of a frame, which has its labels.
-
-        Raises:
-            FrameError: a document is damaged, or none has the frame.
-        """
+        """Returns the document of a frame, which has its labels."""
         return self.documents[0] if len(self.documents) == 1 else self._listed(key).document
 
     def files(self, i: int) -> tuple[Path, ...]:
@@ -159,12 +144,7 @@ class OpenLabelFolder(KeyedFrames):
         return exported_files(self.path, (listed.image, listed.cloud))
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its up direction is unknown.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its up direction is unknown."""
         key = self.key(i)
         listed = self._listed(key)
         camera = _openlabel_camera(listed.document, key, listed.intrinsics)
@@ -192,11 +172,7 @@ class OpenLabelFolder(KeyedFrames):
 
 
 def open_openlabel(path: Path) -> OpenLabelFolder | NotFound:
-    """Opens the exported documents in the folder `path`; `NotFound` if there are none.
-
-    Raises:
-        RecordingError: there is no frame.
-    """
+    """Opens the exported documents in the folder `path`; `NotFound` if there are none."""
     images = path / "images"
     if not (images.is_dir() and (path / "clouds").is_dir()):
         return NotFound(OPENLABEL_LOOKED_FOR)
@@ -336,12 +312,7 @@ class RcvFolder(KeyedFrames):
         return path, *exported_files(self.path, (record.image, record.cloud))
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`."""
         key = self.key(i)
         path, record = self._record(key)
         try:
@@ -370,11 +341,7 @@ class RcvFolder(KeyedFrames):
 
 
 def open_rcv(path: Path) -> RcvFolder | NotFound:
-    """Opens the `rcv` dataset at `path`; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: its manifest is damaged, or it has no frames.
-    """
+    """Opens the `rcv` dataset at `path`; `NotFound` if it is not one."""
     manifest = path / MANIFEST
     if not manifest.is_file():
         return NotFound(RCV_LOOKED_FOR)

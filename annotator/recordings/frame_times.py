@@ -54,10 +54,6 @@ def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[s
     """Returns the times of a folder's frames in order, None for frames without one; None without the file. And notes.
 
     Lines of missing frames are ignored, and times that are not set (`known_times`).
-
-    Raises:
-        RecordingError: an invalid header, a line that is not a key and a whole number, a key that occurs twice, or
-            times that are hardly nanoseconds.
     """
     path = folder / FILE_NAME
     if not path.is_file():

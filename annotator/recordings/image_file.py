@@ -101,10 +101,6 @@ def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = 
     Args:
         size: width and height of the calibration; None if it does not say it.
         has_depth: a depth image of the same camera has no EXIF orientation.
-
-    Raises:
-        FrameError: the file is missing, truncated, not an image, or has an EXIF orientation and the calibration may be
-            for either.
     """
     import cv2
 
@@ -131,20 +127,12 @@ def _deep_pixels(path: Path) -> np.ndarray:
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
-    """Reads a depth image in its raw units.
-
-    Raises:
-        FrameError: the file is missing, truncated, not an image, or not 16-bit with one channel.
-    """
+    """Reads a depth image in its raw units."""
     return _plane(path, np.uint16, "a depth image", "save the sensor's depth as a 16-bit grey PNG, millimetres")
 
 
 def read_confidence(path: Path) -> UInt8[np.ndarray, "h w"]:
-    """Reads an image of the depth's confidence.
-
-    Raises:
-        FrameError: the file is missing, truncated, not an image, or not 8-bit with one channel.
-    """
+    """Reads an image of the depth's confidence."""
     return _plane(path, np.uint8, "an image of confidence", REMEDY)
 
 

@@ -60,22 +60,12 @@ class KittiFolder(KeyedFrames, ABC):
         return image, self._scan_file(key)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`).
-
-        Raises:
-            FrameError: a missing or broken file, or no point in the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`)."""
         key, (image, scan) = self.key(i), self.files(i)
         return read_frame(key, i, image, scan, self.reader, self.calibration(key), self._time_of(i))
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole scan of frame `i`."""
         key = self.key(i)
         points = self.reader.read(self._scan_file(key))
         calibration = self.calibration(key)
@@ -99,27 +89,15 @@ class KittiFolder(KeyedFrames, ABC):
 
     @abstractmethod
     def calibration(self, key: str) -> KittiCalibration:
-        """Reads the calibration of a frame.
-
-        Raises:
-            FrameError: it is missing or broken.
-        """
+        """Reads the calibration of a frame."""
 
     def time_ns(self, number: int) -> int | None:
-        """Returns the time of frame `number` of the drive, counted from its frame 0; None if frames have no time.
-
-        Raises:
-            FrameError: the drive's own times are broken.
-        """
+        """Returns the time of frame `number` of the drive, counted from its frame 0; None if frames have no time."""
         return number * PERIOD_NS
 
 
 def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
-    """Returns the keys of the frames of two folders in `root`; None if these are not there.
-
-    Raises:
-        RecordingError: they have no frame.
-    """
+    """Returns the keys of the frames of two folders in `root`; None if these are not there."""
     if not ((root / images).is_dir() and (root / scans).is_dir()):
         return None
     expected = f"{images}/KEY.png and {scans}/KEY.bin"
@@ -128,11 +106,7 @@ def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
 
 
 def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:
-    """Refuses a folder of images and scans without a calibration, in place of an error for each frame.
-
-    Raises:
-        RecordingError: there is no `name`.
-    """
+    """Refuses a folder of images and scans without a calibration, in place of an error for each frame."""
     if not (root / name).exists():
         raise RecordingError(
             f"{root}: looks like {looks_like}: {name} is missing; copy it from the data set, or give the path of "
@@ -169,11 +143,7 @@ class KittiObject(KittiFolder):
 
 
 def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFound:
-    """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none.
-
-    Raises:
-        RecordingError: the folders exist but have no frame, or there is no calibration.
-    """
+    """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none."""
     for root in (path, path / "training"):
         keys = keys_in(root, KittiObject.images, KittiObject.scans)
         if keys is not None:
@@ -245,11 +215,7 @@ def _nanoseconds(line: str) -> int | None:
 
 
 def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
-    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one. Takes the option `columns`.
-
-    Raises:
-        RecordingError: the folders exist but have no frame.
-    """
+    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one. Takes the option `columns`."""
     keys = keys_in(path, KittiRaw.images, KittiRaw.scans)
     return NotFound(RAW_LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))
 
@@ -322,10 +288,6 @@ def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | N
     """Opens the KITTI tracking folder at `path`, or a drive of the data set there; `NotFound` if it is neither.
 
     Takes the options `columns` and, of a data set, `scene`; without it, the first drive is read.
-
-    Raises:
-        ConfigError: no such drive.
-        RecordingError: the folders exist but have no frame, or there is no calibration.
     """
     for root in (path, path / "training"):
         drives = _drives(root)

@@ -80,11 +80,7 @@ class KittiCalibration:
 
 
 def read_calibration(path: Path) -> KittiCalibration:
-    """Reads the calibration of a KITTI object or tracking file.
-
-    Raises:
-        FrameError: the file is missing, or a matrix is missing or invalid.
-    """
+    """Reads the calibration of a KITTI object or tracking file."""
     rows = _read_rows(path)
     P2 = _matrix(path, rows, P2_NAMES, (3, 4))
     R0 = _matrix(path, rows, RECTIFICATION_NAMES, (3, 3))
@@ -92,11 +88,7 @@ def read_calibration(path: Path) -> KittiCalibration:
 
 
 def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
-    """Reads the calibration of a raw drive: `calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`.
-
-    Raises:
-        FrameError: as `read_calibration`.
-    """
+    """Reads the calibration of a raw drive: `calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`."""
     rows, poses = _read_rows(cameras), _read_rows(lidar)
     P2 = _matrix(cameras, rows, RAW_P2_NAMES, (3, 4))
     R0 = _matrix(cameras, rows, RAW_RECTIFICATION_NAMES, (3, 3))
@@ -105,11 +97,7 @@ def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
 
 
 def _read_rows(path: Path) -> dict[str, list[str]]:
-    """Returns the values of each line of a calibration file, by the name before them.
-
-    Raises:
-        FrameError: the file is missing or not text.
-    """
+    """Returns the values of each line of a calibration file, by the name before them."""
     try:
         text = read_text_file(path)
     except FileNotFoundError as error:
@@ -168,11 +156,7 @@ def read_frame(
     calibration: KittiCalibration,
     timestamp_ns: int | None,
 ) -> Frame:
-    """Reads the frame of an image and a scan; `camera` is colour camera 2.
-
-    Raises:
-        FrameError: a missing or broken file, or no point in the image.
-    """
+    """Reads the frame of an image and a scan; `camera` is colour camera 2."""
     rgb = read_rgb(image_path)
     camera = calibration.camera(rgb.shape[1], rgb.shape[0])
     scan = scans.read(scan_path)

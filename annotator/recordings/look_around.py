@@ -37,27 +37,13 @@ class RigCamera(Recording, Protocol):
         """The names of all cameras of the rig."""
 
     def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, without reading its image.
-
-        Raises:
-            FrameError: it cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera of frame `i`, without reading its image."""
 
     def moment(self, i: int) -> str:
-        """Returns the name of the cloud of frame `i`: frames of the rig's cameras with the same one belong together.
-
-        Raises:
-            IndexError: there is no such frame.
-        """
+        """Returns the name of the cloud of frame `i`: frames of the rig's cameras with the same one belong together."""
 
     def T_rig_camera(self, i: int) -> RigidTransform:
-        """Returns the pose of frame `i`'s camera in a frame that is the same for all frames of a moment.
-
-        Raises:
-            FrameError: the pose cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Returns the pose of frame `i`'s camera in a frame that is the same for all frames of a moment."""
 
 
 @runtime_checkable
@@ -105,12 +91,7 @@ class Scanned(Recording, Protocol):
     """A recording of a LiDAR."""
 
     def scan(self, i: int) -> Scan:
-        """Reads the scan of frame `i`.
-
-        Raises:
-            FrameError: it cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Reads the scan of frame `i`."""
 
 
 def level_turn(up: Float64[np.ndarray, "3"], ahead: Float64[np.ndarray, "3"]) -> Rotation:
@@ -192,21 +173,11 @@ class LookAround(KeyedFrames):
         return RigidTransform.from_rotation(self._R_camera_level().inv())
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`.
-
-        Raises:
-            FrameError: it cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole scan of frame `i`."""
         return self.base.scan(i)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`.
-
-        Raises:
-            FrameError: the scan cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`."""
         return virtual_frame(self.base.scan(i), self.key(i), i, virtual_camera(self.count), self._R_camera_level())
 
     def _R_camera_level(self) -> Rotation:
@@ -215,11 +186,7 @@ class LookAround(KeyedFrames):
 
 
 def look_around(base: Scanned, options: ReaderOptions) -> LookAround:
-    """Returns a virtual camera of a recording; without the option `camera`, the one that looks ahead.
-
-    Raises:
-        ConfigError: no such camera.
-    """
+    """Returns a virtual camera of a recording; without the option `camera`, the one that looks ahead."""
     assert options.look_around is not None
     names = camera_names(options.look_around)
     camera = options.camera or AHEAD

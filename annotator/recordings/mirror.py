@@ -128,13 +128,7 @@ class Mirror:
         return len(self._opened)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame number `i`, 0-based.
-
-        Raises:
-            FrameError: this frame cannot be read.
-            RecordingError: its files cannot be downloaded.
-            IndexError: there is no such frame.
-        """
+        """Reads frame number `i`, 0-based."""
         if not 0 <= i < len(self):
             raise IndexError(f"frame {i} of a recording with {len(self)} frames")
         for path in self._shared:

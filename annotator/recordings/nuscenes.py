@@ -102,11 +102,7 @@ def table_folders(path: Path) -> list[Path]:
 
 
 def scene_names(tables: Path) -> dict[str, str]:
-    """Returns the token of each scene by its name, in the order of the table.
-
-    Raises:
-        RecordingError: the table is missing or damaged, has no scene, or two scenes with one name.
-    """
+    """Returns the token of each scene by its name, in the order of the table."""
     names: dict[str, str] = {}
     for row in _rows(tables, Scene):
         if row.name in names:
@@ -118,12 +114,7 @@ def scene_names(tables: Path) -> dict[str, str]:
 
 
 def read_scene(tables: Path, token: str) -> SceneData:
-    """Reads a scene; the last few scenes are cached, because each of its cameras is a recording.
-
-    Raises:
-        RecordingError: a table is missing or damaged, refers to rows that do not exist, or has quaternions of the
-            vehicle with w last.
-    """
+    """Reads a scene; the last few scenes are cached, because each of its cameras is a recording."""
     names = ("sample", "sample_data", "calibrated_sensor", "sensor", "ego_pose")
     try:
         status = [(tables / f"{name}.json").stat() for name in names]
@@ -175,10 +166,6 @@ def _read_scene(
 
 
 def _require_w_first(tables: Path, poses: dict[str, EgoPose]) -> None:
-    """
-    Raises:
-        RecordingError: the vehicle stands upright only if w is the last number of its quaternions.
-    """
     quaternions = Quaternions(thing="pose of the vehicle is", things="poses of the vehicle are")
     for row in poses.values():
         quaternions.add(row.rotation)
@@ -187,11 +174,7 @@ def _require_w_first(tables: Path, poses: dict[str, EgoPose]) -> None:
 
 
 def _inside(tables: Path, token: str, name: str) -> str:
-    """Refuses the name of a file outside the dataset, which may be a device that never ends.
-
-    Raises:
-        RecordingError: it is one.
-    """
+    """Refuses the name of a file outside the dataset, which may be a device that never ends."""
     path = PurePosixPath(posix_path(name))
     if path.is_absolute() or ".." in path.parts or "\0" in name:
         raise RecordingError(
@@ -301,12 +284,7 @@ class NuScenes(KeyedFrames):
         return tuple(spelled(self.root, shot.file) for shot in ((image, scan) if self.camera else (scan,)))
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud holds the points inside the image, or all without images.
-
-        Raises:
-            FrameError: a missing or broken file, an impossible pose or camera, or no point in the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud holds the points inside the image, or all without images."""
         key = self.key(i)
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
@@ -341,12 +319,7 @@ class NuScenes(KeyedFrames):
         )
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`, ahead being where the camera looks; without one, where the vehicle does.
-
-        Raises:
-            FrameError: a missing or broken file, or an impossible pose.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole scan of frame `i`; ahead is where the camera looks; without one, where the vehicle does."""
         self.key(i)
         image, scan = self.moments[i]
         T_camera_global, T_global_lidar = self._poses(image, scan)
@@ -373,12 +346,7 @@ class NuScenes(KeyedFrames):
         return tuple(sorted(self.data.cameras))
 
     def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, with the image's size in the tables.
-
-        Raises:
-            FrameError: it is impossible, or the tables lack the size.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera of frame `i`, with the image's size in the tables."""
         self.key(i)
         image = self.moments[i][0]
         if min(image.width_px, image.height_px) < 1:
@@ -391,12 +359,7 @@ class NuScenes(KeyedFrames):
         return PurePosixPath(self.moments[i][1].file).name
 
     def T_rig_camera(self, i: int) -> RigidTransform:
-        """Returns the camera's pose in the frame of the LiDAR at the scan's time.
-
-        Raises:
-            FrameError: an impossible pose.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera's pose in the frame of the LiDAR at the scan's time."""
         self.key(i)
         T_camera_global, T_global_lidar = self._poses(*self.moments[i])
         return (T_camera_global * T_global_lidar).inv()
@@ -413,10 +376,6 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
 
     Without the option `scene`, it is the first one; without `camera`, CAM_FRONT or the first one. If there are no
     images, the frames are the scans.
-
-    Raises:
-        ConfigError: no such scene or camera.
-        RecordingError: damaged tables, several folders of tables, or no frame.
     """
     folders = table_folders(path)
     if not folders:
@@ -454,11 +413,7 @@ def is_nuscenes(path: Path) -> bool:
 
 
 def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
-    """Returns the valid points of a scan: x y z (metres, LiDAR frame), intensity 0..255, ring.
-
-    Raises:
-        FrameError: the file is missing, empty, truncated, or has no valid point.
-    """
+    """Returns the valid points of a scan: x y z (metres, LiDAR frame), intensity 0..255, ring."""
     return valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
 
 

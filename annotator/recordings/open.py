@@ -281,10 +281,6 @@ def _opened(name: str, target: str, path: Path, options: ReaderOptions) -> Recor
 
 
 def _require_taken(path: Path, name: str, options: ReaderOptions) -> None:
-    """
-    Raises:
-        ConfigError: an option that the reader `name` does not take.
-    """
     taken = OPTIONS.get(name, ())
     surplus = [option_flag(option) for option in options.given() if option not in taken]
     if surplus:
@@ -293,10 +289,6 @@ def _require_taken(path: Path, name: str, options: ReaderOptions) -> None:
 
 
 def _scanned(path: Path, name: str, recording: Recording) -> Scanned:
-    """
-    Raises:
-        ConfigError: the recording has no scans that look all around.
-    """
     if not isinstance(recording, Scanned):
         raise ConfigError(
             f"{path}: is read as {name}, without scans of a LiDAR, and takes no {option_flag('look_around')}; scans of "

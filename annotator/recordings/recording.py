@@ -1,4 +1,8 @@
-"""The interface of recordings, a list of frames that are read one at a time, and the options of their readers."""
+"""The interface of recordings, a list of frames that are read one at a time, and the options of their readers.
+
+Errors of all readers: a RecordingError when one is opened (ConfigError for its options, MissingExtraError without its
+library), a FrameError when a frame is read, an IndexError where there is no such frame.
+"""
 
 from __future__ import annotations
 
@@ -67,11 +71,7 @@ class ReaderOptions(BaseModel):
 
 
 def parse_options(**given: Any) -> ReaderOptions:
-    """Options by name, such as those of a command; None = not given.
-
-    Raises:
-        ConfigError: an invalid value.
-    """
+    """Options by name, such as those of a command; None = not given."""
     try:
         return ReaderOptions(**given)
     except ValidationError as error:
@@ -81,11 +81,7 @@ def parse_options(**given: Any) -> ReaderOptions:
 
 
 def stored_options(text: str) -> ReaderOptions:
-    """Options from a project; "" = none.
-
-    Raises:
-        ConfigError: they are those of another version of annotator.
-    """
+    """Options from a project; "" = none."""
     try:
         return ReaderOptions.model_validate_json(text) if text else ReaderOptions()
     except ValidationError as error:
@@ -191,21 +187,12 @@ class KeyedFrames:
         return len(self.keys)
 
     def files(self, i: int) -> tuple[Path, ...]:
-        """Returns the files that only frame `i` is read from, as far as the reader knows them.
-
-        Raises:
-            FrameError: one of them is missing.
-            IndexError: there is no such frame.
-        """
+        """Returns the files that only frame `i` is read from, as far as the reader knows them."""
         self.key(i)
         return ()
 
     def key(self, i: int) -> str:
-        """Returns the key of frame `i`; unlike `keys[i]`, it raises for negative indices.
-
-        Raises:
-            IndexError: there is no such frame.
-        """
+        """Returns the key of frame `i`; unlike `keys[i]`, it raises for negative indices."""
         if not 0 <= i < len(self.keys):
             raise IndexError(f"frame {i} of a recording with {len(self.keys)} frames")
         return self.keys[i]

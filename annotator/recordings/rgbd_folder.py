@@ -114,9 +114,6 @@ def camera_file(folder: Path) -> Path:
     """Returns the camera file of a folder: `camera_intrinsic.json`, else the only `camera_*.json` with a matrix.
 
     The latter is looked up in the folder and then, for several recordings of one camera, one level above.
-
-    Raises:
-        FrameError: no such file, or several `camera_*.json` with a matrix.
     """
     expected = folder / FILE_NAME
     if expected.is_file():
@@ -143,11 +140,7 @@ def _has_matrix(path: Path) -> bool:
 
 
 def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
-    """Reads a camera file; `depth_scale` is used if it has none.
-
-    Raises:
-        FrameError: not JSON, a missing key, or numbers that do not describe a pinhole camera.
-    """
+    """Reads a camera file; `depth_scale` is used if it has none."""
     try:
         content = IntrinsicFile.model_validate_json(read_text_file(path))
     except (OSError, ValueError) as error:
@@ -168,11 +161,7 @@ def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
 
 
 def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
-    """Returns the metres of the depth image at `path`.
-
-    Raises:
-        UnclearError: it looks like one of SUN RGB-D, and the camera file does not say whether it is.
-    """
+    """Returns the metres of the depth image at `path`."""
     if camera.depth_encoding == "sunrgbd":
         return decode_depth(raw)
     if camera.depth_encoding is None and looks_rotated(raw, camera.depth_scale):
@@ -196,9 +185,6 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
 
     Without `depth_intrinsic.json`, depth images of another size but the same proportions are taken to show the same
     part of the scene, as a phone's do.
-
-    Raises:
-        FrameError: the file is invalid, or missing for an `image` of other proportions.
     """
     path = folder / DEPTH_FILE_NAME
     if not path.is_file():
@@ -225,11 +211,7 @@ def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[
 
 
 def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:
-    """Returns the transform with these rows, the identity for None; `name` is the key in the file.
-
-    Raises:
-        FrameError: not a rotation and a translation.
-    """
+    """Returns the transform with these rows, the identity for None; `name` is the key in the file."""
     if rows is None:
         return RigidTransform.identity()
     matrix = np.array(rows)
@@ -239,11 +221,7 @@ def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> Rig
 
 
 def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
-    """Returns the unit vector against gravity; None if there is no such file.
-
-    Raises:
-        FrameError: the file is invalid.
-    """
+    """Returns the unit vector against gravity; None if there is no such file."""
     if not path.exists():
         return None
     try:
@@ -294,12 +272,7 @@ class RgbdFolder(KeyedFrames):
         return color, frame_file(self.path / "depth", key, (".png",), f"{self.color.name}/{color.name}")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered.
-
-        Raises:
-            FrameError: a missing or broken file, different sizes, or no depth in the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered."""
         key, (color_path, depth_path) = self.key(i), self.files(i)
         color = read_camera(camera_file(self.path))
         image, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
@@ -339,9 +312,6 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
 
     `image/` is used as the colour folder only beside a camera file: SUN RGB-D's raw folders have the same layout, but
     a different encoding of depth.
-
-    Raises:
-        RecordingError: the folders exist but have no image, or `timestamps.csv` is invalid.
     """
     depth = path / "depth"
     color = next((path / name for name in ("color", "rgb") if (path / name).is_dir()), path / "color")
@@ -362,9 +332,6 @@ def read_images(
     Returns:
         The colour image; the depth image's cloud, with `pixel_index` if it is registered; and the depth in the colour
         image's pixels, metres.
-
-    Raises:
-        FrameError: a missing or broken file, different sizes, or no depth in the image.
     """
     image = read_color_image(color_path, color.size, has_depth=True)
     rgb = image.rgb

@@ -241,10 +241,6 @@ class Scans:
         """Returns the valid points of a scan.
 
         Points that are no returns (`are_returns`) are left out, and those whose reflectance is not finite.
-
-        Raises:
-            UnclearError: the number of values per point is not certain.
-            FrameError: the file is missing, empty, truncated, or has no valid point.
         """
         return self.scale.apply(path.parent, self._read(path), lambda: files_like(path), self._read)
 
@@ -316,22 +312,14 @@ class Scans:
 
 
 def read_scan_rows(path: Path, data: bytes, columns: int) -> Float32[np.ndarray, "n c"]:
-    """Returns the points of a scan's content.
-
-    Raises:
-        FrameError: it is truncated.
-    """
+    """Returns the points of a scan's content."""
     if len(data) % (BYTES_PER_VALUE * columns):
         _raise_truncated(path, len(data), BYTES_PER_VALUE * columns, f"{columns} 32-bit floats per point")
     return np.frombuffer(data, "<f4").reshape(-1, columns)
 
 
 def valid_rows(path: Path, rows: Float32[np.ndarray, "n c"], checked: int) -> Float32[np.ndarray, "m c"]:
-    """Returns the points that are returns, and of which the first `checked` values are plausible numbers.
-
-    Raises:
-        FrameError: there are none.
-    """
+    """Returns the points that are returns, and of which the first `checked` values are plausible numbers."""
     # false also for infinity and NaN
     valid = are_returns(rows[:, :3]) & (np.abs(rows[:, 3:checked]) < LARGEST).all(axis=1)
     if not valid.any():
@@ -340,11 +328,7 @@ def valid_rows(path: Path, rows: Float32[np.ndarray, "n c"], checked: int) -> Fl
 
 
 def scan_bytes(path: Path) -> bytes:
-    """Returns the content of a scan.
-
-    Raises:
-        FrameError: the file is missing, empty, or no list of 32-bit floats.
-    """
+    """Returns the content of a scan."""
     try:
         data = read_frame_file(path)
     except OSError as error:

@@ -83,11 +83,7 @@ class SunCalibration:
 
 
 def read_extracted_calibration(path: Path) -> SunCalibration:
-    """Reads a `calib/KEY.txt`: a line of Rtilt and a line of K, both column by column.
-
-    Raises:
-        FrameError: the file is missing, or its numbers are not a rotation and a pinhole camera.
-    """
+    """Reads a `calib/KEY.txt`: a line of Rtilt and a line of K, both column by column."""
     lines = [line for line in _text(path).splitlines() if line.strip()]
     if len(lines) < 2:
         raise FrameError(path, f"must have two lines, Rtilt and K, not {len(lines)}", REMEDY)
@@ -96,11 +92,7 @@ def read_extracted_calibration(path: Path) -> SunCalibration:
 
 
 def read_scene_calibration(intrinsics: Path, extrinsics: Path) -> SunCalibration:
-    """Reads the calibration of a raw scene: K, and a 3 x 4 matrix whose first three columns are E; row by row.
-
-    Raises:
-        FrameError: as `read_extracted_calibration`.
-    """
+    """Reads the calibration of a raw scene: K, and a 3 x 4 matrix whose first three columns are E; row by row."""
     K = _nine(intrinsics, _text(intrinsics))
     values = _numbers(extrinsics, _text(extrinsics))
     if len(values) not in (9, 12):
@@ -195,10 +187,6 @@ class SunRgbdExtracted(KeyedFrames):
         """Reads frame `i`; labels are in upright depth (`T_camera_label`).
 
         `depth_m` and `pixel_index` are set if each point has a pixel of its own.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
         """
         key, (image_path, cloud_path) = self.key(i), self.files(i)
         calibration = read_extracted_calibration(spelled(self.path / "calib", f"{key}.txt"))
@@ -222,11 +210,7 @@ class SunRgbdExtracted(KeyedFrames):
 
 
 def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
-    """Opens the folder in VoteNet's layout at `path`; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: the folders exist but have no frame.
-    """
+    """Opens the folder in VoteNet's layout at `path`; `NotFound` if it is not one."""
     if not ((path / "image").is_dir() and (path / "calib").is_dir()):
         return NotFound(EXTRACTED_LOOKED_FOR)
     for clouds, suffix in ((path / "depth", ".mat"), (path / "points", ".npz")):
@@ -245,11 +229,7 @@ def _is_kitti(path: Path) -> bool:
 
 
 def _read_mat(path: Path) -> RawCloud:
-    """Reads the cloud of a MATLAB file of version 5 to 7.
-
-    Raises:
-        FrameError: the file is damaged, or has no `instance` of n x 6 numbers.
-    """
+    """Reads the cloud of a MATLAB file of version 5 to 7."""
     try:
         table = read_mat(path, "instance", frame_memory() // 2, numbers_only=True)
     except OSError as error:
@@ -345,12 +325,7 @@ class SunRgbdScenes(KeyedFrames):
         return scene / MARK, _latest(scene, ("extrinsics",), (".txt",)), image, depth
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i` with `depth_m`; labels are in upright depth (`T_camera_label`).
-
-        Raises:
-            FrameError: a missing or broken file, or no depth at all.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i` with `depth_m`; labels are in upright depth (`T_camera_label`)."""
         key = self.key(i)
         intrinsics, extrinsics, image_path, depth_path = self.files(i)
         calibration = read_scene_calibration(intrinsics, extrinsics)
@@ -421,11 +396,7 @@ def _is_scene(folder: str) -> bool:
 
 
 def _latest(scene: Path, folders: tuple[str, ...], suffixes: tuple[str, ...]) -> Path:
-    """Returns the file of a scene's subfolder; the last one if there are several (they are named by date).
-
-    Raises:
-        FrameError: no such file, or the folder cannot be read.
-    """
+    """Returns the file of a scene's subfolder; the last one if there are several (they are named by date)."""
     for name in folders:
         folder = scene / name
         try:

@@ -121,12 +121,7 @@ class TumRgbd(KeyedFrames):
         return self._file(color), self._file(depth)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
-
-        Raises:
-            FrameError: a missing or broken file, different sizes, or no depth at all.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`."""
         key, (color, depth) = self.key(i), self.files(i)
         camera = RgbdCamera(self.path / FILE_NAME, CAMERA, UNITS_PER_M)
         if camera.path.is_file():
@@ -158,11 +153,7 @@ class TumRgbd(KeyedFrames):
 
 
 def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
-    """Opens the recording in TUM's format at `path`; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: a line that is not a time and a file, two images of one name, or no pair of images.
-    """
+    """Opens the recording in TUM's format at `path`; `NotFound` if it is not one."""
     if not ((path / RGB_LIST).is_file() and (path / DEPTH_LIST).is_file()):
         return NotFound(LOOKED_FOR)
     tolerance_s = TOLERANCE_S if options.tolerance_s is None else options.tolerance_s

@@ -42,20 +42,12 @@ Stream = IO[bytes] | io.BufferedIOBase
 
 
 def parse_npy(path: Path, data: bytes) -> RawCloud:
-    """Parses the points of an `.npy` file.
-
-    Raises:
-        FrameError: a damaged header, fewer values than declared, an unsupported shape, or no valid point.
-    """
+    """Parses the points of an `.npy` file."""
     return from_columns(path, _columns(path, read_array(path, io.BytesIO(data), len(data))))
 
 
 def parse_npz(path: Path, data: bytes) -> RawCloud:
-    """Parses the points, and the colours if there are any, of an `.npz` file.
-
-    Raises:
-        FrameError: as `parse_npy`; or no array of points, or a different number of colours.
-    """
+    """Parses the points, and the colours if there are any, of an `.npz` file."""
     try:
         with open_archive(io.BytesIO(data)) as archive:
             names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
@@ -83,9 +75,6 @@ def read_array(path: Path, file: Stream, size: int, *, is_image: bool = False) -
 
     Args:
         is_image: each value gives a point; otherwise, each row does.
-
-    Raises:
-        FrameError: a damaged header, other values than numbers, fewer than declared, or too many points.
     """
     try:
         shape, is_fortran, dtype = _header(file)
@@ -171,11 +160,6 @@ def read_cloud(path: Path, scans: Scans | None = None) -> RawCloud:
 
     Args:
         scans: reads `.bin` files, and has the scale of reflectance; None = this file alone decides.
-
-    Raises:
-        UnclearError: a `.bin` file with an uncertain number of values per point.
-        MissingExtraError: a LAS or LAZ file, but the extra `las` is not installed.
-        FrameError: the file is missing, damaged, shorter than its header says, or has no valid point.
     """
     if path.suffix.lower() == SCAN_SUFFIX:
         return (scans or Scans()).read(path)

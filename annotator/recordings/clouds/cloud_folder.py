@@ -125,12 +125,7 @@ class CloudFolder(KeyedFrames):
         return cloud, frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud.name}")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
-
-        Raises:
-            FrameError: a missing or broken file, an image without a calibration, or no point inside the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points."""
         key = self.key(i)
         cloud_path, *images = self.files(i)
         exif_orientation = UPRIGHT
@@ -166,12 +161,7 @@ class CloudFolder(KeyedFrames):
         )
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole cloud of frame `i`, ahead being where its camera looks.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole cloud of frame `i`, ahead being where its camera looks."""
         key = self.key(i)
         source, raw = self._seen(key)
         return Scan(
@@ -242,12 +232,7 @@ class CloudFolder(KeyedFrames):
 
 
 def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFound:
-    """Opens the folder of point clouds at `path`; `NotFound` if it is not one.
-
-    Raises:
-        ConfigError: an origin, although a calibration says where the camera is.
-        RecordingError: `timestamps.csv` is invalid.
-    """
+    """Opens the folder of point clouds at `path`; `NotFound` if it is not one."""
     if not path.is_dir():
         return NotFound(LOOKED_FOR)
     for clouds in (path, *(path / name for name in CLOUD_FOLDERS)):

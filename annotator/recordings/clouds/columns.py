@@ -199,22 +199,14 @@ class RawCloud:
 
 
 def require_points(path: Path, points: int, *, more_bytes: int = 0) -> None:
-    """Checks a number of points before memory is allocated for them.
-
-    Raises:
-        FrameError: they are too many (`annotator.frame_limits`).
-    """
+    """Checks a number of points before memory is allocated for them."""
     problem = memory_problem(points=points, more_bytes=more_bytes)
     if problem:
         raise FrameError(path, problem, "raise the limit, or save fewer points")
 
 
 def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
-    """Returns the returns among the points of columns of equal length (`are_returns`); column names are lower case.
-
-    Raises:
-        FrameError: a column x, y or z is missing, or there is no valid point.
-    """
+    """Returns the returns among the points of columns of equal length (`are_returns`); column names are lower case."""
     missing = [name for name in "xyz" if name not in columns]
     if missing:
         present = ", ".join(columns) or "none"
@@ -233,8 +225,7 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
 def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
     """Returns which points are no measurements: a coordinate, as it is stored, is at a limit of its type.
 
-    Raises:
-        FrameError: they are all points, or many along one axis only: what was measured did not fit the type.
+    If they are all points, or many along one axis only, what was measured did not fit the type: a FrameError.
     """
     stored = [_at_limit(values) for values in xyz]
     if not any(limited.any() for limited in stored):
@@ -307,9 +298,6 @@ def text_columns(
         count: the number of rows.
         first_line: line number of the body's first line in the file, for messages.
         pick: returns the values of `names` among those of a line; None = they are its first.
-
-    Raises:
-        FrameError: too few rows, or a value that is missing or not a number.
     """
     # each value needs two bytes: impossible counts are rejected before memory is allocated
     if count * len(names) * 2 > len(body) + 1:
@@ -391,11 +379,7 @@ def _text_rows(
 
 
 def binary_columns(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
-    """Returns columns stored as packed rows of `dtype` at `offset`.
-
-    Raises:
-        FrameError: the file is too short.
-    """
+    """Returns columns stored as packed rows of `dtype` at `offset`."""
     present = max(len(data) - offset, 0)
     if count * dtype.itemsize > present:
         raise FrameError(

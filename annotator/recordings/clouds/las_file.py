@@ -20,7 +20,6 @@ import os
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -269,12 +268,7 @@ POINTS_AT_ONCE = 1 << 16
 
 
 def parse_las(path: Path, data: bytes) -> RawCloud:
-    """Parses the points of a LAS or LAZ file, without withheld ones; its unit is assumed to be metres.
-
-    Raises:
-        MissingExtraError: laspy or lazrs is not installed.
-        FrameError: a damaged header, fewer points than declared, damaged compression, or no valid point.
-    """
+    """Parses the points of a LAS or LAZ file, without withheld ones; its unit is assumed to be metres."""
     try:
         import laspy  # noqa: F401
         import lazrs  # noqa: F401 - laspy imports it by itself, without an error if it is missing
@@ -286,11 +280,7 @@ def parse_las(path: Path, data: bytes) -> RawCloud:
 
 
 def decode(path: Path, data: bytes) -> dict[str, np.ndarray]:
-    """Returns the columns of a file whose header was checked, in this process.
-
-    Raises:
-        FrameError: as `parse_las`.
-    """
+    """Returns the columns of a file whose header was checked, in this process."""
     import laspy
 
     # layers that are not needed stay compressed

@@ -80,11 +80,7 @@ MOST_VALUES_PER_FIELD, MOST_VALUES = 10_000, 1 << 16
 
 
 def parse_pcd(path: Path, data: bytes) -> RawCloud:
-    """Parses the points of a PCD file, in the frame that they are stored in (`VIEWPOINT` is not applied).
-
-    Raises:
-        FrameError: a damaged header, fewer points than declared, damaged compression, or no valid point.
-    """
+    """Parses the points of a PCD file, in the frame that they are stored in (`VIEWPOINT` is not applied)."""
     header, offset = _header(path, data)
     dtype, count = _dtype(path, header), _count(path, header)
     encoding = header["DATA"][0] if header["DATA"] else ""

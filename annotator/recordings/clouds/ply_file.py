@@ -74,12 +74,7 @@ class _Element:
 
 
 def parse_ply(path: Path, data: bytes) -> RawCloud:
-    """Parses the vertices of a PLY file, without lists.
-
-    Raises:
-        FrameError: a damaged header, fewer points than declared, no valid point, or, in a binary file, lists of
-            different lengths in or before the vertices.
-    """
+    """Parses the vertices of a PLY file, without lists."""
     order, elements, offset = _header(path, data)
     vertex = next((element for element in elements if element.name == "vertex"), None)
     if vertex is None:
@@ -141,11 +136,7 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
 
 
 def _dtype(path: Path, data: bytes, offset: int, element: _Element, order: str) -> np.dtype:
-    """Returns the type of an element's rows, which begin at `offset`.
-
-    Raises:
-        FrameError: two properties of one name, or lists of different lengths, so that there is no such type.
-    """
+    """Returns the type of an element's rows, which begin at `offset`."""
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     at = offset
     for name, kind in element.properties:

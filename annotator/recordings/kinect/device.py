@@ -39,11 +39,7 @@ BUNDLE = "its package contains the Azure Kinect SDK, for 64-bit Linux with glibc
 
 
 def load_pyk4a() -> ModuleType:
-    """Imports pyk4a.
-
-    Raises:
-        DeviceError: it is not installed, or cannot be loaded.
-    """
+    """Imports pyk4a."""
     install = 'pip install "rcv-annotator[kinect]" (scripts/setup kinect in a clone)'
     try:
         import pyk4a
@@ -68,9 +64,6 @@ def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, s
         k4a: the module from `load_pyk4a`.
         config: a `Config` of that module.
         which: as in `KinectDevice`.
-
-    Raises:
-        DeviceError: no such device, or it cannot be opened.
     """
     count = k4a.connected_device_count()
     if not count:
@@ -203,11 +196,7 @@ class KinectDevice:
         self._frames = 0
 
     def next_frame(self, stop: threading.Event) -> DeviceFrame | None:
-        """Waits for the next frame; returns None once `stop` is set.
-
-        Raises:
-            DeviceError: no frame arrived for several seconds, or the device is disconnected.
-        """
+        """Waits for the next frame; returns None once `stop` is set."""
         within_s = NEXT_FRAME_WITHIN_S if self._frames else FIRST_FRAME_WITHIN_S
         end_s = time.monotonic() + within_s
         while not stop.is_set():

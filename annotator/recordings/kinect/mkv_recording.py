@@ -42,11 +42,7 @@ REMEDY = "copy the recording again from its source"
 
 
 def tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
-    """Returns the recording's tags and its attached calibration.
-
-    Raises:
-        RecordingError: the file cannot be read, or has no calibration attached.
-    """
+    """Returns the recording's tags and its attached calibration."""
     import av
 
     try:
@@ -195,12 +191,7 @@ class AzureKinect(KeyedFrames):
         return tuple(self.start_ns + capture.color.time_ns for capture in self.captures)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`.
-
-        Raises:
-            FrameError: an image is damaged or truncated, or there is no point in the colour image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud has `rgb`."""
         key = self.key(i)
         # the image is decoded in parallel with the geometry: both take a similar time
         with ThreadPoolExecutor(1) as executor:
@@ -218,12 +209,7 @@ class AzureKinect(KeyedFrames):
         return Frame(key, i, self.calibration.color, color, cloud, up=self.up(i), timestamp_ns=time_ns)
 
     def up(self, i: int) -> Float64[np.ndarray, "3"] | None:
-        """Returns the unit vector against gravity in the colour camera's frame; None if it moved or there is no IMU.
-
-        Raises:
-            FrameError: the file cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Returns the unit vector against gravity in the colour camera's frame; None if it moved or there is no IMU."""
         key, rotation, time_ns = self.key(i), self.calibration.color_from_accelerometer, self.captures[i].color.time_ns
         # a truncated file may end within the last block
         blocks = blocks_near(self.inertial, time_ns)
@@ -235,12 +221,7 @@ class AzureKinect(KeyedFrames):
         return None if up is None else np.asarray(rotation.apply(up))
 
     def color_image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Reads colour image `i`, RGB order.
-
-        Raises:
-            FrameError: it is damaged or truncated.
-            IndexError: there is no such frame.
-        """
+        """Reads colour image `i`, RGB order."""
         key, camera = self.key(i), self.calibration.color
         data = self._read(key, "colour", self.captures[i].color)
         try:
@@ -249,12 +230,7 @@ class AzureKinect(KeyedFrames):
             raise FrameError(self.path, f"frame {key}: colour image: {error}", REMEDY) from error
 
     def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
-        """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth.
-
-        Raises:
-            FrameError: it is damaged or truncated.
-            IndexError: there is no such frame.
-        """
+        """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth."""
         return self._raw_image(self.key(i), "depth", self.captures[i].depth)
 
     def _raw_image(self, key: str, what: str, block: Block | None) -> UInt16[np.ndarray, "h w"]:
@@ -305,11 +281,7 @@ def is_azure_kinect(path: Path) -> bool:
 
 
 def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
-    """Opens the Azure Kinect recording at `path`, reading headers only; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: it has no frame, no usable calibration, or an unknown colour format.
-    """
+    """Opens the Azure Kinect recording at `path`, reading headers only; `NotFound` if it is not one."""
     if not _is_mkv(path):
         return NotFound(LOOKED_FOR)
     stat = path.stat()

@@ -82,11 +82,7 @@ def decompress(data: bytes, expected_bytes: int) -> bytes:
 
 
 def _declared_bytes(data: bytes) -> tuple[int, int]:
-    """Returns the length that a stream declares, and the most that a damaged one may decompress to.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """Returns the length that a stream declares, and the most that a damaged one may decompress to."""
     declared = most = at = 0
     while True:
         kind = data[at : at + 4]
@@ -238,13 +234,7 @@ class Record3D(KeyedFrames):
         return tuple(notes)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`.
-
-        Raises:
-            FrameError: a missing or damaged image, sizes that do not fit, or no depth of this confidence.
-            MissingExtraError: the package for LZFSE is not installed.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud has `rgb`."""
         key = self.key(i)
         rgb = self._image(key)
         camera = self._camera(i, rgb)
@@ -361,11 +351,7 @@ def is_record3d(path: Path) -> bool:
 
 
 def open_record3d(path: Path, options: ReaderOptions) -> Record3D | NotFound:
-    """Opens the Record3D recording at `path`; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: a damaged archive, unusable metadata, or no frame.
-    """
+    """Opens the Record3D recording at `path`; `NotFound` if it is not one."""
     if not is_record3d(path):
         return NotFound(LOOKED_FOR)
     try:

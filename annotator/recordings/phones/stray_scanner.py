@@ -89,12 +89,7 @@ class StrayScanner(KeyedFrames):
         return depth, frame_file(self.path / CONFIDENCE, key, (".png",), f"{DEPTH}/{key}.png")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`.
-
-        Raises:
-            FrameError: a missing or damaged image, calibration or row, or no depth of this confidence.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud has `rgb`."""
         key = self.key(i)
         rgb = self._image(i)
         camera = turned(self._camera(i, rgb), self.turns)
@@ -183,11 +178,7 @@ class StrayScanner(KeyedFrames):
 
 
 def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | NotFound:
-    """Opens the recording of Stray Scanner at `path`; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: `odometry.csv` has no rows, no header, or two rows of one frame.
-    """
+    """Opens the recording of Stray Scanner at `path`; `NotFound` if it is not one."""
     poses = path / POSES
     if not ((path / VIDEO).is_file() and poses.is_file() and (path / DEPTH).is_dir()):
         return NotFound(LOOKED_FOR)

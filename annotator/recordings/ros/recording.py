@@ -257,12 +257,7 @@ class RosBag(KeyedFrames):
         return camera.T_camera_frame * between * source.T_camera_frame.inv()
 
     def _T_camera_cloud(self, i: int, camera: str, cloud: str, log_ns: int) -> RigidTransform:
-        """Returns the transform of a pair: the cloud at its own time, the camera at that of the image.
-
-        Raises:
-            LinkMissingError: tf does not know it.
-            OSError: the file cannot be read.
-        """
+        """Returns the transform of a pair: the cloud at its own time, the camera at that of the image."""
         time_ns, cloud_ns = int(self.pairs.time_ns[i]), int(self.pairs.cloud_time_ns[i])
         fixed = self.fixed_frame if time_ns != cloud_ns else None
         if camera == cloud and fixed is None:
@@ -315,10 +310,6 @@ class ScanBag(RosBag):
         """Reads the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
 
         Without an IMU, z is taken as up.
-
-        Raises:
-            FrameError: as `frame`.
-            IndexError: there is no such frame.
         """
         with self._errors(i):
             content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
@@ -345,12 +336,7 @@ class ScanBag(RosBag):
 
 
 def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
-    """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one.
-
-    Raises:
-        ConfigError: an option names a topic that the bag does not have, or an origin although there are images.
-        RecordingError: the topics are ambiguous or missing, no messages are partners, or a file cannot be used.
-    """
+    """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one."""
     bag = open_bag(path)
     if bag is None:
         return NotFound(LOOKED_FOR)

@@ -125,12 +125,7 @@ def first_message(topic: Topic, tried: int = 5) -> Any:
 
 
 def choose(bag: Bag, options: ReaderOptions) -> Chosen:
-    """Chooses the topics of a recording.
-
-    Raises:
-        ConfigError: an option names a topic that is missing or of another type, or two options contradict each other.
-        RecordingError: the choice is ambiguous; the message says which options to give.
-    """
+    """Chooses the topics of a recording."""
     if options.points is not None and options.depth is not None:
         raise ConfigError(f"{bag.path}: --points and --depth exclude each other; give one of them")
     images = image_topics(bag)
@@ -348,11 +343,7 @@ class RealSense:
 
 
 def realsense_of(bag: Bag, chosen: Chosen) -> RealSense | None:
-    """Returns what a RealSense recording says; None for other bags.
-
-    Raises:
-        RecordingError: the unit or a pose is missing or implausible.
-    """
+    """Returns what a RealSense recording says; None for other bags."""
     if chosen.depth is None or chosen.image is None:
         return None
     depth = DEPTH.fullmatch(chosen.depth.topic.name)
@@ -385,11 +376,7 @@ def realsense_uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
 
 
 def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
-    """Returns `T_target_source` of two streams.
-
-    Raises:
-        RecordingError: their poses are missing or damaged.
-    """
+    """Returns `T_target_source` of two streams."""
     return _pose(bag, target) * _pose(bag, source).inv()
 
 
