@@ -49,7 +49,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "set"
 
 
-@settings(max_examples=60)
 @given(name=NAMES, is_relative=st.booleans())
 @example(name="../deep/images", is_relative=True)
 @example(name="out/a.txt", is_relative=True)

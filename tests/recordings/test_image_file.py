@@ -30,7 +30,7 @@ def test_complete_files_are_accepted_also_with_trailing_bytes(kind: str):
     assert image_problem(FILES[kind] + b"\0appended by a camera") == ""
 
 
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 @given(st.sampled_from(sorted(FILES)), st.data())
 def test_a_file_cut_anywhere_is_truncated(kind: str, data: st.DataObject):
     whole = FILES[kind]
@@ -46,7 +46,7 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image():
     assert image_problem(with_thumbnail[:-2]) == "the JPEG image is truncated"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(deadline=None)
 @given(st.integers(8, len(PNG) - 1), st.integers(1, 255))
 def test_any_changed_byte_of_a_png_is_detected(at: int, flip: int):
     data = bytearray(PNG)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import re
 import struct
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from small_recordings import BUILDERS, cloud_folder, kitti_object, kitti_raw, kitti_tracking, rgbd_folder, sunrgbd_scene
-from time_limit import time_limit
 
 from annotator.recordings import open_recording
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import FrameError
 
 
 @pytest.fixture(scope="module")
@@ -32,20 +29,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, lis
         files = [file for file in sorted(folder.rglob("*")) if file.is_file() and "annotation" not in str(file)]
         found.append((folder, files))
     return found
-
-
-@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
-def test_pipes_and_devices_are_not_read(recordings: list[tuple[Path, list[Path]]], make: Callable[[Path], object]):
-    """In place of any file they give a frame without it, or an error; reading them would never end."""
-    for folder, files in recordings:
-        for file in files:
-            kept = file.rename(file.with_name("kept"))
-            make(file)
-            try:
-                with suppress(RecordingError), time_limit(10):
-                    open_recording(folder).frame(0)
-            finally:
-                kept.replace(file)
 
 
 CALIB_LINE = "P2 has a number that is not finite or is too large"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -150,12 +149,6 @@ def test_frames_are_in_numerical_order(tmp_path: Path):
     for i in (-1, 5):
         with pytest.raises(IndexError, match="5 frames"):
             recording.frame(i)
-
-
-@pytest.mark.parametrize("target", READERS.values())
-def test_the_table_of_readers_names_existing_functions(target: str):
-    module, function = target.split(":")
-    assert callable(getattr(import_module(module), function))
 
 
 def test_an_option_that_the_format_does_not_take_is_an_error(generated: Path) -> None:

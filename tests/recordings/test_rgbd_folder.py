@@ -13,7 +13,7 @@ import pytest
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.types.errors import FrameError, RecordingError, UnclearError
+from annotator.types.errors import FrameError, UnclearError
 from annotator.workflows.checking.check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
@@ -96,11 +96,6 @@ def test_a_camera_file_of_another_name_is_used_if_it_is_the_only_one(folder: Pat
     (inner / place / "camera_other.json").write_text(json.dumps(INTRINSICS))
     with pytest.raises(FrameError, match=r"several cameras \(camera_other.json, camera_primesense.json\)"):
         open_recording(inner).frame(0)
-
-
-def test_a_folder_image_is_read_as_colour_if_there_is_a_camera_file(folder: Path):
-    (folder / "color").rename(folder / "image")
-    assert len(open_recording(folder).frame(0).cloud) > 0
 
 
 def test_a_folder_rgb_is_the_same_as_color(folder: Path, color: np.ndarray):
@@ -299,12 +294,3 @@ def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth:
     frame = open_recording(folder).frame(1)
     assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6_000_000, [0, -1, 0])
     np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)
-
-
-def test_times_in_another_unit_are_named(folder: Path):
-    (folder / "timestamps.csv").write_text("key,timestamp_ns\n000000,13050311020000000000\n")
-    says = (
-        r"timestamps\.csv:2: the time 13050311020000000000 ns is beyond the year 2262, so its unit is probably another"
-    )
-    with pytest.raises(RecordingError, match=says):
-        open_recording(folder)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -48,13 +47,3 @@ def test_the_nearest_image_in_time_is_taken(times_ns: list[int | None], offset_m
         apart = [np.inf if t is None else abs(t - (time_ns - offset_ms * 1_000_000)) for t in times_ns]
         assert apart[shown] == min(apart)
         assert shown == index or apart[index] > min(apart), "the frame's own image, where no other is nearer"
-
-
-def test_times_are_read_once_for_all_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    reads: list[str] = []
-    monkeypatch.setattr(
-        "annotator.recordings.frame_times.recorded_times", lambda of: reads.append(of.name) or {"0": 0, "1": 9}
-    )
-    clock = Clock(Timed([0, 9]))
-    assert [clock.image_at(i % 2, 0.0) for i in range(100)] == [0, 1] * 50
-    assert reads == ["timed"]

@@ -12,7 +12,6 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.geometry.projection import project
@@ -205,8 +204,6 @@ FALSE_HEADERS = [
     (patched(OLD, 100, "I", HUGE), "records before its points"),
     (patched(OLD, 96, "I", HUGE), "position of the points, byte"),
     (patched(OLD, 107, "I", 2**25), "33554432 points take about 4096 MiB"),
-    # the decoder is asked for memory that it does not get
-    (patched(NEW, chunks(NEW) + 4, "I", HUGE), "the decoder crashed"),
     (OLD[: len(OLD) // 2], "cannot be read as LAS or LAZ"),
     (patched(OLD, 105, "H", 33), "cannot be read as LAS or LAZ"),
     (patched(OLD, 104, "B", 0x80 | 99), "cannot be read as LAS or LAZ"),
@@ -226,19 +223,3 @@ def damage(draw: Callable[..., int], content: bytearray) -> None:
     # damage of the data that locates the points has more effects than of the points
     around = st.integers(max(start - 80, 0), min(start + 120, len(content) - 1))
     content[draw(st.one_of(around, st.integers(0, len(content) - 1)))] = draw(st.sampled_from([0, 1, 127, 128, 255]))
-
-
-@given(st.data())
-@settings(deadline=None)
-def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
-    version, point_format, more = data.draw(st.sampled_from(FORMATS))
-    content = bytearray(written(version, point_format, more, data.draw(st.booleans())))
-    for _ in range(data.draw(st.integers(1, 3))):
-        damage(data.draw, content)
-    try:
-        cloud = parse_las(Path("a.laz"), bytes(content[: data.draw(st.sampled_from([len(content), len(content) - 9]))]))
-    except FrameError as error:
-        assert str(error).startswith("a.laz: ")
-    else:
-        assert np.isfinite(cloud.xyz_m).all()
-        assert 0 < len(cloud.xyz_m) <= COUNT

@@ -71,7 +71,7 @@ WRITERS = {"npy": write_npy, "ply": write_ply, "pcd": write_pcd, "las": write_la
 
 @pytest.mark.parametrize(
     ("write", "strays"),
-    [(write, strays) for write in WRITERS for strays in STRAYS if (write, strays) != ("las", "nan")],
+    [*(("npy", strays) for strays in STRAYS), *((write, "one") for write in ("ply", "pcd", "las"))],
 )
 def test_points_without_a_return_neither_move_the_origin_nor_stay(tmp_path: Path, write: str, strays: str):
     count, value = STRAYS[strays]
@@ -188,9 +188,8 @@ def test_a_calibrated_lidar_is_in_its_own_coordinates(tmp_path: Path):
     np.testing.assert_array_equal(recording.scan(0).place_m, [0, 0, 0])
 
 
-@pytest.mark.parametrize("kind", ["ros1", "mcap"])
-def test_clouds_of_a_bag_in_map_coordinates_are_precise(tmp_path: Path, kind: str):
-    with BagWriter(tmp_path, kind) as bag:
+def test_clouds_of_a_bag_in_map_coordinates_are_precise(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
         for number, shift in enumerate((0.0, 4.0)):
             xyz = XYZ + UTM_M + [shift, 0, 0]
             xyz[:300] = 0

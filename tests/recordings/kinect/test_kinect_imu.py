@@ -55,14 +55,6 @@ def test_laced_samples_are_read_after_their_sizes(sizes: bytes):
     np.testing.assert_allclose(found["acceleration_mps2"], FELT + np.arange(3)[:, None], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("data", "is_laced"),
-    [(b"", False), (b"", True), (bytes(39), False), (bytes(41), False), (b"\xff" + bytes(400), True)],
-)
-def test_invalid_blocks_have_no_samples(data: bytes, is_laced: bool):
-    assert len(parse_samples(data, is_laced)) == 0
-
-
 @pytest.mark.shared
 def test_up_is_the_normal_of_the_real_desk(shared: Path):
     frame = open_recording(shared / "data" / "azure_kinect" / "recording.mkv").frame(0)

@@ -29,7 +29,7 @@ def scan() -> np.ndarray:
     return np.c_[random.uniform(-20, 20, (3000, 3)) * [1, 1, 0.2], random.random(3000)].astype(np.float32)
 
 
-@pytest.fixture(params=["kitti_object", "kitti_object/training", "kitti_tracking"])
+@pytest.fixture(params=["kitti_object/training", "kitti_tracking"])
 def folder(request: pytest.FixtureRequest, tmp_path: Path, image: np.ndarray, scan: np.ndarray) -> Path:
     """Frames 000003 and 000005 of either format."""
     root = tmp_path / "training" if request.param.endswith("training") else tmp_path

@@ -12,8 +12,6 @@ import av
 import numpy as np
 import phone_samples as made
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
@@ -272,18 +270,6 @@ def test_times_of_record3d_that_are_0_are_unknown(tmp_path: Path, seconds: list[
     assert [recording.frame(i).timestamp_ns for i in range(3)] == (by_rate if known is None else known)
 
 
-@pytest.mark.parametrize(("seconds", "known"), TIMES)
-def test_times_of_stray_scanner_that_are_0_are_unknown(
-    tmp_path: Path, seconds: list[float], known: list[int | None] | None
-):
-    path = made.write_stray_scanner(tmp_path / "take", made.frames(3))
-    head, *rows = (path / "odometry.csv").read_text().splitlines()
-    rows = [",".join([f"{time:.9f}", *row.split(",")[1:]]) for time, row in zip(seconds, rows, strict=True)]
-    (path / "odometry.csv").write_text("\n".join([head, *rows]) + "\n")
-    recording = open_recording(path)
-    assert [recording.frame(i).timestamp_ns for i in range(3)] == ([None] * 3 if known is None else known)
-
-
 def test_a_file_that_is_no_archive_is_an_error(tmp_path: Path):
     path = tmp_path / "take.r3d"
     path.write_bytes(b"RED1" + bytes(100))
@@ -345,21 +331,3 @@ def test_damage_is_an_error_that_names_the_file(
 def archive(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("whole") / "take.r3d"
     return made.write_record3d(path, made.frames(2), compression=zipfile.ZIP_DEFLATED).read_bytes()
-
-
-@settings(max_examples=60)
-@given(st.data())
-def test_random_damage_of_an_archive_gives_a_frame_or_an_error_that_names_it(
-    archive: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-):
-    path = tmp_path_factory.getbasetemp() / "damaged.r3d"
-    content = bytearray(archive[: data.draw(st.sampled_from([len(archive)] * 3 + [len(archive) // 2]))])
-    # the list of files is at the end
-    for at in data.draw(st.lists(st.integers(0, 700) | st.integers(-700, -1), max_size=6)):
-        content[at] = data.draw(st.integers(0, 255))
-    path.write_bytes(content)
-    try:
-        frame = open_recording(path).frame(0)
-        assert np.isfinite(frame.cloud.xyz_m).all() and len(frame.cloud) > 0
-    except RecordingError as error:
-        assert str(error).startswith(str(path))

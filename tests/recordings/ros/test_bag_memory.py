@@ -6,34 +6,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from ros_takes import MS, START_NS, write_take
 
 from annotator.recordings.ros import pairing
 from annotator.recordings.ros.bag import open_bag
-from annotator.recordings.ros.bag_files import KEPT, MOST_KEPT_BYTES, Chunk, ChunkedFile, unpack
+from annotator.recordings.ros.bag_files import KEPT, MOST_KEPT_BYTES, Chunk, ChunkedFile
 from benchmarks.bag_writer import BagWriter
-
-
-@given(st.sampled_from(["lz4", "bz2", "zstd", "none"]), st.binary(max_size=300), st.integers(0, 200))
-def test_any_bytes_can_be_unpacked_or_are_damaged(compression: str, data: bytes, most: int):
-    content, problem = unpack(compression, [data], most)
-    assert len(content) <= most
-    assert problem or len(content) <= most
 
 
 def test_chunks_are_unpacked_only_as_far_as_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     import bz2
 
-    data = np.random.default_rng(0).bytes(4_000_000)
+    data = np.random.default_rng(0).bytes(500_000)
     path = tmp_path / "a"
     path.write_bytes(bz2.compress(data))
     chunks = ChunkedFile(path)
     chunks.chunks.append(Chunk(0, path.stat().st_size, "bz2", len(data)))
     assert chunks.content(0, 10, 20) == data[10:30]
     assert 30 <= len(KEPT.get(chunks, 0)[0]) < 100_000
-    assert chunks.content(0, 3_999_990, 100) == data[-10:]
+    assert chunks.content(0, 499_990, 100) == data[-10:]
 
 
 def test_the_kept_contents_of_many_files_are_few(tmp_path: Path):

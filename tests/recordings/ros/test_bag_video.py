@@ -8,8 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from foxglove_takes import foxglove_take, write_mcap
-from hypothesis import given
-from hypothesis import strategies as st
 from ros_takes import MS, START_NS
 
 from annotator.recordings import open_recording
@@ -101,8 +99,3 @@ def test_lost_pictures_of_h264_are_told_by_their_numbers():
     assert 10 < len(references) < 20
     for i in range(1, 29):
         assert lost_before(skipping[:i] + skipping[i + 1 :]) == (i if i in references else None)
-
-
-@given(st.lists(st.binary(max_size=40).map(lambda data: b"\0\0\1" + data), max_size=4))
-def test_any_bytes_are_searched_for_lost_pictures(pictures: list[bytes]):
-    assert lost_before(pictures) in (None, *range(len(pictures)))
