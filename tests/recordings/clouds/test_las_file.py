@@ -187,11 +187,6 @@ def patched(data: bytes, at: int, code: str, value: int) -> bytes:
     return data[:at] + struct.pack(f"<{code}", value) + data[at + struct.calcsize(f"<{code}") :]
 
 
-def chunks(data: bytes) -> int:
-    """The offset of the chunk table."""
-    return int(struct.unpack_from("<q", data, start_of(data))[0])
-
-
 HUGE = 2**32 - 1
 OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
 # Each would crash the program or block it for hours if it were not checked.
