@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from annotator.recordings import open, open_recording
-from annotator.recordings.open import PARTS, detect_format, nearest_formats, recordings_below
+from annotator.recordings import detect_format, open, open_recording
+from annotator.recordings.open import PARTS, nearest_formats, recordings_below
 from annotator.types.errors import RecordingError, UnknownFormatError
 
 CASES = [
