@@ -1,4 +1,4 @@
-"""Files and folders are written completely or not at all."""
+"""The door to files: regular ones of bounded size and memory are read; writing is whole or not at all."""
 
 from __future__ import annotations
 
@@ -134,10 +134,6 @@ def test_a_new_folder_follows_the_umask(tmp_path: Path, mask: int, mode: int) ->
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == mode
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["file"]
-
-
-# TODO-MERGED docstring of test_file_door.py:
-# All files are read through `annotator/files.py`, which takes regular files of a bounded size only.
 
 
 PACKAGE = Path(__file__).resolve().parent.parent / "annotator"
@@ -297,10 +293,6 @@ def test_an_archive_with_an_endless_list_of_files_is_refused(tmp_path: Path):
     path.write_bytes(data)
     with open_file(path) as file, pytest.raises(zipfile.BadZipFile, match="its list of files has"):
         open_archive(file)
-
-
-# TODO-MERGED docstring of test_frame_limits.py:
-# Frames that would fill the memory are refused before they are decoded, with the setting that allows them.
 
 
 TOO_LARGE = rf"too large: .* MiB of memory; the limit is 2048 MiB \(.*{VARIABLE}"

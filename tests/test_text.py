@@ -1,4 +1,4 @@
-"""Text and numbers of files as people's tools write them."""
+"""Text, numbers and names of files as people's tools write them; no name leads out of its folder."""
 
 from __future__ import annotations
 
@@ -91,10 +91,6 @@ def test_what_is_no_number_is_quoted_and_a_decimal_comma_is_named(text: str, has
     says = "has a decimal comma; write a point" if has_comma else "is not a number"
     with pytest.raises(ValueError, match=f"^'{text}' {says}$"):
         to_number(text)
-
-
-# TODO-MERGED docstring of test_file_names.py:
-# Names that stand in files: nothing outside their folder is opened, whatever they say.
 
 
 NFC, NFD = "café", unicodedata.normalize("NFD", "café")

@@ -1,4 +1,4 @@
-"""`timestamps.csv`: times of 0 are not set, except for the start of a clock."""
+"""Times of frames: `timestamps.csv`, times that are not set, and which image belongs to a cloud when clocks differ."""
 
 from __future__ import annotations
 
@@ -76,10 +76,6 @@ def test_lists_of_tum_without_times_are_an_error(tmp_path: Path):
         (tmp_path / f"{name}.txt").write_text(f"0 {name}/1.png\n0.0 {name}/2.png\n1 {name}/3.png\n")
     with pytest.raises(RecordingError, match=r"rgb\.txt: the time of 2 images is 0"):
         open_recording(tmp_path)
-
-
-# TODO-MERGED docstring of test_times.py:
-# Which image belongs to a cloud when the clocks of images and clouds differ.
 
 
 class Timed:

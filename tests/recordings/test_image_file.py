@@ -1,4 +1,4 @@
-"""Complete images are accepted; images truncated at any place are not."""
+"""Images: complete ones are accepted, damaged and large ones are not; depths that are none; more than 8 bits."""
 
 from __future__ import annotations
 
@@ -103,10 +103,6 @@ def test_real_images_are_complete(shared: Path):
     files = [path for path in (shared / "data").rglob("*") if path.suffix in (".png", ".jpg")]
     assert len(files) > 100
     assert [path for path in files if image_problem(path.read_bytes())] == []
-
-
-# TODO-MERGED docstring of test_pixel_values.py:
-# Pixels of any depth: depths that are no measurement, and pictures of more than 8 bits.
 
 
 WIDTH, HEIGHT = 12, 8

@@ -41,7 +41,6 @@ KNOWN_CASES = [
         lambda old: re.sub(rb"R: \S+", b"R: 0.9", old),
         "the LiDAR's pose is not a rotation",
     ),
-    (kitti_raw, "calib_cam_to_cam.txt", lambda old: re.sub(rb"R_rect_00: \S+", b"R_rect_00: 1e200", old), "too large"),
     (
         sunrgbd_scene,
         "extrinsics/20160101.txt",
@@ -51,14 +50,12 @@ KNOWN_CASES = [
     (rgbd_folder, "camera_intrinsic.json", lambda _: b"[" * 200_000, "not a camera file"),
     (rgbd_folder, "camera_intrinsic.json", lambda old: old.replace(b"500.0", b"1e-320"), "depth_scale"),
     (rgbd_folder, "gravity.json", lambda _: b'{"up": [1e308, 1e308, 0]}', "not a gravity file"),
-    (rgbd_folder, "gravity.json", lambda _: b'{"up": [0, 1e-300, 0]}', "up has length 0"),
     (
         cloud_folder,
         "camera_intrinsic.json",
         lambda old: re.sub(rb'(width|height)": [0-9]+', rb'\1": 60000', old),
         "pixels",
     ),
-    (cloud_folder, "camera_intrinsic.json", lambda old: re.sub(rb'width": [0-9]+', b'width": 9999999', old), "width"),
     (kitti_tracking, "velodyne/0.bin", lambda _: struct.pack("<4f", 3e38, 0, 0, 1) * 3, "every point is NaN"),
 ]
 

@@ -1,4 +1,4 @@
-"""The reader selected for a path, and the errors for unknown folders."""
+"""The reader selected for a path, and the errors of paths that are no recordings: what is missing, what is near."""
 
 from __future__ import annotations
 
@@ -169,10 +169,6 @@ def test_options_are_stored_and_restored() -> None:
     assert ReaderOptions().stored() == "" and stored_options("") == ReaderOptions()
     with pytest.raises(ConfigError, match="update annotator"):
         stored_options('{"zoom": 2}')
-
-
-# TODO-MERGED docstring of test_refusals.py:
-# Paths that are no recordings: the error names the nearest format, what is missing, and recordings near by.
 
 
 CASES = [

@@ -184,12 +184,8 @@ COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic
 DEPTH_CAMERA = "depth_intrinsic.json"
 DAMAGES = [
     pytest.param(COLOR, truncate, "the PNG image is truncated", id="truncated-colour"),
-    pytest.param(DEPTH, truncate, "the PNG image is truncated", id="truncated-depth"),
     pytest.param(DEPTH, corrupt, "damaged", id="corrupt-depth"),
-    pytest.param(COLOR, lambda p: p.write_bytes(b""), "the file is empty", id="empty-colour"),
-    pytest.param(COLOR, lambda p: p.write_text("hello"), "cannot be decoded", id="no-image"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
-    pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH, 3), np.uint16)), "16-bit with 3", id="colour-depth"),
     pytest.param(
         DEPTH,
         image(np.ones((HEIGHT, 9), np.uint16)),
@@ -200,17 +196,13 @@ DAMAGES = [
         COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="colour-size"
     ),
     pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
-    pytest.param(DEPTH_CAMERA, lambda p: p.write_text("{"), "not a camera file", id="depth-camera-no-json"),
     pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[1]]), "depth_to_color.0", id="depth-pose-short"),
     pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[2, 0, 0, 0]] * 4), "not a rigid", id="depth-pose"),
     pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
     pytest.param(CAMERA, lambda p: p.write_text("{"), "not a camera file", id="camera-no-json"),
-    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[1, 2]), "intrinsic_matrix", id="camera-short"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[9, 0, 5, 0, 9, 4, 0, 0, 1]), "column by column", id="row-major"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[0, 0, 0, 0, 9, 0, 5, 4, 1]), "focal length", id="no-focus"),
     pytest.param(CAMERA, intrinsics(distortion=[1, 2, 3]), "distortion must have", id="camera-distortion"),
-    pytest.param(CAMERA, intrinsics(depth_scale=0), "depth_scale", id="camera-scale"),
-    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 1]}'), "up", id="gravity-short"),
     pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "up has length 0", id="gravity-zero"),
 ]
 

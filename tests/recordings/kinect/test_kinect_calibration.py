@@ -1,4 +1,4 @@
-"""The Azure Kinect's cameras: modes are windows of one sensor, and the lens model is invertible."""
+"""The Azure Kinect's cameras, whose modes are windows of one sensor, and its accelerometer."""
 
 from __future__ import annotations
 
@@ -93,10 +93,6 @@ def test_there_are_no_points_beyond_the_calibrated_radius():
     assert 0 < len(in_depth) < image.size
     assert np.linalg.norm(in_depth[:, :2], axis=1).max() <= 0.3001
     assert np.isnan(calibration.depth_to_3d(np.array([[0.0, 0.0]]), np.array([1.0]))).all()
-
-
-# TODO-MERGED docstring of test_kinect_imu.py:
-# The Azure Kinect's accelerometer: the up direction while the device is still, and None while it moves.
 
 
 # Tilted forward by 20 degrees, in the colour camera's axes (here the same as the device's).

@@ -1,4 +1,4 @@
-"""Which files and folders are bags, and what is missing."""
+"""The files of bags: which are one, what is missing, of any writer, unfinished and damaged, and what is kept."""
 
 from __future__ import annotations
 
@@ -79,10 +79,6 @@ def test_files_of_another_content_are_not_bags(tmp_path: Path):
         open_recording(tmp_path / "b.db3")
 
 
-# TODO-MERGED docstring of test_bag_memory.py:
-# What is kept of bags: unpacked chunks, few of them, and times that are slow to read.
-
-
 def test_chunks_are_unpacked_only_as_far_as_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     import bz2
 
@@ -134,10 +130,6 @@ def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytes
     assert len(list(pairing.cache_folder().iterdir())) == 2
 
 
-# TODO-MERGED docstring of test_unsound_bags.py:
-# Unfinished, cut and damaged bags are read as far as they are sound.
-
-
 def cut(path: Path, share: float) -> None:
     with path.open("r+b") as opened:
         opened.truncate(int(path.stat().st_size * share))
@@ -187,10 +179,6 @@ def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
             except FrameError as error:
                 assert str(error).startswith(str(bag.path))
         assert readable > 30
-
-
-# TODO-MERGED docstring of test_foxglove_bags.py:
-# MCAP files with Foxglove's messages, of any writer.
 
 
 @pytest.mark.parametrize("how", WRITERS)

@@ -137,15 +137,10 @@ def damage(name: str, content: bytes | None) -> Callable[[Path], Path]:
 EXTRACTED_DAMAGES = [
     (damage("calib/000001.txt", None), "the calibration is missing"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n"), "must have two lines"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0\n1 0 0 0 1 0 0 0 1"), "must have 9 numbers, not 8"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 x\n1 0 0 0 1 0 0 0 1"), "'x' is not a number"),
-    (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 nan\n1 0 0 0 1 0 0 0 1"), "not finite"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 2\n1 0 0 0 1 0 0 0 1"), "the tilt is not a rotation"),
     (damage("calib/000001.txt", b"1 0 0 0 1 0 0 0 1\n1 0 0 0 -1 0 0 0 1"), "not a pinhole camera"),
     (damage("image/000001.png", None), "missing; put 000001.png"),
-    (damage("[dp]*/000001.*", None), "missing; put 000001"),
     (damage("[dp]*/000001.*", b""), "cannot be read as a MATLAB file|the file is empty"),
-    (damage("[dp]*/000001.*", b"MATLAB 5.0" * 99), "cannot be read as a MATLAB file|archive is damaged"),
 ]
 
 
