@@ -25,6 +25,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.feather import FeatherError, Kind, read_feather
 from annotator.image_bytes import Size
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
+from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
 from annotator.recordings.kitti_frame import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
@@ -237,14 +238,9 @@ def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
 def _pairs(keys: Sequence[str], images: set[str], within_s: float) -> dict[str, str]:
     """Returns the time of the nearest image of each sweep, by the sweep's time."""
     names = sorted(images, key=int)
-    times = np.array([int(name) for name in names])
-    pairs = {}
-    for key in keys:
-        after = int(np.searchsorted(times, int(key)))
-        near = min(range(max(after - 1, 0), min(after + 1, len(times))), key=lambda one: abs(times[one] - int(key)))
-        if abs(int(times[near]) - int(key)) <= within_s * 1e9:
-            pairs[key] = names[near]
-    return pairs
+    near = nearest(np.array([int(key) for key in keys]), np.array([int(name) for name in names]))
+    found = {key: names[at] for key, at in zip(keys, near.tolist(), strict=True)}
+    return {key: name for key, name in found.items() if abs(int(name) - int(key)) <= within_s * 1e9}
 
 
 def _table(path: Path, columns: dict[str, Kind]) -> dict[str, np.ndarray]:

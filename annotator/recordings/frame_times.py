@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Int64
 
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.recordings.kitti import KittiFolder
@@ -124,6 +125,17 @@ def has_times(recording: Recording) -> bool:
     """True if the recording is a sequence with at least two times, so that images and clouds may be apart in time."""
     times = recorded_times(recording) if recording.is_sequence else None
     return times is not None and sum(time is not None for time in times.values()) > 1
+
+
+def nearest(of_ns: Int64[np.ndarray, "n"], among_ns: Int64[np.ndarray, "m"]) -> Int64[np.ndarray, "n"]:
+    """Returns for each time the number of the nearest of `among_ns`, the earlier one of two; m > 0, in any order."""
+    order = np.argsort(among_ns, kind="stable")
+    ordered = among_ns[order]
+    after = np.clip(np.searchsorted(ordered, of_ns), 1, max(len(ordered) - 1, 1))
+    if len(ordered) == 1:
+        return np.zeros(len(of_ns), np.int64)
+    is_before = of_ns - ordered[after - 1] <= ordered[after] - of_ns
+    return np.asarray(order[np.where(is_before, after - 1, after)])
 
 
 class Clock:

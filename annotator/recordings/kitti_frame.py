@@ -96,15 +96,23 @@ def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
     return _calibration(cameras, lidar, P2, R0, Tr)
 
 
-def _read_rows(path: Path) -> dict[str, list[str]]:
-    """Returns the values of each line of a calibration file, by the name before them."""
+def calibration_text(path: Path) -> str:
+    """Returns the text of a calibration file."""
     try:
-        text = read_text_file(path)
+        return read_text_file(path)
     except FileNotFoundError as error:
         raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
     except (OSError, UnicodeDecodeError) as error:
         raise FrameError(path, f"the calibration cannot be read ({error})", REMEDY) from error
-    return _rows(text)
+
+
+def _read_rows(path: Path) -> dict[str, list[str]]:
+    """Returns the values of each line of a calibration file, by the name before them."""
+    rows = {}
+    for line in calibration_text(path).splitlines():
+        name, *values = line.replace(":", " ", 1).split() or [""]
+        rows[name] = values
+    return rows
 
 
 def _calibration(path: Path, lidar: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray) -> KittiCalibration:
@@ -116,15 +124,6 @@ def _calibration(path: Path, lidar: Path, P2: np.ndarray, R0: np.ndarray, Tr: np
         if not is_rotation(R, MOST_OFF_ROTATION):
             raise FrameError(place, f"the {name} is not a rotation", REMEDY)
     return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), R0 @ Tr)
-
-
-def _rows(text: str) -> dict[str, list[str]]:
-    """Returns the values of each line, by the name before them."""
-    rows = {}
-    for line in text.splitlines():
-        name, *values = line.replace(":", " ", 1).split() or [""]
-        rows[name] = values
-    return rows
 
 
 def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shape: tuple[int, int]) -> np.ndarray:

@@ -28,13 +28,14 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.files import open_file, read_text_file
+from annotator.files import open_file
 from annotator.frame_limits import VARIABLE, frame_memory
 from annotator.geometry.projection import pixel_colors, project, unproject_depth
 from annotator.mat_file import MatFileError, MatSizeError, read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.image_file import decode_depth, read_color_image, read_depth
+from annotator.recordings.kitti_frame import calibration_text
 from annotator.recordings.listing import (
     IMAGE_SUFFIXES,
     REMEDIES,
@@ -84,7 +85,7 @@ class SunCalibration:
 
 def read_extracted_calibration(path: Path) -> SunCalibration:
     """Reads a `calib/KEY.txt`: a line of Rtilt and a line of K, both column by column."""
-    lines = [line for line in _text(path).splitlines() if line.strip()]
+    lines = [line for line in calibration_text(path).splitlines() if line.strip()]
     if len(lines) < 2:
         raise FrameError(path, f"must have two lines, Rtilt and K, not {len(lines)}", REMEDY)
     Rtilt, K = (_nine(path, line).T for line in lines[:2])
@@ -93,8 +94,8 @@ def read_extracted_calibration(path: Path) -> SunCalibration:
 
 def read_scene_calibration(intrinsics: Path, extrinsics: Path) -> SunCalibration:
     """Reads the calibration of a raw scene: K, and a 3 x 4 matrix whose first three columns are E; row by row."""
-    K = _nine(intrinsics, _text(intrinsics))
-    values = _numbers(extrinsics, _text(extrinsics))
+    K = _nine(intrinsics, calibration_text(intrinsics))
+    values = _numbers(extrinsics, calibration_text(extrinsics))
     if len(values) not in (9, 12):
         raise FrameError(extrinsics, f"must have 3 x 4 numbers, not {len(values)}", REMEDY)
     E = values.reshape(3, -1)[:, :3]
@@ -131,15 +132,6 @@ def _numbers(path: Path, text: str) -> np.ndarray:
     if not are_plausible(values):
         raise FrameError(path, "a number is not finite or is too large", REMEDY)
     return values
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_text_file(path)
-    except FileNotFoundError as error:
-        raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FrameError(path, f"the calibration cannot be read ({error})", REMEDY) from error
 
 
 EXTRACTED_LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"

@@ -25,6 +25,7 @@ from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
 from annotator.files import TABLE_BYTES, read_text_file, why_missing
+from annotator.recordings.frame_times import nearest
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
@@ -67,13 +68,10 @@ class Poses:
 
     def up(self, time_ns: int, tolerance_ns: int) -> Float64[np.ndarray, "3"] | None:
         """Returns the unit vector against gravity in the camera's frame; None without a pose near this time."""
-        after = int(np.searchsorted(self.times_ns, time_ns))
-        near = min(
-            (abs(int(self.times_ns[at]) - time_ns), at) for at in (after - 1, after) if 0 <= at < len(self.times_ns)
-        )
-        if near[0] > tolerance_ns:
+        near = int(nearest(np.array([time_ns]), self.times_ns)[0])
+        if abs(int(self.times_ns[near]) - time_ns) > tolerance_ns:
             return None
-        return np.asarray(Rotation.from_quat(self.quaternions[near[1]]).inv().apply([0.0, 0.0, 1.0]))
+        return np.asarray(Rotation.from_quat(self.quaternions[near]).inv().apply([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True, eq=False)

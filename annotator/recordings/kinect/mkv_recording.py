@@ -25,6 +25,7 @@ from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
 from annotator.image_bytes import JPEG_START, declared_size, image_problem
+from annotator.recordings.frame_times import nearest
 from annotator.recordings.kinect.calibration import (
     KinectCalibration,
     Size,
@@ -88,24 +89,14 @@ def find_captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: in
     depths = [block for block in index.blocks if block.track == depth.number]
     within_ns = (color.period_ns or depth.period_ns or DEFAULT_PERIOD_NS) // 2
     times = np.array([block.time_ns - delay_ns for block in depths], np.int64)
-    order = np.argsort(times, kind="stable")
+    near = nearest(np.array([block.time_ns for block in colors], np.int64), times) if depths else []
     captures: dict[int, Capture] = {}
     for number, block in enumerate(colors):
-        nearest = _nearest(times, order, block.time_ns)
-        if nearest is not None and abs(int(times[nearest]) - block.time_ns) < within_ns:
-            captures[number] = Capture(block, depths[nearest])
+        if depths and abs(int(times[near[number]]) - block.time_ns) < within_ns:
+            captures[number] = Capture(block, depths[near[number]])
         elif index.is_truncated and block is colors[-1]:
             captures[number] = Capture(block, None)
     return captures
-
-
-def _nearest(times: np.ndarray, order: np.ndarray, time_ns: int) -> int | None:
-    """Returns the index of the time nearest to `time_ns`; `order` sorts `times`."""
-    if len(times) == 0:
-        return None
-    after = int(np.searchsorted(times, time_ns, sorter=order))
-    around = order[max(after - 1, 0) : after + 1]
-    return int(around[np.argmin(np.abs(times[around] - time_ns))])
 
 
 # FourCC of a track -> half bytes per pixel; None for compressed formats.

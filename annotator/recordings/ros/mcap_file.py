@@ -22,7 +22,7 @@ from annotator.types.amounts import amount
 # Damaged places of a file that are named.
 MOST_NAMED = 8
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 7, 8
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX = range(2, 9)
 # A record is a byte, its kind, a length of eight bytes and its content.
 RECORD = struct.Struct("<BQ")
 # channel, sequence, log time, publish time

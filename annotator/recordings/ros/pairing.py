@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from annotator.files import TABLE_BYTES, read_file, write_atomic
+from annotator.recordings.frame_times import nearest
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.messages import SECOND, quick_stamp_ns
 from annotator.types.amounts import amount
@@ -182,17 +183,6 @@ def _mutual_nearest(a_ns: np.ndarray, b_ns: np.ndarray) -> tuple[np.ndarray, np.
     """Returns the numbers of those that are each other's nearest."""
     if not len(a_ns) or not len(b_ns):
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    to_b, to_a = _nearest(a_ns, b_ns), _nearest(b_ns, a_ns)
+    to_b, to_a = nearest(a_ns, b_ns), nearest(b_ns, a_ns)
     mutual = np.flatnonzero(to_a[to_b] == np.arange(len(a_ns)))
     return mutual, to_b[mutual]
-
-
-def _nearest(of_ns: np.ndarray, among_ns: np.ndarray) -> np.ndarray:
-    """Returns for each time the number of the nearest of `among_ns`; the earlier one of two."""
-    order = np.argsort(among_ns, kind="stable")
-    ordered = among_ns[order]
-    after = np.clip(np.searchsorted(ordered, of_ns), 1, max(len(ordered) - 1, 1))
-    if len(ordered) == 1:
-        return np.zeros(len(of_ns), np.int64)
-    is_before = of_ns - ordered[after - 1] <= ordered[after] - of_ns
-    return order[np.where(is_before, after - 1, after)]
