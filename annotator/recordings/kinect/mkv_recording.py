@@ -89,7 +89,8 @@ def find_captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: in
     depths = [block for block in index.blocks if block.track == depth.number]
     within_ns = (color.period_ns or depth.period_ns or DEFAULT_PERIOD_NS) // 2
     times = np.array([block.time_ns - delay_ns for block in depths], np.int64)
-    near = nearest(np.array([block.time_ns for block in colors], np.int64), times) if depths else []
+    color_ns = np.array([block.time_ns for block in colors], np.int64)
+    near: list[int] = nearest(color_ns, times).tolist() if depths else []
     captures: dict[int, Capture] = {}
     for number, block in enumerate(colors):
         if depths and abs(int(times[near[number]]) - block.time_ns) < within_ns:
