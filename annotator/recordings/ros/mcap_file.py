@@ -61,7 +61,10 @@ class McapFile(ChunkedFile):
         if len(notes) > MOST_NAMED:
             notes = [*notes[:MOST_NAMED], f"is damaged at {amount(len(notes) - MOST_NAMED, 'more place')}"]
         if not ranges and not is_closed:
-            notes.append("was not closed by its recorder, or its end is missing; it is read as far as it is sound")
+            notes.append(
+                f"was not closed by its recorder, or is damaged: it is read up to byte {min(at, size)} of {size} "
+                "(mcap recover may restore more)"
+            )
         for number, chunk in self._messages.first_chunk.items():
             if number not in self._described and chunk >= 0:
                 self._search(chunk, only_described=True)
@@ -193,7 +196,10 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 
 
 def _ranges(file: BinaryIO, size: int) -> list[tuple[int, int]]:
-    """Returns where each chunk with its indices is, and the summary, which says it; empty without a sound summary."""
+    """Returns the parts of a file by its summary: each chunk with its indices, what is between, the summary itself.
+
+    Empty without a sound summary, or if it lists no chunks.
+    """
     file.seek(max(size - FOOTER_BYTES, 0))
     footer = file.read()
     if len(footer) < FOOTER_BYTES or footer[-len(MCAP_MAGIC) :] != MCAP_MAGIC or footer[0] != FOOTER:
@@ -212,4 +218,10 @@ def _ranges(file: BinaryIO, size: int) -> list[tuple[int, int]]:
                 return []
             ranges.append((start, start + chunk_bytes + index_bytes))
         at += RECORD.size + length
-    return [*sorted(ranges), (summary, end)] if ranges and at == end else []
+    if not ranges or at != end:
+        return []
+    parts, at = [], len(MCAP_MAGIC)
+    for start, after in [*sorted(ranges), (summary, end)]:
+        parts += [(at, start)] * (start > at) + [(start, after)]
+        at = after
+    return parts
