@@ -29,8 +29,7 @@ from annotator.recordings.clouds.columns import (
     require_points,
 )
 from annotator.recordings.clouds.las_file import parse_las
-from annotator.recordings.clouds.pcd_file import parse_pcd
-from annotator.recordings.clouds.ply_file import parse_ply
+from annotator.recordings.clouds.pcd_ply import parse_pcd, parse_ply
 from annotator.recordings.scan_file import SCAN_SUFFIX, Scans
 from annotator.types.errors import FrameError
 

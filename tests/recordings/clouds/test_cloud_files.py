@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
-from annotator.recordings.clouds.pcd_file import lzf_decompress
+from annotator.recordings.clouds.pcd_ply import lzf_decompress
 from annotator.types.errors import FrameError
 
 XYZ = np.random.default_rng(0).normal(0, 20, (500, 3)).astype(np.float32)
