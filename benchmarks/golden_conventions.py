@@ -15,7 +15,7 @@ from annotator.formats.kitti.box_rows import derived_box, heading, observation_a
 from annotator.formats.kitti.label_files import label_box, parse_label_line
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
-from annotator.recordings.kitti_frame import KittiCalibration, read_calibration
+from annotator.recordings.kitti import KittiCalibration, read_calibration
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 

@@ -27,7 +27,7 @@ from annotator.image_bytes import Size
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti_frame import visible_cloud
+from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole

@@ -37,7 +37,7 @@ from annotator.nuscenes_tables import (
 )
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti_frame import visible_cloud
+from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions

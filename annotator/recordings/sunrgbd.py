@@ -35,7 +35,7 @@ from annotator.mat_file import MatFileError, MatSizeError, read_mat
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.columns import RawCloud, from_columns
 from annotator.recordings.image_file import decode_depth, read_color_image, read_depth
-from annotator.recordings.kitti_frame import calibration_text
+from annotator.recordings.kitti import calibration_text
 from annotator.recordings.listing import (
     IMAGE_SUFFIXES,
     REMEDIES,

@@ -36,7 +36,7 @@ from annotator.recordings.clouds.columns import RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti_frame import NEAREST_Z_M, UP, KittiCalibration, read_calibration
+from annotator.recordings.kitti import NEAREST_Z_M, UP, KittiCalibration, read_calibration
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
 from annotator.recordings.look_around import Scan
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag

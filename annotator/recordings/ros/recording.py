@@ -26,7 +26,7 @@ from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAM
 from annotator.recordings.clouds.columns import FIRST, CommonScale, RawCloud
 from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
 from annotator.recordings.image_file import Levels
-from annotator.recordings.kitti_frame import UP
+from annotator.recordings.kitti import UP
 from annotator.recordings.look_around import Scan, level_turn
 from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
 from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag

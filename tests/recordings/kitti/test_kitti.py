@@ -13,7 +13,7 @@ from kitti_samples import CAMERAS, HEIGHT, LIDAR, OBJECT_CALIB, P2, R0, TIMES, T
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.kitti_frame import read_calibration
+from annotator.recordings.kitti import read_calibration
 from annotator.types.errors import FormatError, FrameError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
