@@ -9,6 +9,14 @@ raw        DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIV
            [tracklet_labels.xml]; the layout of the download ("synced and rectified")
 
 Labels are read by annotator.formats.kitti.
+
+Calibration (object devkit, readme.txt): `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar`, all row-major, in colour camera
+2. The tracking files call two of the matrices R_rect and Tr_velo_cam and omit the colon. Raw drives (raw devkit,
+readme.txt) have the same matrices in two files: P_rect_02 and R_rect_00, and the LiDAR's pose as R and T.
+
+A frame's cloud holds the points in front of the camera that project inside the image, each with its reflectance and
+the colour of the nearest pixel (exact except for the parallax between camera and LiDAR). The rest of a 360 degree scan
+has no colour and no label, and is dropped.
 """
 
 from __future__ import annotations
@@ -37,18 +45,6 @@ from annotator.recordings.scan_file import Scans
 from annotator.text import spelled, to_number
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-
-# TODO-MERGED docstring of kitti_frame.py:
-# Frames of KITTI: image, LiDAR scan, and the calibration that projects the scan into colour camera 2.
-#
-# KITTI object devkit, readme.txt ("Calibration"): `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar`, all row-major. The
-# tracking files call two of the matrices R_rect and Tr_velo_cam and omit the colon. Raw drives (raw devkit, readme.txt)
-# have the same matrices in two files: P_rect_02 and R_rect_00, and the LiDAR's pose as R and T.
-#
-# A frame's cloud holds the points in front of the camera that project inside the image, each with its reflectance and
-# the colour of the nearest pixel (exact except for the parallax between camera and LiDAR). The rest of a 360 degree scan
-# has no colour and no label, and is dropped.
-
 
 P2_NAMES = ("P2",)
 RECTIFICATION_NAMES = ("R0_rect", "R_rect")
