@@ -32,6 +32,16 @@ from annotator.recordings.kinect.calibration import (
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import DeviceError
 
+LOG = logging.getLogger("annotator.kinect")
+
+# The cameras need a second or two to start.
+FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
+# Timeout of one call, milliseconds; `stop` is checked between calls.
+WAIT_MS = 200
+# Limit of samples read at once; the accelerometer measures at 1.6 kHz.
+MOST_SAMPLES_AT_ONCE = 4096
+COLOR_SIZE: Size = (1280, 720)
+NS_PER_US = 1000
 NAME = "Azure Kinect"
 # Serial numbers have twelve digits; one or two digits are an index in the list of devices.
 INDEX = re.compile(r"\d{1,2}")
@@ -106,18 +116,6 @@ def _open_serial(k4a: ModuleType, config: Any, serial: str, count: int) -> tuple
 def _close_quietly(device: Any) -> None:
     if device.opened:
         device.close()
-
-
-LOG = logging.getLogger("annotator.kinect")
-
-# The cameras need a second or two to start.
-FIRST_FRAME_WITHIN_S, NEXT_FRAME_WITHIN_S = 10.0, 3.0
-# Timeout of one call, milliseconds; `stop` is checked between calls.
-WAIT_MS = 200
-# Limit of samples read at once; the accelerometer measures at 1.6 kHz.
-MOST_SAMPLES_AT_ONCE = 4096
-COLOR_SIZE: Size = (1280, 720)
-NS_PER_US = 1000
 
 
 @dataclass(frozen=True)
