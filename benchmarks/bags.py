@@ -121,9 +121,7 @@ def measure(path: Path, count: int) -> Measured:
         RecordingError: the bag cannot be read.
     """
     from annotator.recordings import open_recording
-    from annotator.recordings.ros import (
-        messages,
-    )
+    from annotator.recordings.ros import messages, recording  # noqa: F401 - not part of the time
 
     messages._typestore("std_msgs/Header", "", b"")
     imported_mb = _peak_mb()
