@@ -26,8 +26,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, BinaryIO
 
-from annotator.file_names import is_within
-from annotator.text import MARK_BYTES, decoded, encoding_of
+from annotator.text import MARK_BYTES, decoded, encoding_of, is_within
 from annotator.types.errors import FormatError
 
 LOG = logging.getLogger("annotator.files")

@@ -1,9 +1,14 @@
-"""Text in files as people's tools write it: its encoding, and the numbers in it."""
+"""Text in files as people's tools write it: its encoding, the numbers and the names in it.
+
+Names and paths are of any system, in any Unicode form, and never lead out of their folder.
+"""
 
 from __future__ import annotations
 
 import codecs
 import re
+import unicodedata
+from pathlib import Path, PurePosixPath
 
 # The mark of UTF-32 begins with that of UTF-16.
 _MARKS = (
@@ -60,3 +65,82 @@ def to_number(text: str) -> float:
     has_comma = any(_DECIMAL_COMMA.fullmatch(part.strip()) for part in text.split(";"))
     problem = "has a decimal comma; write a point" if has_comma else "is not a number"
     raise ValueError(f"{text[:SHOWN]!r} {problem}")
+
+
+# A path on a drive or a share of Windows. A single letter and a colon alone may be a name.
+_OF_WINDOWS = re.compile(r"[A-Za-z]:[\\/]|\\\\")
+# Characters of an invalid name that a message quotes.
+NAME_SHOWN = 60
+REMEDY = "write it relative to the folder"
+
+
+class OutsideError(ValueError):
+    """A name that leads out of its folder, or that no file can have; its message quotes it and says which."""
+
+
+def is_within(folder: Path, path: Path) -> bool:
+    """True if a path, as it would be opened, is valid and in a folder after resolving links; it may be missing."""
+    try:
+        # raises for a name that is too long
+        path.exists()
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        # too long, a circular link, a null byte
+        return False
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Returns the path of a file that another file names, relative to `folder`; it may be missing.
+
+    Backslashes separate folders, as on Windows, unless there is a file of exactly this name. A name in another Unicode
+    form than the file's is found.
+
+    Raises:
+        OutsideError: it leads out of the folder, also by a link, or is not a valid name.
+    """
+    if _OF_WINDOWS.match(name):
+        raise OutsideError(f"{name[:SHOWN]!r} is a path of another computer; {REMEDY}")
+    path = folder / name
+    if "\\" in name and not (is_within(folder, path) and path.exists()):
+        name = posix_path(name)
+    path = spelled(folder, name)
+    if not is_within(folder, path):
+        raise OutsideError(f"{name[:SHOWN]!r} leads out of the folder, or is not a valid name; {REMEDY}")
+    return path
+
+
+def is_absolute(name: str) -> bool:
+    """True for a path from the root of a computer, of any system."""
+    return name.startswith("/") or bool(_OF_WINDOWS.match(name))
+
+
+def posix_path(name: str) -> str:
+    """Returns a path of any system with `/` between its parts."""
+    return name.replace("\\", "/")
+
+
+def stem_of(name: str) -> str:
+    """Returns the name of a file without its folder and suffix, from a path of any system."""
+    return PurePosixPath(posix_path(name)).stem
+
+
+def normal(name: str) -> str:
+    """Returns the form of a name in which it is compared: macOS decomposes letters with accents, others do not."""
+    return name if name.isascii() else unicodedata.normalize("NFC", name)
+
+
+def spelled(folder: Path, name: str) -> Path:
+    """Returns the path of `name` in a folder in the Unicode form in which it exists there; as given if in none."""
+    path = folder / name
+    if name.isascii():
+        return path
+    forms = (path, *(folder / unicodedata.normalize(form, name) for form in ("NFC", "NFD")))
+    return next((form for form in forms if _exists(form)), path)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        # too long, a null byte
+        return False

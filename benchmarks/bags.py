@@ -117,9 +117,9 @@ def forget(path: Path) -> None:
 def measure(path: Path, count: int) -> Measured:
     """Opens the bag and reads `count` frames in random order; runs in a process of its own."""
     from annotator.recordings import open_recording
-    from annotator.recordings.ros import decode, recording  # noqa: F401 - not part of the time
+    from annotator.recordings.ros import messages, recording  # noqa: F401 - not part of the time
 
-    decode._typestore("std_msgs/Header", "", b"")
+    messages._typestore("std_msgs/Header", "", b"")
     imported_mb = _peak_mb()
     started = time.perf_counter()
     opened = open_recording(path)

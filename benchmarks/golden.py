@@ -32,7 +32,7 @@ from annotator.formats.kitti.label_folders import read_kitti_folder
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
-from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
+from annotator.recordings.kitti import KittiCalibration, read_calibration
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluating.evaluate_files import box_rows, kitti_rows

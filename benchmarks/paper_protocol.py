@@ -20,7 +20,7 @@ from annotator.formats.kitti.label_folders import read_kitti_file
 from annotator.mat_file import MatFileError, read_mat
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording
-from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
+from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.types import DetectorKind
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError

@@ -1,16 +1,42 @@
-"""Files and folders are written completely or not at all."""
+"""The door to files: regular ones of bounded size and memory are read; writing is whole or not at all."""
 
 from __future__ import annotations
 
+import ast
+import errno
+import json
 import os
+import re
+import resource
 import stat
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from cloud_samples import camera_file
+from scipy.io import savemat
 
 from annotator import files
-from annotator.files import new_folder, write_atomic
-from annotator.types.errors import FormatError
+from annotator.files import (
+    MOST_DIRECTORY_BYTES,
+    check_file,
+    end_of_file,
+    new_folder,
+    open_archive,
+    open_file,
+    read_file,
+    read_text_file,
+    write_atomic,
+)
+from annotator.frame_limits import VARIABLE, frame_memory, memory_problem, require_pixels
+from annotator.recordings import open_recording
+from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.recordings.sunrgbd import _read_mat
+from annotator.types.errors import ConfigError, FormatError, FrameError
 
 
 def test_a_file_is_replaced_completely_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,3 +134,225 @@ def test_a_new_folder_follows_the_umask(tmp_path: Path, mask: int, mode: int) ->
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == mode
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["file"]
+
+
+PACKAGE = Path(__file__).resolve().parent.parent / "annotator"
+# What opens a file by its path.
+OPENERS = {
+    "open", "io.open", "os.open", "np.load", "np.fromfile", "np.loadtxt", "np.genfromtxt", "np.memmap", "cv2.imread",
+    "cv2.VideoCapture", "json.load", "zipfile.ZipFile", "zipfile.is_zipfile", "sqlite3.connect", "av.open",
+    "laspy.open", "laspy.read", "tarfile.open", "Image.open", "feather.read_table", "scipy.io.loadmat", "loadmat",
+    "torch.load",
+}  # fmt: skip
+METHODS = {"read_bytes", "read_text"}
+SUSPECT = re.compile("|".join(rf"\b{re.escape(name.rpartition('.')[2])}\(" for name in (*OPENERS, *METHODS)))
+# Modules that open what they have checked, or made themselves, and why.
+EXCEPT = {
+    "files.py": "it is the door",
+    "project/database/store.py": "SQLite; the path is checked to be a regular file",
+    "recordings/ros/bag_files.py": "SQLite; the file's beginning is read through the door first",
+    "cli/main.py": "os.devnull",
+    "project/backup/archive.py": "a backup's file is opened through the door; SQLite, on a copy of our own",
+    "project/backup/snapshot.py": "SQLite; the path is checked to be a regular file",
+    "project/backup/take_in.py": "regular files only, and no links",
+    "project/database/file.py": "SQLite, on a copy of our own",
+    "project/database/generation.py": "SQLite; a `-wal` is read through the door",
+    "project/database/migrations.py": "SQLite, in memory",
+    "web/tokens.py": "the token may come from a pipe",
+}
+
+
+def openers(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yields line and name of each call that opens a file for reading."""
+    for function in [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.Module)]:
+        own = list(calls(function))
+        is_checked = any(ast.unparse(call.func) == "check_file" for call in own)
+        for call in own:
+            name = ast.unparse(call.func)
+            method = call.func.attr if isinstance(call.func, ast.Attribute) else ""
+            in_memory = bool(call.args) and ast.unparse(call.args[0]).startswith("io.BytesIO")
+            if in_memory or is_checked or is_writing(call):
+                continue
+            if name in OPENERS or method in METHODS or (method == "open" and is_of_path(call)):
+                yield call.lineno, name
+
+
+def calls(function: ast.AST) -> Iterator[ast.Call]:
+    """Yields the calls of a function, without those of functions in it."""
+    for node in ast.iter_child_nodes(function):
+        if isinstance(node, ast.Call):
+            yield node
+        if not isinstance(node, ast.FunctionDef):
+            yield from calls(node)
+
+
+def mode(call: ast.Call) -> str | None:
+    given = [word.value for word in call.keywords if word.arg == "mode"] + call.args[:2]
+    texts = [value.value for value in given if isinstance(value, ast.Constant) and isinstance(value.value, str)]
+    return next((text for text in texts if text and set(text) <= set("rwaxbt+")), None)
+
+
+def is_writing(call: ast.Call) -> bool:
+    return bool(set(mode(call) or "") & set("wax"))
+
+
+def is_of_path(call: ast.Call) -> bool:
+    """True for `path.open("rb")`, `path.open(encoding=...)`, but not for `cache.open(project, frame)`."""
+    return mode(call) is not None or any(word.arg in ("encoding", "newline", "buffering") for word in call.keywords)
+
+
+def test_files_are_read_through_one_door():
+    found = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        place = path.relative_to(PACKAGE).as_posix()
+        text = path.read_text()
+        # parsing all would take seconds
+        if place not in EXCEPT and SUSPECT.search(text):
+            found += [f"{place}:{line}: {name}" for line, name in openers(ast.parse(text))]
+    assert found == [], "use annotator.files, or call check_file before a library opens a path"
+
+
+@pytest.mark.parametrize(
+    ("source", "is_found"),
+    [
+        ("path.read_bytes()", True),
+        ("path.open('rb')", True),
+        ("path.open(encoding='utf-8')", True),
+        ("np.load(path)", True),
+        ("def f(path):\n    av.open(str(path))", True),
+        ("def f(path):\n    check_file(path)\n    av.open(str(path))", False),
+        ("path.open('wb')", False),
+        ("zipfile.ZipFile(out, 'w')", False),
+        ("zipfile.ZipFile(io.BytesIO(data))", False),
+        ("cache.open(project, frame_id)", False),
+        ("read_file(path)", False),
+    ],
+)
+def test_the_rule_finds_what_opens_files(source: str, is_found: bool):
+    assert bool(list(openers(ast.parse(source)))) == is_found
+
+
+READERS: list[Callable[[Path], object]] = [
+    open_file,
+    read_file,
+    read_text_file,
+    check_file,
+    lambda path: end_of_file(path, 10),
+]
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_only_regular_files_are_opened(tmp_path: Path, read: Callable[[Path], object]):
+    """A pipe would wait for its other end for ever, and a device has no end."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "device").symlink_to("/dev/zero")
+    for name in ("pipe", "device"):
+        with pytest.raises(OSError, match="not a regular file") as caught:
+            read(tmp_path / name)
+        assert caught.value.filename == str(tmp_path / name)
+    with pytest.raises(IsADirectoryError):
+        read(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        read(tmp_path / "missing")
+
+
+def test_large_files_are_refused_without_reading_them(tmp_path: Path):
+    path = tmp_path / "large"
+    with path.open("wb") as file:
+        file.truncate(700 * 2**20)  # sparse
+    tracemalloc.start()
+    with pytest.raises(OSError, match=r"larger than 16 MiB, the limit") as caught:
+        read_file(path)
+    assert caught.value.errno == errno.EFBIG
+    assert end_of_file(path, 4) == "\0" * 4
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+def test_text_has_line_feeds(tmp_path: Path):
+    (tmp_path / "a").write_bytes("ä\r\nb\rc\n".encode())
+    assert read_text_file(tmp_path / "a") == "ä\nb\nc\n" == (tmp_path / "a").read_text(encoding="utf-8")
+    (tmp_path / "a").write_bytes("ä\r\nb\rc\n".encode("utf-16"))
+    assert read_text_file(tmp_path / "a") == "ä\nb\nc\n"
+    (tmp_path / "a").write_bytes("a\nä\n".encode("latin-1"))
+    with pytest.raises(UnicodeDecodeError, match=r"^not UTF-8 text in line 2 \(0xe4\); save it as UTF-8$"):
+        read_text_file(tmp_path / "a")
+
+
+def test_an_archive_with_an_endless_list_of_files_is_refused(tmp_path: Path):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a.txt", "text")
+    with open_file(path) as file, open_archive(file) as archive:
+        assert archive.read("a.txt") == b"text"
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"PK\5\6") + 12
+    data[at : at + 4] = (MOST_DIRECTORY_BYTES + 1).to_bytes(4, "little")
+    path.write_bytes(data)
+    with open_file(path) as file, pytest.raises(zipfile.BadZipFile, match="its list of files has"):
+        open_archive(file)
+
+
+TOO_LARGE = rf"too large: .* MiB of memory; the limit is 2048 MiB \(.*{VARIABLE}"
+MANY = 18_000_000
+
+
+def grown_mib(read: Callable[[], object]) -> float:
+    """How far a read, which must fail, raises the peak of this process."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises((FrameError, ValueError), match=TOO_LARGE):
+        read()
+    return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+
+
+def npz(path: Path) -> Path:
+    """Points that compress a thousandfold: written in parts, since the array itself would take a gigabyte."""
+    header = {"descr": "|u1", "fortran_order": False, "shape": (MANY, 3)}
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("points.npy", "w") as member,
+    ):
+        np.lib.format.write_array_header_1_0(member, header)
+        for _ in range(MANY * 3 // 3_000_000):
+            member.write(bytes(3_000_000))
+    return path
+
+
+def test_an_archive_of_zeros_is_refused_before_it_is_unpacked(tmp_path: Path):
+    path = npz(tmp_path / "0.npz")
+    assert path.stat().st_size < 1_000_000
+    assert grown_mib(lambda: open_recording(tmp_path).frame(0)) < 50
+
+
+def test_a_depth_image_counts_as_points(tmp_path: Path):
+    """Each pixel gives a point; as an image, it would be small enough."""
+    side = 5000
+    require_pixels(side, side)
+    (tmp_path / "color").mkdir()
+    (tmp_path / "depth").mkdir()
+    cv2.imwrite(str(tmp_path / "color/0.png"), np.zeros((20, 20, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "depth/0.png"), np.ones((side, side), np.uint16))
+    camera = json.loads(camera_file()) | {"width": 20, "height": 20}
+    (tmp_path / "camera_intrinsic.json").write_text(json.dumps(camera))
+    assert grown_mib(lambda: open_recording(tmp_path).frame(0)) < 50
+
+
+def test_the_setting_raises_and_lowers_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    np.save(tmp_path / "a.npy", np.ones((100_000, 3), np.float32))
+    savemat(tmp_path / "a.mat", {"instance": np.ones((100_000, 6))})
+    assert len(read_cloud(tmp_path / "a.npy").xyz_m) == 100_000
+    monkeypatch.setenv(VARIABLE, "1")
+    with pytest.raises(FrameError, match=rf"limit is 1 MiB \(.*{VARIABLE} sets another, such as 2\)"):
+        read_cloud(tmp_path / "a.npy")
+    with pytest.raises(FrameError, match=f"is larger than 0 MiB; raise {VARIABLE}"):
+        _read_mat(tmp_path / "a.mat")
+    monkeypatch.setenv(VARIABLE, "16")
+    assert len(read_cloud(tmp_path / "a.npy").xyz_m) == 100_000
+    monkeypatch.setenv(VARIABLE, "8 GB")
+    with pytest.raises(ConfigError, match=f"{VARIABLE}='8 GB': must be a number of MiB"):
+        frame_memory()
+
+
+def test_real_frames_are_within_the_default():
+    assert memory_problem(points=10_000_000, pixels=12_000_000) == ""
+    require_pixels(4032, 3024, give_points=True)

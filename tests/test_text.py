@@ -1,40 +1,51 @@
-"""Text and numbers of files as people's tools write them."""
+"""Text, numbers and names of files as people's tools write them; no name leads out of its folder."""
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import sys
+import unicodedata
+from contextlib import chdir, suppress
 from pathlib import Path
 
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from annotator.files import open_text_file, read_text_file
+from annotator.formats.rcv.read import _inside as of_rcv
 from annotator.formats.text_folder import read_text
-from annotator.text import NotTextError, decoded, to_number
-from annotator.types.errors import FormatError
+from annotator.formats.yolo_read import read_yolo
+from annotator.recordings.tum_rgbd import TumRgbd
+from annotator.text import NotTextError, OutsideError, decoded, inside, is_within, normal, spelled, stem_of, to_number
+from annotator.types.errors import AnnotatorError, FormatError
+from annotator.workflows.importing.picture_labels import PictureLabels
 
-TEXT = "0 ä\n1 é\n"
+TWO_LINES = "0 ä\n1 é\n"
 
 
 @pytest.mark.parametrize(
     "content",
     [
-        TEXT.encode(),
-        TEXT.encode("utf-8-sig"),
-        TEXT.encode("utf-16"),
-        b"\xfe\xff" + TEXT.encode("utf-16-be"),
-        TEXT.encode("utf-32"),
-        TEXT.replace("\n", "\r\n").encode("utf-8-sig"),
-        TEXT.replace("\n", "\r").encode(),
+        TWO_LINES.encode(),
+        TWO_LINES.encode("utf-8-sig"),
+        TWO_LINES.encode("utf-16"),
+        b"\xfe\xff" + TWO_LINES.encode("utf-16-be"),
+        TWO_LINES.encode("utf-32"),
+        TWO_LINES.replace("\n", "\r\n").encode("utf-8-sig"),
+        TWO_LINES.replace("\n", "\r").encode(),
     ],
     ids=["utf-8", "mark", "utf-16", "utf-16-be", "utf-32", "crlf", "cr"],
 )
 def test_marks_and_line_ends_of_other_systems_are_read(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.txt"
     path.write_bytes(content)
-    assert read_text_file(path) == TEXT
-    assert read_text(path).splitlines() == TEXT.splitlines()
+    assert read_text_file(path) == TWO_LINES
+    assert read_text(path).splitlines() == TWO_LINES.splitlines()
     with open_text_file(path, 100) as file:
-        assert file.read() == TEXT
+        assert file.read() == TWO_LINES
 
 
 @pytest.mark.parametrize(
@@ -80,3 +91,135 @@ def test_what_is_no_number_is_quoted_and_a_decimal_comma_is_named(text: str, has
     says = "has a decimal comma; write a point" if has_comma else "is not a number"
     with pytest.raises(ValueError, match=f"^'{text}' {says}$"):
         to_number(text)
+
+
+NFC, NFD = "café", unicodedata.normalize("NFD", "café")
+PARTS = ["..", ".", "", "a.txt", "deep", "in", "out", "set", "secret", "C:", "~", NFC, NFD, "b c", "x" * 300, "\0"]
+NAMES = st.builds(
+    lambda start, parts, by: start + by.join(parts),
+    st.sampled_from(["", "", "", "/", "//", "\\", "\\\\", "C:\\", "c:/"]),
+    st.lists(st.sampled_from(PARTS), min_size=1, max_size=6),
+    st.sampled_from(["/", "\\"]),
+)
+opened: list[str] = []
+sys.addaudithook(lambda event, values: opened.append(os.fsdecode(values[0])) if _is_opening(event, values) else None)
+
+
+def _is_opening(event: str, values: tuple[object, ...]) -> bool:
+    return event == "open" and isinstance(values[0], str | bytes) and "names-of-files" in os.fsdecode(values[0])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set with links into it and out of it, and files beside it."""
+    root = tmp_path_factory.mktemp("names-of-files")
+    for name in ("set/a.txt", f"set/deep/{NFD}", "set/deep/images/x.png", "secret/a.txt", "a.txt", "deep/images/x.png"):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text("x")
+    (root / "set" / "in").symlink_to("deep")
+    (root / "set" / "out").symlink_to("../secret")
+    (root / "set" / "deep" / "out").symlink_to("../../a.txt")
+    return root / "set"
+
+
+@given(name=NAMES, is_relative=st.booleans())
+@example(name="../deep/images", is_relative=True)
+@example(name="out/a.txt", is_relative=True)
+@example(name="..\\secret\\a.txt", is_relative=False)
+def test_no_name_leads_out_of_its_folder(folder: Path, name: str, is_relative: bool) -> None:
+    with chdir(folder.parent):
+        root = Path("set") if is_relative else folder
+        try:
+            path = inside(root, name)
+        except OutsideError as error:
+            assert str(error).endswith("; write it relative to the folder")
+        else:
+            assert Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
+            assert is_within(root, path)
+        # a folder that is linked into a TUM recording is a part of it
+        linked = (folder, folder.parent / "secret")
+        for read, allowed in ((by_tum, linked), (by_coco, (folder,)), (by_rcv, (folder,))):
+            with suppress(AnnotatorError):
+                path = read(root, name)
+                assert path is None or any(is_within(each, Path(os.path.realpath(path))) for each in allowed)
+
+
+def by_tum(root: Path, name: str) -> Path:
+    return TumRgbd(root, (), (), (), 0, 0, None)._file(name)
+
+
+def by_coco(root: Path, name: str) -> Path | None:
+    return PictureLabels(name, root, (), None, lambda _w, _h: ()).file(root)
+
+
+def by_rcv(root: Path, name: str) -> Path:
+    return of_rcv(root, name, root)
+
+
+@settings(max_examples=40)
+@given(names=st.tuples(NAMES, NAMES, NAMES), is_relative=st.booleans())
+@example(names=("", "../deep/images", "../valid/images"), is_relative=True)
+@example(names=("..", "deep/images", "list.txt"), is_relative=True)
+def test_no_list_of_a_yolo_dataset_leads_out(folder: Path, names: tuple[str, str, str], is_relative: bool) -> None:
+    base, train, listed = names
+    with chdir(folder.parent):
+        (folder / "list.txt").write_bytes(f"{listed}\n".encode())
+        (folder / "data.yaml").write_text(
+            json.dumps({"path": base, "train": train, "val": "list.txt", "names": ["a"]}), encoding="utf-8"
+        )
+        opened.clear()
+        with suppress(FormatError):
+            read_yolo(Path("set") if is_relative else folder)
+        outside = [path for path in opened if not Path(os.path.realpath(path)).is_relative_to(folder.resolve())]
+        assert outside == []
+
+
+def test_a_relative_root_is_no_way_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A root is joined once: `set/../deep` is outside, though `set/set/../deep` would be inside."""
+    monkeypatch.chdir(folder.parent)
+    assert not is_within(Path("set"), Path("set/../deep"))
+    assert is_within(Path("set"), Path("set/deep"))
+    (folder / "data.yaml").write_text("train: deep/images\nval: ../valid/images\nnames: [a]")
+    with pytest.raises(FormatError, match=r"data\.yaml: val: there is no '\.\./valid/images' in the dataset's folder"):
+        read_yolo(Path("set"))
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("a.txt", "a.txt"),
+        ("./a.txt", "a.txt"),
+        ("deep\\images\\x.png", "deep/images/x.png"),
+        (".\\deep/images\\x.png", "deep/images/x.png"),
+        ("deep/../a.txt", "deep/../a.txt"),
+        ("in/images/x.png", "in/images/x.png"),
+        (f"deep/{NFC}", f"deep/{NFD}"),
+        (f"deep\\{NFC}", f"deep/{NFD}"),
+        ("missing\\b c.txt ", "missing/b c.txt "),
+    ],
+)
+def test_names_of_other_systems_are_found(folder: Path, name: str, found: str) -> None:
+    assert inside(folder, name) == folder / found
+
+
+def test_an_own_name_with_a_backslash_is_found(tmp_path: Path) -> None:
+    (tmp_path / "a\\b.txt").touch()
+    assert inside(tmp_path, "a\\b.txt") == tmp_path / "a\\b.txt"
+
+
+@pytest.mark.parametrize("name", ["C:\\data\\a.txt", "d:/a.txt", "\\\\server\\share\\a.txt"])
+def test_paths_of_another_computer_are_refused_by_that_name(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OutsideError, match="is a path of another computer; write it relative to the folder"):
+        inside(tmp_path, name)
+    assert stem_of(name) == "a"
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_names_are_compared_in_one_form(tmp_path: Path, form: str) -> None:
+    written = unicodedata.normalize(form, "Größe_한글_1")
+    (tmp_path / f"{written}.txt").touch()
+    for other in ("NFC", "NFD"):
+        given_name = unicodedata.normalize(other, "Größe_한글_1")
+        assert normal(given_name) == normal(written)
+        assert spelled(tmp_path, f"{given_name}.txt") == tmp_path / f"{written}.txt"
+    assert spelled(tmp_path, "é.txt") == tmp_path / "é.txt"

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.api.inputs import camera_of, depth_of, image_of, points_of, transform_of, up_of
 from annotator.geometry.projection import inside_image, pixel_colors, project, unproject_depth
-from annotator.recordings.clouds.origin import world_pose
+from annotator.recordings.clouds.virtual_camera import world_pose
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ArgumentError
 

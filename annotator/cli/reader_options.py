@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro import conf
 
-from annotator.recordings.options import ReaderOptions, parse_options
+from annotator.recordings.recording import ReaderOptions, parse_options
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import ALL
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, open_text_file
 from annotator.formats.reading import finite_number
 from annotator.formats.units import Angles, AngleUnit
+from annotator.text import normal
 from annotator.types import OrientedBox, Truth
 from annotator.types.errors import FormatError
 

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from annotator.file_names import normal
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, has_frames, read_frames
 from annotator.formats.text_folder import read_text
+from annotator.text import normal
 from annotator.types.errors import FormatError
 
 CLASS_NAMES = "classes.txt"

@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.file_names import normal
 from annotator.formats.text_folder import read_text
+from annotator.text import normal
 from annotator.types.errors import FormatError
 
 FRAMES_CSV = "frames.csv"

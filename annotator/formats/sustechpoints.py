@@ -34,7 +34,6 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.file_names import normal, spelled
 from annotator.files import new_folder
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
@@ -44,6 +43,7 @@ from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
+from annotator.text import normal, spelled
 from annotator.types import Label, OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PurePath, PurePosixPath
 
-from annotator.file_names import normal
 from annotator.files import ARCHIVE_ERRORS, DOCUMENT_BYTES, check_file, open_archive, open_file, read_file
-from annotator.text import decoded
+from annotator.text import decoded, normal
 from annotator.types.errors import FormatError
 
 MAX_FILES = 1_000_000

@@ -18,12 +18,12 @@ from pathlib import Path, PurePosixPath
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.file_names import OutsideError, inside, is_within, posix_path, spelled
 from annotator.files import why_missing
 from annotator.formats.reading import OnFault, known_kind, raise_fault
 from annotator.formats.text_folder import read_text
 from annotator.formats.yolo import KEYPOINTS, YoloBox, are_keypoints, parse_boxes
 from annotator.formats.yolo_dataset import DATA_YAML, PARTS
+from annotator.text import OutsideError, inside, is_within, posix_path, spelled
 from annotator.types import BoxKind
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError

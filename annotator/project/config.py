@@ -25,13 +25,13 @@ from pydantic import (
 )
 from sqlalchemy import Connection, func, select
 
-from annotator.file_names import is_within
 from annotator.files import lock_folder, private_folder, read_file, sync_folder, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.project.database.schema import events
 from annotator.project.log.event_types import ClassesChanged
 from annotator.project.log.events import event_of
 from annotator.project.log.records import parsed
+from annotator.text import is_within
 from annotator.types.errors import RESTORE, ConfigError, InUseError, ProjectError
 from annotator.types.validation import first_problem
 

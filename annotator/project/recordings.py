@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Table, bindparam, delete, func, insert, select, update
 
-from annotator.file_names import is_within
 from annotator.project.adjusting import adjustment_in, unit_up
 from annotator.project.database.schema import (
     DERIVED,
@@ -27,6 +26,7 @@ from annotator.project.database.schema import (
     removed_rows,
 )
 from annotator.project.database.store import Store
+from annotator.text import is_within
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError

@@ -1,7 +1,6 @@
 """Reads recordings: one reader per format, behind `open_recording`."""
 
 from annotator.recordings.open import detect_format, open_recording
-from annotator.recordings.options import ReaderOptions, parse_options, stored_options
-from annotator.recordings.recording import Recording
+from annotator.recordings.recording import ReaderOptions, Recording, parse_options, stored_options
 
 __all__ = ["ReaderOptions", "Recording", "detect_format", "open_recording", "parse_options", "stored_options"]

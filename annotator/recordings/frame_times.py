@@ -1,17 +1,23 @@
-"""`timestamps.csv`: the capture time of each frame of a folder; optional, a format of annotator.
+"""The times of a recording's frames, without reading the frames; and `timestamps.csv`, the times of a folder's frames.
 
-One line per frame under the header `key,timestamp_ns`; whole nanoseconds of any single clock.
+The file is optional, a format of annotator: one line per frame under the header `key,timestamp_ns`; whole nanoseconds
+of any single clock.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Int64
 
-from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
+from annotator.recordings.kitti import KittiFolder
+from annotator.recordings.recording import Recording
+from annotator.text import normal
 from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
 from annotator.types.times import LATEST_NS, too_dense, too_late
@@ -49,10 +55,6 @@ def read_times(folder: Path, keys: Sequence[str]) -> tuple[Times | None, tuple[s
     """Returns the times of a folder's frames in order, None for frames without one; None without the file. And notes.
 
     Lines of missing frames are ignored, and times that are not set (`known_times`).
-
-    Raises:
-        RecordingError: an invalid header, a line that is not a key and a whole number, a key that occurs twice, or
-            times that are hardly nanoseconds.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -95,3 +97,68 @@ def _unit_problem(times_ns: Times) -> str | None:
     step = float(np.median(np.diff(times)))
     are_us = SINCE_1970_US[0] <= times[0] and times[-1] <= SINCE_1970_US[1]
     return too_dense(step) if step <= (MOST_DENSE_US if are_us else MOST_DENSE_NS) else None
+
+
+@runtime_checkable
+class Timed(Protocol):
+    """A recording with a time for each frame."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The frames' names."""
+
+    @property
+    def times_ns(self) -> tuple[int | None, ...] | None:
+        """The time of each frame, nanoseconds on an arbitrary clock; None if not recorded."""
+
+
+def recorded_times(recording: Recording) -> dict[str, int | None] | None:
+    """The time of each frame by its key, nanoseconds on an arbitrary clock; None if the recording has no times."""
+    if isinstance(recording, KittiFolder) and all(key.isascii() and key.isdigit() for key in recording.keys):
+        return {key: recording.time_ns(int(key)) for key in recording.keys}
+    if isinstance(recording, Timed) and recording.times_ns is not None:
+        return dict(zip(recording.keys, recording.times_ns, strict=True))
+    return None
+
+
+def has_times(recording: Recording) -> bool:
+    """True if the recording is a sequence with at least two times, so that images and clouds may be apart in time."""
+    times = recorded_times(recording) if recording.is_sequence else None
+    return times is not None and sum(time is not None for time in times.values()) > 1
+
+
+def nearest(of_ns: Int64[np.ndarray, "n"], among_ns: Int64[np.ndarray, "m"]) -> Int64[np.ndarray, "n"]:
+    """Returns for each time the number of the nearest of `among_ns`, the earlier one of two; m > 0, in any order."""
+    order = np.argsort(among_ns, kind="stable")
+    ordered = among_ns[order]
+    after = np.clip(np.searchsorted(ordered, of_ns), 1, max(len(ordered) - 1, 1))
+    if len(ordered) == 1:
+        return np.zeros(len(of_ns), np.int64)
+    is_before = of_ns - ordered[after - 1] <= ordered[after] - of_ns
+    return np.asarray(order[np.where(is_before, after - 1, after)])
+
+
+class Clock:
+    """The times of a recording's frames, in order, to find images in."""
+
+    def __init__(self, recording: Recording) -> None:
+        times = recorded_times(recording) if recording.is_sequence else None
+        self._times = None if times is None else tuple(times.values())
+        self._ordered = sorted((time, i) for i, time in enumerate(self._times or ()) if time is not None)
+
+    def image_at(self, index: int, offset_s: float) -> int:
+        """Index of the frame whose image belongs to the cloud of frame `index`, with the clouds' clock ahead.
+
+        It is the frame itself without a time for it, or where no other image is nearer in time.
+
+        Args:
+            offset_s: how far the clouds' clock is ahead.
+        """
+        time_ns = None if self._times is None else self._times[index]
+        if time_ns is None:
+            return index
+        wanted = time_ns - round(offset_s * 1e9)
+        place = bisect_left(self._ordered, (wanted, 0))
+        near = self._ordered[max(place - 1, 0) : place + 1]
+        apart, nearest = min((abs(time - wanted), i) for time, i in near)
+        return index if abs(time_ns - wanted) <= apart else nearest

@@ -22,7 +22,7 @@ from annotator.files import TABLE_BYTES, read_text_file
 from annotator.geometry.depth_values import SATURATED
 from annotator.geometry.projection import camera_key
 from annotator.recordings import frame_times
-from annotator.recordings.rgbd_camera import FILE_NAME as CAMERA_FILE
+from annotator.recordings.rgbd_folder import FILE_NAME as CAMERA_FILE
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import RecordingError
 

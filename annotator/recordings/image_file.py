@@ -1,18 +1,81 @@
-"""Reads the colour and depth images of recordings."""
+"""Reads the colour and depth images of recordings.
+
+Of colours and grey with more than 8 bits, black stays at 0, and the lowest usual depth that holds the brightest
+number is white: the numbers of 10 or 12 bits stand in 16 as they are, and would look black. Grey of ROS messages is
+infrared or thermal light as a rule: from the darkest to the brightest hundredth. The first images of a recording
+decide for all of them, so that it does not flicker.
+
+SUN RGB-D's depth images are millimetres whose 16 bits are rotated left by three (SUNRGBDtoolbox, `read3dPoints.m`).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8, UInt16
+from jaxtyping import Float32, UInt8, UInt16
 
-from annotator.exif import UPRIGHT, Size, described, is_turned, orientation_of, turned
 from annotator.frame_limits import read_frame_file
-from annotator.image_bytes import decode_image
-from annotator.recordings.deep_images import common_levels, eight_bits
+from annotator.geometry.depth_values import in_metres, measured
+from annotator.image_bytes import UPRIGHT, Size, decode_image, described, is_turned, orientation_of, turned
+from annotator.recordings.clouds.columns import FIRST, depth_bits, files_like
 from annotator.types.errors import FrameError
+
+
+@dataclass(frozen=True)
+class Levels:
+    """The numbers that become black and white."""
+
+    low: float
+    high: float
+
+    def with_all(self, others: list[Levels]) -> Levels:
+        """Returns the levels that hold these and the others."""
+        both = [self, *others]
+        return Levels(min(each.low for each in both), max(each.high for each in both))
+
+
+def depth_levels(pixels: np.ndarray) -> Levels:
+    """Returns the levels of the lowest depth that holds all pixels: 8, 10, 12, 14 or 16 bits."""
+    return Levels(0.0, 2.0 ** depth_bits(float(pixels.max(initial=0))) - 1)
+
+
+def contrast_levels(pixels: np.ndarray) -> Levels:
+    """Returns the levels from the darkest to the brightest hundredth."""
+    low, high = np.percentile(pixels, (1, 99))
+    return Levels(float(low), float(high))
+
+
+def pixels_as_eight_bits(pixels: np.ndarray, levels: Levels) -> UInt8[np.ndarray, "..."]:
+    """Returns pixels as 8 bits; those of a full depth lose their lower bits."""
+    share = 256 / max(levels.high - levels.low + 1, 2)
+    return np.clip((pixels - np.float64(levels.low)) * share, 0, 255).astype(np.uint8)
+
+
+def common_levels(path: Path, pixels: np.ndarray, read: Callable[[Path], np.ndarray]) -> Levels:
+    """Returns the levels of an image file: those of the first images of its folder, and its own.
+
+    Args:
+        read: returns the pixels of a file; FrameError = it is damaged, which its own frame tells.
+    """
+    return depth_levels(pixels).with_all(_of_folder(path.parent, path.suffix, path.parent.stat().st_mtime_ns, read))
+
+
+@lru_cache(maxsize=64)
+def _of_folder(folder: Path, suffix: str, changed_ns: int, read: Callable[[Path], np.ndarray]) -> list[Levels]:
+    found = []
+    for path in files_like(folder / f"any{suffix}")[:FIRST]:
+        try:
+            pixels = read(path)
+        except FrameError:
+            continue
+        # 8-bit images among them say nothing
+        found += [depth_levels(pixels)] if pixels.dtype != np.uint8 else []
+    return found
+
 
 REMEDY = "copy the file again from its source, or remove the frame"
 
@@ -31,22 +94,20 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def read_color_image(path: Path, size: Size | None = None, *, has_depth: bool = False) -> ColorImage:
-    """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.exif`).
+    """Reads the image of a calibrated camera, turned as the calibration fits (`annotator.image_bytes`).
 
     More than 8 bits are reduced to 8, by one depth for the images of a folder (`deep_images`).
 
     Args:
         size: width and height of the calibration; None if it does not say it.
         has_depth: a depth image of the same camera has no EXIF orientation.
-
-    Raises:
-        FrameError: the file is missing, truncated, not an image, or has an EXIF orientation and the calibration may be
-            for either.
     """
     import cv2
 
     data, pixels = _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-    bgr = pixels if pixels.dtype == np.uint8 else eight_bits(pixels, common_levels(path, pixels, _deep_pixels))
+    bgr = (
+        pixels if pixels.dtype == np.uint8 else pixels_as_eight_bits(pixels, common_levels(path, pixels, _deep_pixels))
+    )
     rgb: np.ndarray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     orientation = orientation_of(data)
     turn = is_turned(orientation, (rgb.shape[1], rgb.shape[0]), size)
@@ -66,20 +127,12 @@ def _deep_pixels(path: Path) -> np.ndarray:
 
 
 def read_depth(path: Path) -> UInt16[np.ndarray, "h w"]:
-    """Reads a depth image in its raw units.
-
-    Raises:
-        FrameError: the file is missing, truncated, not an image, or not 16-bit with one channel.
-    """
+    """Reads a depth image in its raw units."""
     return _plane(path, np.uint16, "a depth image", "save the sensor's depth as a 16-bit grey PNG, millimetres")
 
 
 def read_confidence(path: Path) -> UInt8[np.ndarray, "h w"]:
-    """Reads an image of the depth's confidence.
-
-    Raises:
-        FrameError: the file is missing, truncated, not an image, or not 8-bit with one channel.
-    """
+    """Reads an image of the depth's confidence."""
     return _plane(path, np.uint8, "an image of confidence", REMEDY)
 
 
@@ -106,3 +159,24 @@ def _decoded(path: Path, flags: int, give_points: bool = False) -> tuple[bytes, 
         raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
     except ValueError as error:
         raise FrameError(path, str(error), REMEDY) from error
+
+
+# Depths below 8.192 m become multiples of eight, which few plain values are.
+LEAST_MULTIPLES = 0.9
+# Read as they are, their far parts are beyond this, metres: farther than depth cameras see.
+FAR_M, FAR_SHARE = 8.192, 0.95
+
+
+def decode_depth(raw: UInt16[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of a SUN RGB-D depth image."""
+    return in_metres(raw >> np.uint16(3) | raw << np.uint16(13), 1000.0)
+
+
+def looks_rotated(raw: UInt16[np.ndarray, "h w"], depth_scale: float) -> bool:
+    """True if a depth image of so many units per metre is rather one of SUN RGB-D."""
+    known = measured(raw)
+    count = np.count_nonzero(known)
+    # counted without a copy of the values: nearly all images end here
+    if count == 0 or 1 - np.count_nonzero((raw & np.uint16(7)).astype(bool) & known) / count < LEAST_MULTIPLES:
+        return False
+    return bool(np.quantile(raw[known], FAR_SHARE) / depth_scale > FAR_M)

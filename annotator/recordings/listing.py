@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
-from annotator.file_names import normal, spelled
+from annotator.text import normal, spelled
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.names import first_few
 
@@ -29,11 +29,7 @@ REMEDIES = {
 
 @contextmanager
 def path_errors(path: Path) -> Iterator[None]:
-    """Converts an OSError while `path` is inspected into a RecordingError.
-
-    Raises:
-        RecordingError: the path cannot be read.
-    """
+    """Converts an OSError while `path` is inspected into a RecordingError."""
     try:
         yield
     except OSError as error:
@@ -44,11 +40,7 @@ def path_errors(path: Path) -> Iterator[None]:
 
 
 def stems(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
-    """Returns the stems of all files in `folder` with one of `suffixes` (given in lower case; any case matches).
-
-    Raises:
-        RecordingError: the folder cannot be read.
-    """
+    """Returns the stems of all files in `folder` with one of `suffixes` (given in lower case; any case matches)."""
     # scandir instead of a stat per file: data sets have ten thousand frames
     with path_errors(folder), os.scandir(folder) as entries:
         files = (entry.name for entry in entries if entry.name[0] != "." and entry.is_file())
@@ -81,11 +73,7 @@ def unread_note(folder: Path, known: tuple[str, ...], labels: str) -> str | None
 
 
 def sorted_keys(path: Path, keys: set[str], expected: str) -> tuple[str, ...]:
-    """Returns the keys in natural order ("2" before "10").
-
-    Raises:
-        RecordingError: no keys; the message says what was `expected` in `path`.
-    """
+    """Returns the keys in natural order ("2" before "10")."""
     if not keys:
         raise RecordingError(f"{path}: no frames; expected {expected}")
     return tuple(sorted(sorted(keys), key=_natural))
@@ -102,11 +90,7 @@ def _with_length(number: re.Match[str]) -> str:
 
 
 def frame_file(folder: Path, key: str, suffixes: tuple[str, ...], partner: str) -> Path:
-    """Returns the file of frame `key` in `folder`; `partner` names the file it belongs to, for the message.
-
-    Raises:
-        FrameError: no such file, more than one, or the folder cannot be read.
-    """
+    """Returns the file of frame `key` in `folder`; `partner` names the file it belongs to, for the message."""
     candidates = [spelled(folder, key + suffix) for lower in suffixes for suffix in (lower, lower.upper())]
     # by inode: on a case-insensitive file system both spellings are the same file
     try:

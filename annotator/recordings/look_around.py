@@ -1,4 +1,6 @@
-"""Virtual cameras around a LiDAR, so that everything it sees can be labelled, also where no camera looks.
+"""What rigs can say beside their frames, and virtual cameras around a LiDAR, to label all that it sees.
+
+A *rig* is a set of recordings of one path that differ only in their option `camera`. They share a clock and clouds.
 
 Each virtual camera is a recording of a rig. Their images overlap by `OVERLAP`, so an object at a border is whole in
 one of them. The image is rendered from the points; the cloud is the whole scan.
@@ -9,17 +11,99 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi, radians, tan
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float32, Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.recordings.clouds.virtual_image import virtual_image
-from annotator.recordings.options import Place, ReaderOptions
-from annotator.recordings.recording import KeyedFrames, files_of, origin_of
-from annotator.recordings.rig import Scan, Scanned
+from annotator.geometry.transforms import right_handed_axes
+from annotator.recordings.clouds.virtual_camera import virtual_image
+from annotator.recordings.recording import KeyedFrames, Place, ReaderOptions, Recording, files_of, origin_of
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError
+
+
+@runtime_checkable
+class RigCamera(Recording, Protocol):
+    """A recording of one camera of a rig."""
+
+    @property
+    def camera(self) -> str:
+        """The camera's name."""
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The names of all cameras of the rig."""
+
+    def intrinsics(self, i: int) -> Camera:
+        """Returns the camera of frame `i`, without reading its image."""
+
+    def moment(self, i: int) -> str:
+        """Returns the name of the cloud of frame `i`: frames of the rig's cameras with the same one belong together."""
+
+    def T_rig_camera(self, i: int) -> RigidTransform:
+        """Returns the pose of frame `i`'s camera in a frame that is the same for all frames of a moment."""
+
+
+@runtime_checkable
+class Scenes(Recording, Protocol):
+    """A recording of one scene of a dataset."""
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """The names of all scenes of the dataset."""
+
+    @property
+    def scene(self) -> str:
+        """The scene's name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A whole scan of a LiDAR, also where no camera looks.
+
+    Attributes:
+        xyz_m: the valid points in the scan's own frame.
+        rgb: colours, or None.
+        reflectance: 0..1, or None.
+        R_level_scan: turns the scan's frame to x ahead, y left, z against gravity.
+        place_m: the place in the scan's frame from which virtual cameras look.
+        T_scan_label: from the frame of the recording's label files, as `Frame.T_camera_label`.
+        knows_up: False if gravity is unknown, so that the scan's own axes are used.
+        timestamp_ns: None if unknown.
+        T_world_scan: pose of the scan's frame, as `Frame.T_world_camera`.
+    """
+
+    xyz_m: Float64[np.ndarray, "n 3"]
+    rgb: UInt8[np.ndarray, "n 3"] | None
+    reflectance: Float32[np.ndarray, "n"] | None
+    R_level_scan: Rotation
+    place_m: Float64[np.ndarray, "3"]
+    T_scan_label: RigidTransform
+    knows_up: bool = True
+    timestamp_ns: int | None = None
+    T_world_scan: RigidTransform | None = None
+
+
+@runtime_checkable
+class Scanned(Recording, Protocol):
+    """A recording of a LiDAR."""
+
+    def scan(self, i: int) -> Scan:
+        """Reads the scan of frame `i`."""
+
+
+def level_turn(up: Float64[np.ndarray, "3"], ahead: Float64[np.ndarray, "3"]) -> Rotation:
+    """Returns the turn to x ahead (made horizontal), y left, z up.
+
+    Args:
+        up: unit vector against gravity.
+        ahead: another direction.
+    """
+    z, x, y = right_handed_axes(up, ahead).T
+    return Rotation.from_matrix(np.stack([x, y, z]))
+
 
 WIDTH_PX = 1280
 OVERLAP = radians(20)
@@ -89,21 +173,11 @@ class LookAround(KeyedFrames):
         return RigidTransform.from_rotation(self._R_camera_level().inv())
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`.
-
-        Raises:
-            FrameError: it cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole scan of frame `i`."""
         return self.base.scan(i)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`.
-
-        Raises:
-            FrameError: the scan cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`."""
         return virtual_frame(self.base.scan(i), self.key(i), i, virtual_camera(self.count), self._R_camera_level())
 
     def _R_camera_level(self) -> Rotation:
@@ -112,11 +186,7 @@ class LookAround(KeyedFrames):
 
 
 def look_around(base: Scanned, options: ReaderOptions) -> LookAround:
-    """Returns a virtual camera of a recording; without the option `camera`, the one that looks ahead.
-
-    Raises:
-        ConfigError: no such camera.
-    """
+    """Returns a virtual camera of a recording; without the option `camera`, the one that looks ahead."""
     assert options.look_around is not None
     names = camera_names(options.look_around)
     camera = options.camera or AHEAD

@@ -22,11 +22,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from annotator.file_names import normal
 from annotator.recordings.open import NO_OPTIONS, open_recording
-from annotator.recordings.options import ReaderOptions
-from annotator.recordings.recording import Recording
-from annotator.recordings.sunrgbd.scenes import KEY_SEPARATOR
+from annotator.recordings.recording import ReaderOptions, Recording
+from annotator.recordings.sunrgbd import KEY_SEPARATOR
+from annotator.text import normal
 from annotator.types import Frame
 from annotator.types.errors import RecordingError
 
@@ -129,13 +128,7 @@ class Mirror:
         return len(self._opened)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame number `i`, 0-based.
-
-        Raises:
-            FrameError: this frame cannot be read.
-            RecordingError: its files cannot be downloaded.
-            IndexError: there is no such frame.
-        """
+        """Reads frame number `i`, 0-based."""
         if not 0 <= i < len(self):
             raise IndexError(f"frame {i} of a recording with {len(self)} frames")
         for path in self._shared:

@@ -1,13 +1,98 @@
-"""The interface of recordings: a list of frames that are read one at a time."""
+"""The interface of recordings, a list of frames that are read one at a time, and the options of their readers.
+
+Errors of all readers: a RecordingError when one is opened (ConfigError for its options, MissingExtraError without its
+library), a FrameError when a frame is read, an IndexError where there is no such frame.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
-from annotator.recordings.options import Place
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
 from annotator.types import Frame
+from annotator.types.boxes import FARTHEST_M
+from annotator.types.errors import ConfigError
+
+Place = tuple[Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M, allow_inf_nan=False)], ...]
+
+
+class ReaderOptions(BaseModel):
+    """How a recording is read; None = the reader decides. `annotator.recordings.open.OPTIONS` says who takes what.
+
+    The descriptions are the help texts of the command line.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    columns: int | None = Field(None, ge=3, le=64, description="numbers per point in .bin files")
+    scene: str | None = Field(None, min_length=1, description="scenes of a dataset; all = all of them")
+    camera: str | None = Field(None, min_length=1, description="cameras of a rig; all = all of them")
+    look_around: Literal[4, 6, 8] | None = Field(
+        None, description="number of virtual cameras around a LiDAR, to label all that it sees"
+    )
+    origin: Place | None = Field(
+        None,
+        min_length=3,
+        max_length=3,
+        description="place of the virtual camera in clouds with map coordinates, metres; by default their middle",
+    )
+    image: str | None = Field(None, min_length=1, description="topic of the camera images in a bag")
+    points: str | None = Field(None, min_length=1, description="topic of the point clouds in a bag")
+    depth: str | None = Field(None, min_length=1, description="topic of the depth images in a bag")
+    camera_info: str | None = Field(None, min_length=1, description="topic of the camera's calibration in a bag")
+    depth_info: str | None = Field(None, min_length=1, description="topic of the depth camera's calibration in a bag")
+    tf_frame: str | None = Field(
+        None, min_length=1, description="tf frame of the camera, if not the one that its images name"
+    )
+    no_motion: Literal[True] | None = Field(
+        None, description="do not move a bag's clouds to the images' times, even if tf knows how the rig moved"
+    )
+    tolerance_s: float | None = Field(
+        None, gt=0, le=10, description="largest difference in time between an image and its points or depth, seconds"
+    )
+    min_confidence: int | None = Field(
+        None, ge=0, le=2, description="lowest confidence of a phone's depth that is used: 0, 1 or 2"
+    )
+
+    def given(self) -> dict[str, Any]:
+        """The options that are set, by name."""
+        return self.model_dump(exclude_none=True)
+
+    def may_be(self, stored: ReaderOptions) -> bool:
+        """True if a recording that is stored with other options is read with these: an origin may have been found."""
+        return self == (stored.model_copy(update={"origin": None}) if self.origin is None else stored)
+
+    def stored(self) -> str:
+        """The options as a project stores them: JSON, or "" if none is set."""
+        return self.model_dump_json(exclude_none=True) if self.given() else ""
+
+
+def parse_options(**given: Any) -> ReaderOptions:
+    """Options by name, such as those of a command; None = not given."""
+    try:
+        return ReaderOptions(**given)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        name = "_".join(map(str, problem["loc"]))
+        raise ConfigError(f"{option_flag(name)} {problem.get('input')}: {problem['msg']}") from error
+
+
+def stored_options(text: str) -> ReaderOptions:
+    """Options from a project; "" = none."""
+    try:
+        return ReaderOptions.model_validate_json(text) if text else ReaderOptions()
+    except ValidationError as error:
+        raise ConfigError(
+            f"the stored reader options {text} are not known to this version: update annotator"
+        ) from error
+
+
+def option_flag(name: str) -> str:
+    """The flag of an option on the command line."""
+    return {"tf_frame": "--frame", "tolerance_s": "--tolerance"}.get(name, "--" + name.replace("_", "-"))
 
 
 @runtime_checkable
@@ -24,7 +109,7 @@ class Recording(Protocol):
 
     @property
     def format(self) -> str:
-        """The reader's name in `annotator.recordings.table`."""
+        """The reader's name in `annotator.recordings.open`."""
 
     @property
     def name(self) -> str:
@@ -102,21 +187,12 @@ class KeyedFrames:
         return len(self.keys)
 
     def files(self, i: int) -> tuple[Path, ...]:
-        """Returns the files that only frame `i` is read from, as far as the reader knows them.
-
-        Raises:
-            FrameError: one of them is missing.
-            IndexError: there is no such frame.
-        """
+        """Returns the files that only frame `i` is read from, as far as the reader knows them."""
         self.key(i)
         return ()
 
     def key(self, i: int) -> str:
-        """Returns the key of frame `i`; unlike `keys[i]`, it raises for negative indices.
-
-        Raises:
-            IndexError: there is no such frame.
-        """
+        """Returns the key of frame `i`; unlike `keys[i]`, it raises for negative indices."""
         if not 0 <= i < len(self.keys):
             raise IndexError(f"frame {i} of a recording with {len(self.keys)} frames")
         return self.keys[i]

@@ -11,31 +11,235 @@ mask/, boxes.json   optional labels; read by annotator.formats, not here
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64, UInt16
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from scipy.spatial.transform import RigidTransform
 
-from annotator.files import open_file
-from annotator.geometry.projection import pixel_colors, unproject_depth
+from annotator.files import open_file, read_text_file
+from annotator.geometry.depth_values import in_metres
+from annotator.geometry.projection import pixel_colors, resized, unproject_depth
 from annotator.image_bytes import declared_size
 from annotator.recordings.frame_times import Times, read_times
-from annotator.recordings.image_file import ColorImage, read_color_image, read_depth
+from annotator.recordings.image_file import ColorImage, decode_depth, looks_rotated, read_color_image, read_depth
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
+from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import (
-    RgbdCamera,
-    camera_file,
-    depth_metres,
-    read_camera,
-    read_depth_camera,
-    read_up,
-)
 from annotator.recordings.two_cameras import registered
-from annotator.types import Frame, PointCloud
-from annotator.types.errors import FrameError
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError, UnclearError
+from annotator.types.validation import first_problem
+
+FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
+MM_PER_M = 1000.0
+MOST_OFF_ROTATION = 1e-3
+Side = Annotated[int, Field(gt=0, le=LARGEST_SIDE_PX)]
+Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
+Four = tuple[Number, Number, Number, Number]
+Positive = Annotated[FiniteFloat, Field(ge=1 / LARGEST, le=LARGEST)]
+
+
+class IntrinsicFile(BaseModel):
+    """`camera_intrinsic.json`: Open3D's PinholeCameraIntrinsic, with two optional keys of annotator.
+
+    Attributes:
+        width, height: image size, pixels.
+        intrinsic_matrix: the nine numbers of K, column by column.
+        depth_scale: depth units per metre; default that of the format, 1000 (millimetres) for most.
+        depth_encoding: `plain`, or `sunrgbd` for SUN RGB-D's rotated bits; default plain, unless it looks rotated.
+        distortion: OpenCV's coefficients, see `Camera`; default none.
+    """
+
+    # Other keys of Open3D (class_name, version_major, ...) are ignored.
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    width: Side
+    height: Side
+    intrinsic_matrix: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
+    depth_scale: Positive | None = None
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
+    distortion: tuple[Number, ...] = ()
+
+
+class DepthFile(BaseModel):
+    """What `depth_intrinsic.json` has in addition to `IntrinsicFile`; its default `depth_scale` is the colour camera's.
+
+    Attributes:
+        depth_to_color: the transform from the depth camera's frame to the colour camera's, metres, row by row; default
+            none: both look from the same place in the same direction.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    depth_to_color: Annotated[tuple[Four, ...], Field(min_length=4, max_length=4)] | None = None
+
+
+class GravityFile(BaseModel):
+    """`gravity.json`: the direction against gravity in the camera frame, any length but 0."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    up: tuple[Number, Number, Number]
+
+
+@dataclass(frozen=True, eq=False)
+class RgbdCamera:
+    """A camera file's content.
+
+    Attributes:
+        path: the file.
+        camera: the camera.
+        depth_scale: depth units per metre.
+        depth_encoding: as in the file.
+        T_color_depth: for a depth camera, the transform from its frame to the colour camera's; else None.
+    """
+
+    path: Path
+    camera: Camera
+    depth_scale: float
+    depth_encoding: Literal["plain", "sunrgbd"] | None = None
+    T_color_depth: RigidTransform | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its images, pixels."""
+        return self.camera.width_px, self.camera.height_px
+
+
+def camera_file(folder: Path) -> Path:
+    """Returns the camera file of a folder: `camera_intrinsic.json`, else the only `camera_*.json` with a matrix.
+
+    The latter is looked up in the folder and then, for several recordings of one camera, one level above.
+    """
+    expected = folder / FILE_NAME
+    if expected.is_file():
+        return expected
+    for place in (folder, folder.resolve().parent):
+        files = [path for path in sorted(place.glob("camera_*.json")) if _has_matrix(path)]
+        if len(files) == 1:
+            return files[0]
+        if files:
+            names = ", ".join(path.name for path in files)
+            raise FrameError(
+                expected, f"missing, and {place} has several cameras ({names})", f"copy the right one to {FILE_NAME}"
+            )
+    raise FrameError(
+        expected, "missing", "write width, height and intrinsic_matrix (column-major) of the colour camera"
+    )
+
+
+def _has_matrix(path: Path) -> bool:
+    try:
+        return path.is_file() and '"intrinsic_matrix"' in read_text_file(path)
+    except (OSError, ValueError) as error:
+        raise FrameError(path, f"cannot be read ({_brief(error)})", "correct or remove it") from error
+
+
+def read_camera(path: Path, depth_scale: float = MM_PER_M) -> RgbdCamera:
+    """Reads a camera file; `depth_scale` is used if it has none."""
+    try:
+        content = IntrinsicFile.model_validate_json(read_text_file(path))
+    except (OSError, ValueError) as error:
+        raise FrameError(path, f"not a camera file ({_brief(error)})", "compare it with Open3D's format") from error
+    K = np.array(content.intrinsic_matrix).reshape(3, 3).T
+    if not is_pinhole(K):
+        raise FrameError(
+            path,
+            "intrinsic_matrix is not fx 0 0 0 fy 0 cx cy 1, or a focal length is implausible",
+            "write it column by column",
+        )
+    try:
+        camera = pinhole(K, content.width, content.height, content.distortion)
+    except ValueError as error:
+        raise FrameError(path, str(error), "correct the camera file") from error
+    scale = depth_scale if content.depth_scale is None else content.depth_scale
+    return RgbdCamera(path, camera, scale, content.depth_encoding)
+
+
+def depth_metres(path: Path, raw: UInt16[np.ndarray, "h w"], camera: RgbdCamera) -> Float32[np.ndarray, "h w"]:
+    """Returns the metres of the depth image at `path`."""
+    if camera.depth_encoding == "sunrgbd":
+        return decode_depth(raw)
+    if camera.depth_encoding is None and looks_rotated(raw, camera.depth_scale):
+        raise UnclearError(
+            path,
+            f"its depth reaches {raw.max() / camera.depth_scale:.1f} m in steps of 8 units, as in SUN RGB-D, whose "
+            "depth has its bits rotated by three",
+            f'write "depth_encoding": "sunrgbd" (or "plain" to read it as it is) into {camera.path.name}',
+        )
+    return in_metres(raw, camera.depth_scale)
+
+
+def pinhole(K: Float64[np.ndarray, "3 3"], width_px: int, height_px: int, distortion: tuple[float, ...] = ()) -> Camera:
+    """Returns the camera with matrix K."""
+    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(width_px, height_px, fx, fy, cx, cy, distortion)
+
+
+def read_depth_camera(folder: Path, color: RgbdCamera, image: Path, size: tuple[int, int]) -> RgbdCamera | None:
+    """Returns the camera of a depth image of `size` (width, height); None if it is registered to the colour camera.
+
+    Without `depth_intrinsic.json`, depth images of another size but the same proportions are taken to show the same
+    part of the scene, as a phone's do.
+    """
+    path = folder / DEPTH_FILE_NAME
+    if not path.is_file():
+        if size == color.size:
+            return None
+        if size[0] * color.size[1] != size[1] * color.size[0]:
+            raise FrameError(
+                image,
+                f"the image is {size[0]} x {size[1]} pixels, but the colour image has "
+                f"{color.size[0]} x {color.size[1]}",
+                f"make them the same size, or describe the depth camera in {DEPTH_FILE_NAME} (width, height, "
+                "intrinsic_matrix, depth_to_color)",
+            )
+        return replace(color, camera=resized(color.camera, *size), T_color_depth=RigidTransform.identity())
+    read = read_camera(path, color.depth_scale)
+    try:
+        more = DepthFile.model_validate_json(read_text_file(path))
+    except (OSError, ValueError) as error:
+        raise FrameError(
+            path, f"not a depth camera file ({_brief(error)})", "write four rows of four numbers"
+        ) from error
+    T_color_depth = rigid_transform(path, "depth_to_color", more.depth_to_color)
+    return replace(read, T_color_depth=T_color_depth)
+
+
+def rigid_transform(path: Path, name: str, rows: tuple[Four, ...] | None) -> RigidTransform:
+    """Returns the transform with these rows, the identity for None; `name` is the key in the file."""
+    if rows is None:
+        return RigidTransform.identity()
+    matrix = np.array(rows)
+    if not is_rotation(matrix[:3, :3], MOST_OFF_ROTATION) or tuple(matrix[3]) != (0, 0, 0, 1):
+        raise FrameError(path, f"{name} is not a rigid transform (last row 0 0 0 1)", "write it row by row")
+    return RigidTransform.from_matrix(matrix)
+
+
+def read_up(path: Path) -> Float64[np.ndarray, "3"] | None:
+    """Returns the unit vector against gravity; None if there is no such file."""
+    if not path.exists():
+        return None
+    try:
+        up = np.array(GravityFile.model_validate_json(read_text_file(path)).up)
+    except (OSError, ValueError) as error:
+        raise FrameError(path, f"not a gravity file ({_brief(error)})", 'write {"up": [x, y, z]}') from error
+    length = np.linalg.norm(up)
+    if length < 1 / LARGEST:
+        raise FrameError(path, "up has length 0", "write the direction against gravity in the camera frame")
+    return up / length
+
+
+def _brief(error: OSError | ValueError) -> str:
+    """Returns the first problem in one line."""
+    if isinstance(error, OSError):
+        return str(error.strerror)
+    return first_problem(error) if isinstance(error, ValidationError) else str(error)
+
 
 LOOKED_FOR = "folders color/ or rgb/ (or image/ and a camera_*.json) and depth/"
 
@@ -68,12 +272,7 @@ class RgbdFolder(KeyedFrames):
         return color, frame_file(self.path / "depth", key, (".png",), f"{self.color.name}/{color.name}")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered.
-
-        Raises:
-            FrameError: a missing or broken file, different sizes, or no depth in the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i` with `depth_m`; its cloud has `rgb`, and `pixel_index` if the depth is registered."""
         key, (color_path, depth_path) = self.key(i), self.files(i)
         color = read_camera(camera_file(self.path))
         image, cloud, depth_m = read_images(self.path, color_path, depth_path, color)
@@ -113,9 +312,6 @@ def open_rgbd_folder(path: Path) -> RgbdFolder | NotFound:
 
     `image/` is used as the colour folder only beside a camera file: SUN RGB-D's raw folders have the same layout, but
     a different encoding of depth.
-
-    Raises:
-        RecordingError: the folders exist but have no image, or `timestamps.csv` is invalid.
     """
     depth = path / "depth"
     color = next((path / name for name in ("color", "rgb") if (path / name).is_dir()), path / "color")
@@ -136,9 +332,6 @@ def read_images(
     Returns:
         The colour image; the depth image's cloud, with `pixel_index` if it is registered; and the depth in the colour
         image's pixels, metres.
-
-    Raises:
-        FrameError: a missing or broken file, different sizes, or no depth in the image.
     """
     image = read_color_image(color_path, color.size, has_depth=True)
     rgb = image.rgb

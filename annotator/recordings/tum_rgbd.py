@@ -24,15 +24,13 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial.transform import Rotation
 
-from annotator.file_names import OutsideError, inside, normal, posix_path, stem_of
 from annotator.files import TABLE_BYTES, read_text_file, why_missing
+from annotator.recordings.frame_times import nearest
 from annotator.recordings.listing import IMAGE_SUFFIXES
-from annotator.recordings.options import ReaderOptions
 from annotator.recordings.plausible import are_plausible
-from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import FILE_NAME, RgbdCamera, read_camera
-from annotator.recordings.rgbd_folder import read_images
-from annotator.text import to_number
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.rgbd_folder import FILE_NAME, RgbdCamera, read_camera, read_images
+from annotator.text import OutsideError, inside, normal, posix_path, stem_of, to_number
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import FrameError, RecordingError
@@ -70,13 +68,10 @@ class Poses:
 
     def up(self, time_ns: int, tolerance_ns: int) -> Float64[np.ndarray, "3"] | None:
         """Returns the unit vector against gravity in the camera's frame; None without a pose near this time."""
-        after = int(np.searchsorted(self.times_ns, time_ns))
-        near = min(
-            (abs(int(self.times_ns[at]) - time_ns), at) for at in (after - 1, after) if 0 <= at < len(self.times_ns)
-        )
-        if near[0] > tolerance_ns:
+        near = int(nearest(np.array([time_ns]), self.times_ns)[0])
+        if abs(int(self.times_ns[near]) - time_ns) > tolerance_ns:
             return None
-        return np.asarray(Rotation.from_quat(self.quaternions[near[1]]).inv().apply([0.0, 0.0, 1.0]))
+        return np.asarray(Rotation.from_quat(self.quaternions[near]).inv().apply([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +119,7 @@ class TumRgbd(KeyedFrames):
         return self._file(color), self._file(depth)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`.
-
-        Raises:
-            FrameError: a missing or broken file, different sizes, or no depth at all.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i` with `depth_m`; its cloud has `rgb` and `pixel_index`."""
         key, (color, depth) = self.key(i), self.files(i)
         camera = RgbdCamera(self.path / FILE_NAME, CAMERA, UNITS_PER_M)
         if camera.path.is_file():
@@ -161,11 +151,7 @@ class TumRgbd(KeyedFrames):
 
 
 def open_tum_rgbd(path: Path, options: ReaderOptions) -> TumRgbd | NotFound:
-    """Opens the recording in TUM's format at `path`; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: a line that is not a time and a file, two images of one name, or no pair of images.
-    """
+    """Opens the recording in TUM's format at `path`; `NotFound` if it is not one."""
     if not ((path / RGB_LIST).is_file() and (path / DEPTH_LIST).is_file()):
         return NotFound(LOOKED_FOR)
     tolerance_s = TOLERANCE_S if options.tolerance_s is None else options.tolerance_s

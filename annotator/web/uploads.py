@@ -17,13 +17,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from annotator.file_names import is_within
 from annotator.files import ARCHIVE_ERRORS, open_archive, private_folder
 from annotator.formats.box_csv import is_box_csv
 from annotator.formats.coco_dataset import ANNOTATIONS
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES
 from annotator.project import Project
+from annotator.text import is_within
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web.security import UPLOAD_LIMIT
 from annotator.workflows.importing import BoxFormat, FlatFormat, format_of

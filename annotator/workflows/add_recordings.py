@@ -10,8 +10,8 @@ import numpy as np
 
 from annotator.project import BoxRotation, Project, StoredRecording
 from annotator.recordings import ReaderOptions, Recording, open_recording, stored_options
+from annotator.recordings.look_around import RigCamera, Scenes
 from annotator.recordings.recording import origin_of
-from annotator.recordings.rig import RigCamera, Scenes
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.recorded.broken_frames import SECONDS, BrokenFrames, broken_frames, still_broken

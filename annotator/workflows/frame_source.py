@@ -16,7 +16,7 @@ from annotator.project.project import Project
 from annotator.project.recordings import StoredRecording
 from annotator.rcv.config import Orientation
 from annotator.recordings import Recording, open_recording, stored_options
-from annotator.recordings.times import Clock
+from annotator.recordings.frame_times import Clock
 from annotator.types import NO_CORRECTION, Correction, Frame
 from annotator.types.errors import FrameError, RecordingError
 

@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict
 from annotator.geometry.projection import inside_image, project
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.recordings.listing import path_errors
+from annotator.recordings.look_around import Scanned
 from annotator.recordings.recording import origin_of
-from annotator.recordings.rig import Scanned
 from annotator.recordings.ros.topics import TopicReport, list_topics
 from annotator.types import Frame
 from annotator.types.errors import FormatError, FrameError
@@ -59,7 +59,7 @@ class RecordingReport(BaseModel):
         frame: the first readable frame.
         broken: the errors of the frames before it, by key.
         notes: what the reader says about it.
-        origin: of clouds in map coordinates without a camera (`annotator.recordings.clouds.origin`); None for others.
+        origin: of clouds in map coordinates without a camera (`clouds.virtual_camera`); None for others.
         topics: of a bag; empty for other formats.
     """
 

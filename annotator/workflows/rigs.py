@@ -16,7 +16,7 @@ from annotator.formats.nuscenes import is_seen
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel, StoredRecording
 from annotator.project.sources import covered_by
 from annotator.recordings import stored_options
-from annotator.recordings.rig import RigCamera
+from annotator.recordings.look_around import RigCamera
 from annotator.types import Camera, Label, OrientedBox, ReviewState
 from annotator.types.errors import RecordingError
 from annotator.workflows.frame_source import FrameSource

@@ -19,7 +19,7 @@ from annotator.detection.trained import read_trained
 from annotator.geometry.iou import iou_3d
 from annotator.project import BoxRotation
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.synthetic import write_generated
 from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, Truth
 from annotator.workflows.detectors import load_detector

@@ -12,7 +12,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import inside_image, project
 from annotator.project import open_project
 from annotator.recordings import open_recording
-from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.synthetic.arrangements import street, with_track
 from annotator.synthetic.lidar import Lidar, scan
 from annotator.synthetic.mesh import joined

@@ -12,7 +12,7 @@ import pytest
 from nuscenes_samples import real
 
 from annotator.recordings import Recording, open_recording
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.workflows.exporting import ExportFormat
 from annotator.workflows.recorded.reading import load_truth
 from benchmarks.trips import FORMATS, LEVELS, NUSCENES, Outcome, measure

@@ -219,7 +219,7 @@ def test_unusable_arguments_are_errors(
     said: str,
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    monkeypatch.setattr("annotator.recordings.kinect.connection.find_spec", lambda name: None)
+    monkeypatch.setattr("annotator.recordings.kinect.device.find_spec", lambda name: None)
     assert live(*words, **({} if source is None else {"source": source})) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 

@@ -2,7 +2,7 @@
 
 This folder is the one place of tests of damage. `test_damaged_files.py` damages each target in the same ways (bytes
 cut, changed and exchanged; fields removed and made wild) and demands a frame, labels, or an error that names the file,
-in bounded time and memory. It fails when a reader of `annotator.recordings.table`, a format of 3D boxes or one of 2D
+in bounded time and memory. It fails when a reader of `annotator.recordings.open`, a format of 3D boxes or one of 2D
 boxes has no target here, so a format needs no test of damage of its own: a new parser gets a row in `TARGETS`.
 """
 

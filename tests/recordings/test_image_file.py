@@ -1,9 +1,12 @@
-"""Complete images are accepted; images truncated at any place are not."""
+"""Images: complete ones are accepted, damaged and large ones are not; depths that are none; more than 8 bits."""
 
 from __future__ import annotations
 
+import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,7 +16,10 @@ from hypothesis import strategies as st
 
 from annotator.frame_limits import most_pixels
 from annotator.image_bytes import decode_image, image_problem
-from annotator.recordings.image_file import read_rgb
+from annotator.recordings import open_recording
+from annotator.recordings.image_file import decode_depth, looks_rotated, read_rgb
+from annotator.recordings.phones.stray_scanner import _depth_m
+from annotator.recordings.ros.pictures import color_image, depth_image
 from annotator.types.errors import FrameError
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (40, 56, 3)).astype(np.uint8)
@@ -30,7 +36,7 @@ def test_complete_files_are_accepted_also_with_trailing_bytes(kind: str):
     assert image_problem(FILES[kind] + b"\0appended by a camera") == ""
 
 
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 @given(st.sampled_from(sorted(FILES)), st.data())
 def test_a_file_cut_anywhere_is_truncated(kind: str, data: st.DataObject):
     whole = FILES[kind]
@@ -46,7 +52,7 @@ def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image():
     assert image_problem(with_thumbnail[:-2]) == "the JPEG image is truncated"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(deadline=None)
 @given(st.integers(8, len(PNG) - 1), st.integers(1, 255))
 def test_any_changed_byte_of_a_png_is_detected(at: int, flip: int):
     data = bytearray(PNG)
@@ -97,3 +103,155 @@ def test_real_images_are_complete(shared: Path):
     files = [path for path in (shared / "data").rglob("*") if path.suffix in (".png", ".jpg")]
     assert len(files) > 100
     assert [path for path in files if image_problem(path.read_bytes())] == []
+
+
+WIDTH, HEIGHT = 12, 8
+CAMERA = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}
+MILLIMETRES = np.full((HEIGHT, WIDTH), 2000, np.uint16)
+MILLIMETRES[0, :4] = 65535, 65504, 0, 65503
+METRES = np.where(np.isin(MILLIMETRES, (65535, 65504)), 0, MILLIMETRES / 1000).astype(np.float32)
+COLOR = np.random.default_rng(5).integers(0, 256, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+COLOR[0, 0] = 255
+
+
+def as_png(image: np.ndarray) -> bytes:
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+def rgbd(folder: Path, colors: list[np.ndarray], depth: np.ndarray = MILLIMETRES, **camera: object) -> Path:
+    for name in ("color", "depth"):
+        (folder / name).mkdir()
+    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA | camera))
+    for number, color in enumerate(colors):
+        (folder / "color" / f"{number}.png").write_bytes(as_png(color[..., ::-1] if color.ndim == 3 else color))
+        (folder / "depth" / f"{number}.png").write_bytes(as_png(depth))
+    return folder
+
+
+def tum(folder: Path) -> Path:
+    for name, image in (("rgb", COLOR), ("depth", MILLIMETRES)):
+        (folder / name).mkdir()
+        (folder / name / "1.png").write_bytes(as_png(image))
+        (folder / f"{name}.txt").write_text(f"1.0 {name}/1.png\n")
+    (folder / "camera_intrinsic.json").write_text(json.dumps(CAMERA | {"depth_scale": 1000}))
+    return folder
+
+
+def ros(encoding: str, values: np.ndarray, **more: object) -> SimpleNamespace:
+    fields = {"width": values.shape[1], "height": values.shape[0], "encoding": encoding, "is_bigendian": 0, "step": 0}
+    return SimpleNamespace(**fields, data=np.frombuffer(values.tobytes(), np.uint8), **more)
+
+
+def ros_depth(encoding: str) -> np.ndarray:
+    if encoding == "32FC1":
+        raw = np.where(MILLIMETRES > 65503, np.float32(np.inf), MILLIMETRES / 1000).astype(np.float32)
+        raw[0, 0] = -1
+        return depth_image(ros(encoding, raw))
+    return depth_image(ros(encoding, MILLIMETRES))
+
+
+def stray(folder: Path, suffix: str) -> np.ndarray:
+    path = folder / f"0.{suffix}"
+    np.save(path, MILLIMETRES) if suffix == "npy" else path.write_bytes(as_png(MILLIMETRES))
+    return _depth_m(path)
+
+
+DEPTHS = [
+    pytest.param(lambda p: open_recording(rgbd(p, [COLOR])).frame(0).depth_m, id="rgbd_folder"),
+    pytest.param(lambda p: open_recording(tum(p)).frame(0).depth_m, id="tum"),
+    pytest.param(lambda p: decode_depth(MILLIMETRES << np.uint16(3) | MILLIMETRES >> np.uint16(13)), id="sunrgbd"),
+    *(pytest.param(lambda p, kind=kind: ros_depth(kind), id=kind) for kind in ("16UC1", "mono16", "32FC1")),
+    *(pytest.param(lambda p, kind=kind: stray(p, kind), id=f"stray-{kind}") for kind in ("png", "npy")),
+]
+
+
+@pytest.mark.parametrize("read", DEPTHS)
+def test_saturated_depths_are_no_measurements(tmp_path: Path, read: Callable[[Path], np.ndarray]):
+    np.testing.assert_allclose(read(tmp_path), METRES, rtol=1e-6)
+
+
+def test_the_cloud_has_no_point_of_a_saturated_pixel(tmp_path: Path):
+    cloud = open_recording(rgbd(tmp_path, [COLOR])).frame(0).cloud
+    assert len(cloud) == WIDTH * HEIGHT - 3
+    assert {0, 1, 2}.isdisjoint(np.asarray(cloud.pixel_index).tolist())
+
+
+def test_saturated_pixels_are_not_taken_for_rotated_bits():
+    raw = np.full((HEIGHT, WIDTH), 2000, np.uint16)
+    raw[0] = 65535
+    raw[1, 0] = 65504
+    assert not looks_rotated(raw, 1000.0)
+
+
+DEEP = [(bits, channels) for bits in (8, 10, 12, 14, 16) for channels in (1, 3)]
+
+
+def deep(bits: int, channels: int) -> np.ndarray:
+    """The colours in numbers of 16 bits that use so many."""
+    values = np.floor(COLOR * ((2**bits - 1) / 255) + 0.5).astype(np.uint16)
+    return values if channels == 3 else values[:, :, 0]
+
+
+def shallow(channels: int) -> np.ndarray:
+    return COLOR if channels == 3 else np.repeat(COLOR[:, :, :1], 3, axis=2)
+
+
+@pytest.mark.parametrize(("bits", "channels"), DEEP)
+def test_pictures_of_10_to_16_bits_have_their_own_range(tmp_path: Path, bits: int, channels: int):
+    frame = open_recording(rgbd(tmp_path, [deep(bits, channels)])).frame(0)
+    np.testing.assert_array_equal(frame.rgb, shallow(channels))
+    assert frame.cloud.rgb is not None
+
+
+@pytest.mark.parametrize("dark", [0, 1, 2])
+def test_one_range_is_that_of_all_pictures(tmp_path: Path, dark: int):
+    """12 bits; the dark picture uses four."""
+    pictures = [deep(12, 3)] * 3
+    pictures[dark] = np.full_like(pictures[0], 15)
+    recording = open_recording(rgbd(tmp_path, pictures))
+    for number in (2, 0, 1):
+        np.testing.assert_array_equal(recording.frame(number).rgb, np.zeros_like(COLOR) if number == dark else COLOR)
+
+
+def test_a_brighter_picture_than_the_first_ones_has_its_own_range(tmp_path: Path):
+    recording = open_recording(rgbd(tmp_path, [deep(10, 3)] * 3 + [deep(16, 3)]))
+    np.testing.assert_array_equal(recording.frame(3).rgb, COLOR)
+    np.testing.assert_array_equal(recording.frame(0).rgb, COLOR)
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+@pytest.mark.parametrize("encoding", ["rgb16", "bgr16", "png"])
+def test_messages_of_16_bits_have_their_own_range(encoding: str, bits: int):
+    pixels = deep(bits, 3)
+    if encoding == "png":
+        content = SimpleNamespace(
+            format="rgb16; png compressed bgr16", data=np.frombuffer(as_png(pixels[..., ::-1]), np.uint8)
+        )
+    else:
+        content = ros(encoding, pixels[..., ::-1] if encoding == "bgr16" else pixels)
+    np.testing.assert_array_equal(color_image(content), COLOR)
+
+
+def test_grey_messages_show_the_darkest_to_the_brightest_hundredth():
+    """As of infrared cameras, whose highlights are saturated; one range for all pictures of a topic."""
+    grey = np.linspace(500, 3500, 2000).astype(np.uint16).reshape(40, 50)
+    grey[0, 0], grey[0, 1] = 65535, 0
+    ranges = []
+    shown = color_image(ros("mono16", grey), lambda own: ranges.append(own) or own)
+    assert shown[0, 0, 0] == 255
+    np.testing.assert_allclose(shown[20, 25, 0], 131, atol=1)
+    dark = color_image(ros("mono16", np.full_like(grey, 530)), lambda own: own.with_all(ranges))
+    assert dark.max() <= 1
+
+
+def test_pictures_of_8_bits_are_as_they_are(tmp_path: Path):
+    (tmp_path / "a.png").write_bytes(as_png(np.full((HEIGHT, WIDTH, 3), 3, np.uint8)))
+    assert (read_rgb(tmp_path / "a.png") == 3).all()
+
+
+@pytest.mark.shared
+def test_the_collected_cases(shared: Path):
+    grey = open_recording(shared / "cases" / "18_image_depths" / "grey_12_in_16").frame(0)
+    assert (grey.rgb.min(), grey.rgb.max(), len(np.unique(grey.rgb))) == (0, 255, 60)
+    depth = open_recording(shared / "cases" / "10_rgbd_files" / "depth_65535").frame(0)
+    assert (len(depth.cloud), float(depth.cloud.xyz_m[:, 2].max())) == (2300, 2.0)

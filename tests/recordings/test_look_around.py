@@ -141,18 +141,16 @@ def test_labels_all_around_belong_to_the_cameras_that_see_them(tmp_path: Path):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("count", [4, 6, 8])
-def test_all_real_boxes_are_seen_by_a_camera_and_are_one_in_the_rig(shared: Path, tmp_path: Path, count: int):
+def test_all_real_boxes_are_seen_by_a_camera_and_are_one_in_the_rig(shared: Path, tmp_path: Path):
     real(shared / "data" / "nuscenes_frame", tmp_path)
-    for path, boxes in ((tmp_path, 69), (shared / "data" / "argoverse2_sample", 81)):
-        placed: dict[tuple[Any, ...], OrientedBox] = {}
-        for camera in camera_names(count):
-            recording = around(path, look_around=count, camera=camera)
-            T = recording.T_rig_camera(0)
-            for truth in load_truth(recording, 0, recording.frame(0)):
-                box = truth.box.transformed(T)
-                placed[truth.label, *np.round([*box.center_m, *box.size_m], 3).tolist()] = box
-        assert len(placed) == boxes
+    placed: dict[tuple[Any, ...], OrientedBox] = {}
+    for camera in camera_names(4):
+        recording = around(tmp_path, look_around=4, camera=camera)
+        T = recording.T_rig_camera(0)
+        for truth in load_truth(recording, 0, recording.frame(0)):
+            box = truth.box.transformed(T)
+            placed[truth.label, *np.round([*box.center_m, *box.size_m], 3).tolist()] = box
+    assert len(placed) == 69
 
 
 def test_cameras_have_even_sizes_and_overlap():

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import re
 import struct
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from small_recordings import BUILDERS, cloud_folder, kitti_object, kitti_raw, kitti_tracking, rgbd_folder, sunrgbd_scene
-from time_limit import time_limit
 
 from annotator.recordings import open_recording
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import FrameError
 
 
 @pytest.fixture(scope="module")
@@ -34,20 +31,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, lis
     return found
 
 
-@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
-def test_pipes_and_devices_are_not_read(recordings: list[tuple[Path, list[Path]]], make: Callable[[Path], object]):
-    """In place of any file they give a frame without it, or an error; reading them would never end."""
-    for folder, files in recordings:
-        for file in files:
-            kept = file.rename(file.with_name("kept"))
-            make(file)
-            try:
-                with suppress(RecordingError), time_limit(10):
-                    open_recording(folder).frame(0)
-            finally:
-                kept.replace(file)
-
-
 CALIB_LINE = "P2 has a number that is not finite or is too large"
 KNOWN_CASES = [
     (kitti_object, "calib/0.txt", lambda old: re.sub(rb"P2: \S+", b"P2: 1e308", old), CALIB_LINE),
@@ -58,7 +41,6 @@ KNOWN_CASES = [
         lambda old: re.sub(rb"R: \S+", b"R: 0.9", old),
         "the LiDAR's pose is not a rotation",
     ),
-    (kitti_raw, "calib_cam_to_cam.txt", lambda old: re.sub(rb"R_rect_00: \S+", b"R_rect_00: 1e200", old), "too large"),
     (
         sunrgbd_scene,
         "extrinsics/20160101.txt",
@@ -68,14 +50,12 @@ KNOWN_CASES = [
     (rgbd_folder, "camera_intrinsic.json", lambda _: b"[" * 200_000, "not a camera file"),
     (rgbd_folder, "camera_intrinsic.json", lambda old: old.replace(b"500.0", b"1e-320"), "depth_scale"),
     (rgbd_folder, "gravity.json", lambda _: b'{"up": [1e308, 1e308, 0]}', "not a gravity file"),
-    (rgbd_folder, "gravity.json", lambda _: b'{"up": [0, 1e-300, 0]}', "up has length 0"),
     (
         cloud_folder,
         "camera_intrinsic.json",
         lambda old: re.sub(rb'(width|height)": [0-9]+', rb'\1": 60000', old),
         "pixels",
     ),
-    (cloud_folder, "camera_intrinsic.json", lambda old: re.sub(rb'width": [0-9]+', b'width": 9999999', old), "width"),
     (kitti_tracking, "velodyne/0.bin", lambda _: struct.pack("<4f", 3e38, 0, 0, 1) * 3, "every point is NaN"),
 ]
 

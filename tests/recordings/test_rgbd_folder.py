@@ -13,7 +13,7 @@ import pytest
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.types.errors import FrameError, RecordingError, UnclearError
+from annotator.types.errors import FrameError, UnclearError
 from annotator.workflows.checking.check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
@@ -96,11 +96,6 @@ def test_a_camera_file_of_another_name_is_used_if_it_is_the_only_one(folder: Pat
     (inner / place / "camera_other.json").write_text(json.dumps(INTRINSICS))
     with pytest.raises(FrameError, match=r"several cameras \(camera_other.json, camera_primesense.json\)"):
         open_recording(inner).frame(0)
-
-
-def test_a_folder_image_is_read_as_colour_if_there_is_a_camera_file(folder: Path):
-    (folder / "color").rename(folder / "image")
-    assert len(open_recording(folder).frame(0).cloud) > 0
 
 
 def test_a_folder_rgb_is_the_same_as_color(folder: Path, color: np.ndarray):
@@ -189,12 +184,8 @@ COLOR, DEPTH, CAMERA = "color/000000.png", "depth/000000.png", "camera_intrinsic
 DEPTH_CAMERA = "depth_intrinsic.json"
 DAMAGES = [
     pytest.param(COLOR, truncate, "the PNG image is truncated", id="truncated-colour"),
-    pytest.param(DEPTH, truncate, "the PNG image is truncated", id="truncated-depth"),
     pytest.param(DEPTH, corrupt, "damaged", id="corrupt-depth"),
-    pytest.param(COLOR, lambda p: p.write_bytes(b""), "the file is empty", id="empty-colour"),
-    pytest.param(COLOR, lambda p: p.write_text("hello"), "cannot be decoded", id="no-image"),
     pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH), np.uint8)), "8-bit with 1", id="8-bit-depth"),
-    pytest.param(DEPTH, image(np.ones((HEIGHT, WIDTH, 3), np.uint16)), "16-bit with 3", id="colour-depth"),
     pytest.param(
         DEPTH,
         image(np.ones((HEIGHT, 9), np.uint16)),
@@ -205,17 +196,13 @@ DAMAGES = [
         COLOR, image(np.ones((6, WIDTH, 3), np.uint8)), "is 12 x 6 pixels, but the camera in", id="colour-size"
     ),
     pytest.param(DEPTH, image(np.zeros((HEIGHT, WIDTH), np.uint16)), "the cloud is empty", id="no-depth"),
-    pytest.param(DEPTH_CAMERA, lambda p: p.write_text("{"), "not a camera file", id="depth-camera-no-json"),
     pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[1]]), "depth_to_color.0", id="depth-pose-short"),
     pytest.param(DEPTH_CAMERA, depth_camera(depth_to_color=[[2, 0, 0, 0]] * 4), "not a rigid", id="depth-pose"),
     pytest.param(CAMERA, Path.unlink, "missing; write width", id="no-camera"),
     pytest.param(CAMERA, lambda p: p.write_text("{"), "not a camera file", id="camera-no-json"),
-    pytest.param(CAMERA, intrinsics(intrinsic_matrix=[1, 2]), "intrinsic_matrix", id="camera-short"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[9, 0, 5, 0, 9, 4, 0, 0, 1]), "column by column", id="row-major"),
     pytest.param(CAMERA, intrinsics(intrinsic_matrix=[0, 0, 0, 0, 9, 0, 5, 4, 1]), "focal length", id="no-focus"),
     pytest.param(CAMERA, intrinsics(distortion=[1, 2, 3]), "distortion must have", id="camera-distortion"),
-    pytest.param(CAMERA, intrinsics(depth_scale=0), "depth_scale", id="camera-scale"),
-    pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 1]}'), "up", id="gravity-short"),
     pytest.param("gravity.json", lambda p: p.write_text('{"up": [0, 0, 0]}'), "up has length 0", id="gravity-zero"),
 ]
 
@@ -299,12 +286,3 @@ def test_files_with_marks_and_line_ends_of_windows_are_read(folder: Path, depth:
     frame = open_recording(folder).frame(1)
     assert (frame.camera.fx, frame.timestamp_ns, frame.up.tolist()) == (10.0, 6_000_000, [0, -1, 0])
     np.testing.assert_allclose(frame.depth_m, depth / 5000, atol=1e-6)
-
-
-def test_times_in_another_unit_are_named(folder: Path):
-    (folder / "timestamps.csv").write_text("key,timestamp_ns\n000000,13050311020000000000\n")
-    says = (
-        r"timestamps\.csv:2: the time 13050311020000000000 ns is beyond the year 2262, so its unit is probably another"
-    )
-    with pytest.raises(RecordingError, match=says):
-        open_recording(folder)

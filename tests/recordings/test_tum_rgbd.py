@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.recordings import open_recording
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.recordings.tum_rgbd import _pairs
 from annotator.types.errors import FrameError, RecordingError
 
@@ -161,18 +161,11 @@ DAMAGES = [
         r"rgb\.txt:4: the time 1e99999999 s is beyond",
         id="huge-time",
     ),
-    pytest.param(replaced("rgb.txt", f"{START_S}.000000 ", "nan "), r"rgb\.txt:4: must begin", id="nan"),
     pytest.param(replaced("depth.txt", ".png", ".exr"), r"depth\.txt:4: must be a time and a PNG", id="suffix"),
     pytest.param(replaced("rgb.txt", " rgb/", " ../../rgb/"), "leads out of the folder", id="outside"),
-    pytest.param(replaced("rgb.txt", " rgb/", " rgb/../../rgb/"), "leads out of the folder", id="above"),
-    pytest.param(replaced("rgb.txt", " rgb/", " /rgb/"), "leads out of the folder", id="absolute"),
-    pytest.param(replaced("rgb.txt", " rgb/", f" {'x' * 300}/"), "leads out of the folder", id="too-long"),
     pytest.param(replaced("rgb.txt", " rgb/", " r\0gb/"), "or is not a valid name", id="null-byte"),
     pytest.param(replaced("rgb.txt", " rgb/", " rgb/x"), "cannot be read", id="no-file"),
     pytest.param(replaced("groundtruth.txt", "0.6132", "2"), r"groundtruth\.txt:2: must be a time, a", id="pose"),
-    pytest.param(
-        replaced("groundtruth.txt", " -0.3986", ""), r"groundtruth\.txt:2: must be a time, a", id="short-pose"
-    ),
 ]
 
 

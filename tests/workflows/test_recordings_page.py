@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from annotator.recordings import open_recording
-from annotator.recordings.table import READERS
+from annotator.recordings.open import READERS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recordings.md"
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)

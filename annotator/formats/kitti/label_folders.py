@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.file_names import spelled
 from annotator.formats.frame_class_names import DatasetNames
 from annotator.formats.json_file import MOST
 from annotator.formats.kitti.label_files import (
@@ -34,7 +33,7 @@ from annotator.formats.kitti.label_files import (
 )
 from annotator.formats.text_folder import read_text, text_files, text_rows
 from annotator.formats.units import Angles
-from annotator.text import to_number
+from annotator.text import spelled, to_number
 from annotator.types import Truth
 from annotator.types.errors import FormatError
 

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.file_names import spelled
 from annotator.files import new_folder
 from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
 from annotator.formats.frame_class_names import CLASS_NAMES, ClassWords, DatasetNames
@@ -32,6 +31,7 @@ from annotator.formats.kitti.object_folder import NOT_HELD, TRAINING, calibratio
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.text_folder import text_files
 from annotator.geometry.projection import straightened
+from annotator.text import spelled
 from annotator.types import Frame, Label, Truth
 from annotator.types.errors import FormatError
 

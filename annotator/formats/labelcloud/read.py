@@ -8,7 +8,6 @@ from pathlib import Path
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import normal, spelled
 from annotator.formats.frames_csv import read_frames
 from annotator.formats.json_file import read_model
 from annotator.formats.labelcloud.boxes import box_of, contradiction, in_degrees
@@ -17,6 +16,7 @@ from annotator.formats.labelcloud.model import CENTROID_ABS, CENTROID_REL, CLASS
 from annotator.formats.labelcloud.write import CALIBRATIONS, LABELS
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.formats.units import AngleUnit
+from annotator.text import normal, spelled
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError, UnitError, UnitKind
 

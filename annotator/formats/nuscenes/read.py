@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import RootModel
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import normal, stem_of
 from annotator.formats.attributes import VISIBILITY, from_dotted
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model
@@ -21,6 +20,7 @@ from annotator.formats.reading import OnFault, raise_fault
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.quaternion_order import Quaternions
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Record, SampleData, Sensor, pose
+from annotator.text import normal, stem_of
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import normal, stem_of
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.json_file import read_model, unique_keys
 from annotator.formats.openlabel.coordinates import Coordinates
@@ -19,6 +18,7 @@ from annotator.formats.openlabel.scene import PLACE, WORLD
 from annotator.formats.openlabel.shapes import box_from
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.quaternion_order import Quaternions
+from annotator.text import normal, stem_of
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import OutsideError, inside, spelled
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply
 from annotator.formats.rcv.convert import camera_from, label_from, pose_from
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.model import RcvLabels, RcvManifest, Values
 from annotator.image_bytes import read_image
+from annotator.text import OutsideError, inside, spelled
 from annotator.types import Frame, Label, PointCloud
 from annotator.types.errors import FormatError
 

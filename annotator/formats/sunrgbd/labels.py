@@ -22,11 +22,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import spelled
 from annotator.formats.frame_class_names import DatasetNames
 from annotator.formats.json_file import read_model
 from annotator.formats.reading import finite_number
 from annotator.formats.text_folder import text_files, text_rows
+from annotator.text import spelled
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError

@@ -26,26 +26,23 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
-from annotator.exif import UPRIGHT, Size
-from annotator.file_names import normal, spelled
 from annotator.files import read_text_file
 from annotator.frame_limits import memory_problem
 from annotator.geometry.projection import inside_image, project
 from annotator.geometry.transforms import level_pose
+from annotator.image_bytes import UPRIGHT, Size
 from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
 from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.origin import Origin, without_strays, world_pose
-from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
 from annotator.recordings.frame_times import Times, read_times
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration
-from annotator.recordings.kitti.frame import NEAREST_Z_M, UP
+from annotator.recordings.kitti import NEAREST_Z_M, UP, KittiCalibration, read_calibration
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.options import Place, ReaderOptions, option_flag
-from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import FILE_NAME, Four, read_camera, read_up, rigid_transform
-from annotator.recordings.rig import Scan
+from annotator.recordings.look_around import Scan
+from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
+from annotator.recordings.rgbd_folder import FILE_NAME, Four, read_camera, read_up, rigid_transform
 from annotator.recordings.scan_file import Scans
+from annotator.text import normal, spelled
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError
 
@@ -128,12 +125,7 @@ class CloudFolder(KeyedFrames):
         return cloud, frame_file(self.images, key, IMAGE_SUFFIXES, f"{self.clouds.name}/{cloud.name}")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points.
-
-        Raises:
-            FrameError: a missing or broken file, an image without a calibration, or no point inside the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`. With an image, its cloud holds the points inside the image, else all points."""
         key = self.key(i)
         cloud_path, *images = self.files(i)
         exif_orientation = UPRIGHT
@@ -169,12 +161,7 @@ class CloudFolder(KeyedFrames):
         )
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole cloud of frame `i`, ahead being where its camera looks.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole cloud of frame `i`, ahead being where its camera looks."""
         key = self.key(i)
         source, raw = self._seen(key)
         return Scan(
@@ -245,12 +232,7 @@ class CloudFolder(KeyedFrames):
 
 
 def open_cloud_folder(path: Path, options: ReaderOptions) -> CloudFolder | NotFound:
-    """Opens the folder of point clouds at `path`; `NotFound` if it is not one.
-
-    Raises:
-        ConfigError: an origin, although a calibration says where the camera is.
-        RecordingError: `timestamps.csv` is invalid.
-    """
+    """Opens the folder of point clouds at `path`; `NotFound` if it is not one."""
     if not path.is_dir():
         return NotFound(LOOKED_FOR)
     for clouds in (path, *(path / name for name in CLOUD_FOLDERS)):

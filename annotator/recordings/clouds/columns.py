@@ -1,22 +1,136 @@
-"""Converts the named columns of point cloud files to points, colours and reflectances."""
+"""Converts the named columns of point cloud files to points, colours and reflectances.
+
+Colours, of any type of number, become 8 bits: three columns, or a packed one. Alpha is left out.
+
+    3 columns   8-bit integers as they are (signed ones by their bits); floats up to 1 are fractions; of all others,
+                the lowest of the usual depths (8 to 16, 32 bits) that holds the highest value is the depth of all
+    packed      0xAARRGGBB: a whole number of any type that is long enough, or the 32-bit float with these bits (PCL)
+
+Text has no types: there, the values themselves say which of these they are. A colour that is not finite is black, and
+a cloud without any finite colour has none.
+
+Many files do not say whether their values are fractions, 8 or 16 bits, and a dark scan looks like one of a smaller
+scale. The first scans of a recording decide for all: one scale of reflectance, and one of colours.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, UInt8
 
 from annotator.frame_limits import memory_problem
-from annotator.recordings.clouds.colors import point_colors, split_colors
 from annotator.recordings.plausible import are_returns
 from annotator.text import to_number
 from annotator.types.errors import FrameError
+
+NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+PACKED_NAMES = ("rgb", "rgba")
+# Columns of several values are split (`split_colors`).
+SPLIT_NAMES = tuple(tuple(f"{name}_{channel}" for channel in range(3)) for name in (*PACKED_NAMES, "color", "colors"))
+# Depths of cameras and scanners, bits; numbers of 16 bits may use fewer.
+DEPTHS = (8, 10, 12, 14, 16, 32)
+# Fractions may exceed 1 by rounding; or this share does not.
+MOST_FRACTION, FRACTIONS = 1.005, 0.99
+# The bits of NaN as programs write it; other bits of NaNs are colours with alpha.
+NAN_BITS = 0x7FC00000
+
+Colors = tuple[UInt8[np.ndarray, "n 3"], float | None]
+"""Colours, and the value that became 255; None if the type says it."""
+
+
+def point_colors(columns: Mapping[str, np.ndarray]) -> Colors | None:
+    """Returns the colours of columns with lower-case names; None without any."""
+    for names in (*NAMES, *SPLIT_NAMES):
+        if all(name in columns for name in names):
+            return eight_bits([columns[name] for name in names])
+    for name in PACKED_NAMES:
+        if name in columns:
+            rgb = _unpacked(columns[name])
+            return None if rgb is None else (rgb, None)
+    return None
+
+
+def split_colors(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Returns columns for the values (n, k) of a field; none unless its name is that of colours."""
+    channels = {f"{name}_{channel}": values[:, channel] for channel in range(min(3, values.shape[1]))}
+    return channels if tuple(channels) in SPLIT_NAMES else {}
+
+
+def depth_bits(highest: float) -> int:
+    """Returns the lowest of `DEPTHS` that holds a value."""
+    return next((bits for bits in DEPTHS if highest < 2**bits), DEPTHS[-1])
+
+
+def eight_bits(channels: Sequence[np.ndarray]) -> Colors | None:
+    """Returns colours of three columns of any type; None if no value is finite."""
+    values = _native(np.stack(channels, axis=1))
+    if values.dtype in (np.uint8, np.int8):
+        return values.view(np.uint8), None
+    if values.dtype == np.int16 and (values < 0).any():
+        values = values.view(np.uint16)
+    levels = _finite(values)
+    if levels is None:
+        return None
+    highest = float(levels.max(initial=0.0))
+    if values.dtype.kind == "f" and (highest <= MOST_FRACTION or _are_fractions(levels)):
+        return np.rint(np.clip(levels, 0, 1) * 255).astype(np.uint8), 1.0
+    bits = depth_bits(highest)
+    # of more bits, the upper eight: exact both for c * 257 and for c * 256
+    levels = np.rint(levels) if bits == 8 else np.floor(levels / 2 ** (bits - 8))
+    return np.clip(levels, 0, 255).astype(np.uint8), 2.0**bits - 1
+
+
+def _are_fractions(levels: np.ndarray) -> bool:
+    """True if only highlights exceed 1; numbers of 8 bits and more are whole as a rule, and most are larger."""
+    return bool(np.quantile(levels, FRACTIONS) <= 1 and (np.rint(levels) != levels).any())
+
+
+def _finite(values: np.ndarray) -> Float[np.ndarray, "..."] | None:
+    """Returns the values as doubles, 0 where they are not finite; None if none is."""
+    with np.errstate(all="ignore"):
+        levels = values.astype(np.float64)
+    known = np.isfinite(levels)
+    return np.where(known, levels, 0.0) if known.any() or not levels.size else None
+
+
+def _native(values: np.ndarray) -> np.ndarray:
+    """Returns values in the machine's byte order, NaNs with the same bits."""
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+
+def _unpacked(packed: np.ndarray) -> UInt8[np.ndarray, "n 3"] | None:
+    packed = _native(packed)
+    if packed.dtype.itemsize < 4:
+        return None
+    if packed.dtype.kind in "iu":
+        bits = packed.astype(np.int64 if packed.dtype.kind == "i" else np.uint64).view(np.uint64)
+    else:
+        numbers = _finite(packed)
+        if numbers is not None and numbers.any() and _are_whole(numbers):
+            bits = numbers.astype(np.int64).view(np.uint64)
+        elif numbers is None and packed.dtype != np.float32:
+            return None
+        else:
+            with np.errstate(all="ignore"):
+                bits = np.ascontiguousarray(packed, np.float32).view(np.uint32).astype(np.uint64)
+            bits[bits == NAN_BITS] = 0
+            if numbers is None and not bits.any():
+                return None
+    return np.stack([bits >> np.uint64(shift) & np.uint64(255) for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+
+
+def _are_whole(numbers: np.ndarray) -> bool:
+    """True for integers of 32 bits; as numbers, floats with the bits of colours are tiny or huge."""
+    return bool((np.rint(numbers) == numbers).all() and numbers.min() >= -(2**31) and numbers.max() < 2**32)
+
 
 CLOUD_REMEDY = "save the cloud again, or remove the frame"
 NO_RETURN = "every point is NaN or infinite, or (0, 0, 0), which means no return"
@@ -85,22 +199,14 @@ class RawCloud:
 
 
 def require_points(path: Path, points: int, *, more_bytes: int = 0) -> None:
-    """Checks a number of points before memory is allocated for them.
-
-    Raises:
-        FrameError: they are too many (`annotator.frame_limits`).
-    """
+    """Checks a number of points before memory is allocated for them."""
     problem = memory_problem(points=points, more_bytes=more_bytes)
     if problem:
         raise FrameError(path, problem, "raise the limit, or save fewer points")
 
 
 def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
-    """Returns the returns among the points of columns of equal length (`are_returns`); column names are lower case.
-
-    Raises:
-        FrameError: a column x, y or z is missing, or there is no valid point.
-    """
+    """Returns the returns among the points of columns of equal length (`are_returns`); column names are lower case."""
     missing = [name for name in "xyz" if name not in columns]
     if missing:
         present = ", ".join(columns) or "none"
@@ -119,8 +225,7 @@ def from_columns(path: Path, columns: Mapping[str, np.ndarray]) -> RawCloud:
 def at_limits(path: Path, xyz: Sequence[np.ndarray]) -> Bool[np.ndarray, "n"]:
     """Returns which points are no measurements: a coordinate, as it is stored, is at a limit of its type.
 
-    Raises:
-        FrameError: they are all points, or many along one axis only: what was measured did not fit the type.
+    If they are all points, or many along one axis only, what was measured did not fit the type: a FrameError.
     """
     stored = [_at_limit(values) for values in xyz]
     if not any(limited.any() for limited in stored):
@@ -193,9 +298,6 @@ def text_columns(
         count: the number of rows.
         first_line: line number of the body's first line in the file, for messages.
         pick: returns the values of `names` among those of a line; None = they are its first.
-
-    Raises:
-        FrameError: too few rows, or a value that is missing or not a number.
     """
     # each value needs two bytes: impossible counts are rejected before memory is allocated
     if count * len(names) * 2 > len(body) + 1:
@@ -277,11 +379,7 @@ def _text_rows(
 
 
 def binary_columns(path: Path, data: bytes, offset: int, count: int, dtype: np.dtype) -> dict[str, np.ndarray]:
-    """Returns columns stored as packed rows of `dtype` at `offset`.
-
-    Raises:
-        FrameError: the file is too short.
-    """
+    """Returns columns stored as packed rows of `dtype` at `offset`."""
     present = max(len(data) - offset, 0)
     if count * dtype.itemsize > present:
         raise FrameError(
@@ -303,3 +401,45 @@ def field_columns(rows: np.ndarray) -> dict[str, np.ndarray]:
         elif rows[name].ndim == 2:
             columns |= split_colors(name.lower(), rows[name])
     return columns
+
+
+FIRST = 3
+
+Source = TypeVar("Source")
+
+
+class CommonScale:
+    """The scales of the places from which scans come: folders, topics."""
+
+    def __init__(self) -> None:
+        self._found: dict[Hashable, Scales] = {}
+
+    def apply(
+        self, place: Hashable, raw: RawCloud, scans: Callable[[], Iterable[Source]], read: Callable[[Source], RawCloud]
+    ) -> RawCloud:
+        """Returns a scan with the scales of its place, or its own, if its values are larger.
+
+        Args:
+            scans: returns the scans of the place, in a fixed order.
+            read: reads one of them; ValueError and FrameError = it is damaged, which its own frame tells.
+        """
+        if not any(raw.scales):
+            return raw
+        if place not in self._found:
+            scales = [found for scan in islice(scans(), FIRST) if any(found := _scales_of(read, scan))]
+            if not scales:
+                return raw
+            self._found[place] = (max(each for each, _ in scales), max(each for _, each in scales))
+        return raw.with_scales(self._found[place])
+
+
+def files_like(path: Path) -> list[Path]:
+    """Returns the files of a folder with the suffix of this one, by name."""
+    return sorted(file for file in path.parent.iterdir() if file.suffix.lower() == path.suffix.lower())
+
+
+def _scales_of(read: Callable[[Source], RawCloud], scan: Source) -> Scales:
+    try:
+        return read(scan).scales
+    except (FrameError, ValueError):
+        return 0.0, 0.0

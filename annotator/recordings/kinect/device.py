@@ -7,19 +7,28 @@ recording (`two_cameras.py`). Interface: pyk4a 1.5.0 (github.com/etiennedub/pyk4
 from __future__ import annotations
 
 import logging
+import re
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
 from annotator.geometry.projection import pixel_colors
-from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
-from annotator.recordings.kinect.connection import NAME, load_pyk4a, open_device
-from annotator.recordings.kinect.imu import SAMPLE, WITHIN_NS, up_at_rest
+from annotator.recordings.kinect.calibration import (
+    SAMPLE,
+    WITHIN_NS,
+    KinectCalibration,
+    Size,
+    parse_calibration,
+    up_at_rest,
+)
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import DeviceError
 
@@ -33,6 +42,80 @@ WAIT_MS = 200
 MOST_SAMPLES_AT_ONCE = 4096
 COLOR_SIZE: Size = (1280, 720)
 NS_PER_US = 1000
+NAME = "Azure Kinect"
+# Serial numbers have twelve digits; one or two digits are an index in the list of devices.
+INDEX = re.compile(r"\d{1,2}")
+BUNDLE = "its package contains the Azure Kinect SDK, for 64-bit Linux with glibc 2.38 or newer and for Windows"
+
+
+def load_pyk4a() -> ModuleType:
+    """Imports pyk4a."""
+    install = 'pip install "rcv-annotator[kinect]" (scripts/setup kinect in a clone)'
+    try:
+        import pyk4a
+    except ImportError as error:
+        if find_spec("pyk4a") is None:
+            raise DeviceError(f"an {NAME} needs pyk4a, which is not installed: {install}; {BUNDLE}") from error
+        raise DeviceError(
+            f"pyk4a is installed, but its SDK cannot be loaded ({error}); reinstall it: {install}; {BUNDLE}"
+        ) from error
+    module: ModuleType = pyk4a
+    return module
+
+
+# thread_safe=False below: with True, pyk4a holds the GIL while it waits for an image, which blocks all other threads.
+# Only one thread uses the device.
+
+
+def open_device(k4a: ModuleType, config: Any, which: str | None) -> tuple[Any, str]:
+    """Opens a device and returns it with its serial number.
+
+    Args:
+        k4a: the module from `load_pyk4a`.
+        config: a `Config` of that module.
+        which: as in `KinectDevice`.
+    """
+    count = k4a.connected_device_count()
+    if not count:
+        raise DeviceError(
+            f"no {NAME} is connected; check its power supply and its USB 3 cable. On Linux, also install the SDK's "
+            "udev rules (99-k4a.rules)"
+        )
+    if which is not None and not INDEX.fullmatch(which):
+        return _open_serial(k4a, config, which, count)
+    index = int(which or 0)
+    if index >= count:
+        raise DeviceError(f"there is no {NAME} number {index}: {count} connected, numbered from 0")
+    device = k4a.PyK4A(config, index, thread_safe=False)
+    try:
+        device.open()
+        return device, str(device.serial)
+    except k4a.K4AException as error:
+        _close_quietly(device)
+        raise DeviceError(
+            f"{NAME} number {index} cannot be opened: another program uses it, or this user lacks the permission (on "
+            "Linux, install the SDK's udev rules, 99-k4a.rules); close the other program, or reconnect the device"
+        ) from error
+
+
+def _open_serial(k4a: ModuleType, config: Any, serial: str, count: int) -> tuple[Any, str]:
+    others = []
+    for index in range(count):
+        device = k4a.PyK4A(config, index, thread_safe=False)
+        with suppress(k4a.K4AException):  # in use by another program; counted in the message below
+            device.open()
+            if str(device.serial) == serial:
+                return device, serial
+            others.append(str(device.serial))
+        _close_quietly(device)
+    if len(others) < count:
+        others.append(f"{count - len(others)} that cannot be opened")
+    raise DeviceError(f"no {NAME} with the serial number {serial} can be opened; connected: {', '.join(others)}")
+
+
+def _close_quietly(device: Any) -> None:
+    if device.opened:
+        device.close()
 
 
 @dataclass(frozen=True)
@@ -111,11 +194,7 @@ class KinectDevice:
         self._frames = 0
 
     def next_frame(self, stop: threading.Event) -> DeviceFrame | None:
-        """Waits for the next frame; returns None once `stop` is set.
-
-        Raises:
-            DeviceError: no frame arrived for several seconds, or the device is disconnected.
-        """
+        """Waits for the next frame; returns None once `stop` is set."""
         within_s = NEXT_FRAME_WITHIN_S if self._frames else FIRST_FRAME_WITHIN_S
         end_s = time.monotonic() + within_s
         while not stop.is_set():

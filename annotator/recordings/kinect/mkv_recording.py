@@ -1,11 +1,11 @@
 """Azure Kinect recordings (`.mkv`), read without the SDK.
 
 Tracks COLOR (MJPEG, NV12, YUY2 or BGRA), DEPTH and IR (16 bits per pixel, big-endian, depth in millimetres), IMU; the
-calibration is attached. Tags hold the recording's start on the device's clock and the delay of the depth images.
+calibration is attached. Tags hold the recording's start on the device's clock and the delay of the depth images. YUV is
+BT.601 with values from 16 to 235, as in the SDK.
 
 A frame's camera is the colour camera. Its cloud holds the points of the depth image that this camera sees
-(`two_cameras.py`).
-`up` is known while the device is at rest (`imu.py`).
+(`two_cameras.py`). `up` is known while the device is at rest.
 """
 
 from __future__ import annotations
@@ -21,18 +21,132 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64, UInt8, UInt16
 
-from annotator.files import open_file
+from annotator.files import check_file, open_file
 from annotator.frame_limits import frame_memory
 from annotator.geometry.projection import pixel_colors
-from annotator.recordings.kinect.attachments import REMEDY, tagged_ns, tags_and_calibration
-from annotator.recordings.kinect.calibration import KinectCalibration, Size, parse_calibration
-from annotator.recordings.kinect.captures import Capture, find_captures
-from annotator.recordings.kinect.color import FORMATS, decode_color
-from annotator.recordings.kinect.imu import blocks_near, parse_samples, up_at_rest
-from annotator.recordings.kinect.matroska import Block, MatroskaIndex, Track, read_index, read_tracks
+from annotator.image_bytes import JPEG_START, declared_size, image_problem
+from annotator.recordings.frame_times import nearest
+from annotator.recordings.kinect.calibration import (
+    KinectCalibration,
+    Size,
+    blocks_near,
+    parse_calibration,
+    parse_samples,
+    up_at_rest,
+)
+from annotator.recordings.kinect.matroska import MOST_NS, Block, MatroskaIndex, Track, read_index, read_tracks
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Frame, PointCloud
 from annotator.types.errors import FrameError, RecordingError
+
+REMEDY = "copy the recording again from its source"
+
+
+def tags_and_calibration(path: Path) -> tuple[dict[str, str], bytes]:
+    """Returns the recording's tags and its attached calibration."""
+    import av
+
+    try:
+        check_file(path)
+        with av.open(str(path), metadata_errors="replace") as container:
+            tags = {name: value for name, value in container.metadata.items() if name.startswith("K4A_")}
+            for stream in container.streams:
+                is_named = "K4A_CALIBRATION_FILE" in stream.metadata or stream.metadata.get("filename") == (
+                    "calibration.json"
+                )
+                if stream.type == "attachment" and is_named:
+                    return tags, bytes(stream.data)
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be read as Matroska ({error}); {REMEDY}") from error
+    raise RecordingError(f"{path}: has no calibration attached; record it with the Azure Kinect SDK's recorder")
+
+
+def tagged_ns(tags: dict[str, str], name: str) -> int:
+    """Returns a tag's nanoseconds; 0 if the tag is missing or damaged."""
+    text = tags.get(name, "0")
+    try:
+        time_ns = int(text)
+    except ValueError:
+        # treated as missing: older recorders do not write these tags either
+        return 0
+    return time_ns if abs(time_ns) <= MOST_NS else 0
+
+
+DEFAULT_PERIOD_NS = 33_333_333
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """The images of one moment; `depth` is None if the file ends before it."""
+
+    color: Block
+    depth: Block | None
+
+
+def find_captures(index: MatroskaIndex, color: Track, depth: Track, delay_ns: int) -> dict[int, Capture]:
+    """Pairs each colour image with the nearest depth image within half a period; by the colour image's number."""
+    colors = [block for block in index.blocks if block.track == color.number]
+    depths = [block for block in index.blocks if block.track == depth.number]
+    within_ns = (color.period_ns or depth.period_ns or DEFAULT_PERIOD_NS) // 2
+    times = np.array([block.time_ns - delay_ns for block in depths], np.int64)
+    color_ns = np.array([block.time_ns for block in colors], np.int64)
+    near: list[int] = nearest(color_ns, times).tolist() if depths else []
+    captures: dict[int, Capture] = {}
+    for number, block in enumerate(colors):
+        if depths and abs(int(times[near[number]]) - block.time_ns) < within_ns:
+            captures[number] = Capture(block, depths[near[number]])
+        elif index.is_truncated and block is colors[-1]:
+            captures[number] = Capture(block, None)
+    return captures
+
+
+# FourCC of a track -> half bytes per pixel; None for compressed formats.
+FORMATS: dict[str, int | None] = {"MJPG": None, "NV12": 3, "YUY2": 4, "BGRA": 8}
+
+
+def decode_color(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the RGB image in the bytes of one block.
+
+    Raises:
+        ValueError: the bytes are not an image of this format and size; the message says why.
+    """
+    if fourcc == "MJPG":
+        return _decode_jpeg(data, width_px, height_px)
+    return _convert(fourcc, data, width_px, height_px)
+
+
+def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    import cv2
+
+    problem = image_problem(data)
+    if problem:
+        raise ValueError(problem)
+    # checked before decoding: damaged bytes could declare an image of gigabytes
+    if not data.startswith(JPEG_START) or declared_size(data) != (width_px, height_px):
+        raise ValueError(f"it is not a JPEG image of {width_px} x {height_px} pixels")
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if bgr is None:
+        raise ValueError("the JPEG image cannot be decoded")
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+
+
+def _convert(fourcc: str, data: bytes, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    import cv2
+
+    halves = FORMATS[fourcc]
+    assert halves is not None
+    expected = width_px * height_px * halves // 2
+    if len(data) != expected:
+        raise ValueError(f"it has {len(data)} bytes, but {width_px} x {height_px} pixels of {fourcc} have {expected}")
+    raw = np.frombuffer(data, np.uint8)
+    if fourcc == "NV12":
+        rgb = cv2.cvtColor(raw.reshape(height_px * 3 // 2, width_px), cv2.COLOR_YUV2RGB_NV12)
+    elif fourcc == "YUY2":
+        rgb = cv2.cvtColor(raw.reshape(height_px, width_px, 2), cv2.COLOR_YUV2RGB_YUY2)
+    else:
+        rgb = cv2.cvtColor(raw.reshape(height_px, width_px, 4), cv2.COLOR_BGRA2RGB)
+    return np.asarray(rgb)
+
 
 TRACKS = frozenset({"COLOR", "DEPTH"})
 LOOKED_FOR = "an .mkv file with tracks COLOR and DEPTH and an attached calibration"
@@ -69,12 +183,7 @@ class AzureKinect(KeyedFrames):
         return tuple(self.start_ns + capture.color.time_ns for capture in self.captures)
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`.
-
-        Raises:
-            FrameError: an image is damaged or truncated, or there is no point in the colour image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud has `rgb`."""
         key = self.key(i)
         # the image is decoded in parallel with the geometry: both take a similar time
         with ThreadPoolExecutor(1) as executor:
@@ -92,12 +201,7 @@ class AzureKinect(KeyedFrames):
         return Frame(key, i, self.calibration.color, color, cloud, up=self.up(i), timestamp_ns=time_ns)
 
     def up(self, i: int) -> Float64[np.ndarray, "3"] | None:
-        """Returns the unit vector against gravity in the colour camera's frame; None if it moved or there is no IMU.
-
-        Raises:
-            FrameError: the file cannot be read.
-            IndexError: there is no such frame.
-        """
+        """Returns the unit vector against gravity in the colour camera's frame; None if it moved or there is no IMU."""
         key, rotation, time_ns = self.key(i), self.calibration.color_from_accelerometer, self.captures[i].color.time_ns
         # a truncated file may end within the last block
         blocks = blocks_near(self.inertial, time_ns)
@@ -109,12 +213,7 @@ class AzureKinect(KeyedFrames):
         return None if up is None else np.asarray(rotation.apply(up))
 
     def color_image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Reads colour image `i`, RGB order.
-
-        Raises:
-            FrameError: it is damaged or truncated.
-            IndexError: there is no such frame.
-        """
+        """Reads colour image `i`, RGB order."""
         key, camera = self.key(i), self.calibration.color
         data = self._read(key, "colour", self.captures[i].color)
         try:
@@ -123,12 +222,7 @@ class AzureKinect(KeyedFrames):
             raise FrameError(self.path, f"frame {key}: colour image: {error}", REMEDY) from error
 
     def depth_image(self, i: int) -> UInt16[np.ndarray, "h w"]:
-        """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth.
-
-        Raises:
-            FrameError: it is damaged or truncated.
-            IndexError: there is no such frame.
-        """
+        """Reads depth image `i` in the depth camera's pixels, millimetres, 0 = no depth."""
         return self._raw_image(self.key(i), "depth", self.captures[i].depth)
 
     def _raw_image(self, key: str, what: str, block: Block | None) -> UInt16[np.ndarray, "h w"]:
@@ -179,11 +273,7 @@ def is_azure_kinect(path: Path) -> bool:
 
 
 def open_azure_kinect(path: Path) -> AzureKinect | NotFound:
-    """Opens the Azure Kinect recording at `path`, reading headers only; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: it has no frame, no usable calibration, or an unknown colour format.
-    """
+    """Opens the Azure Kinect recording at `path`, reading headers only; `NotFound` if it is not one."""
     if not _is_mkv(path):
         return NotFound(LOOKED_FOR)
     stat = path.stat()

@@ -43,9 +43,6 @@ def phone_cloud(
         depth_m: z, metres; zero, negative, NaN and infinite values mean no measurement.
         confidence: of each depth pixel; None if it was not recorded.
         min_confidence: pixels with less are left out; None for the default.
-
-    Raises:
-        FrameError: no depth of this confidence.
     """
     least = MIN_CONFIDENCE if min_confidence is None else min_confidence
     if confidence is not None:

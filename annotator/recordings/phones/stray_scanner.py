@@ -27,15 +27,14 @@ from jaxtyping import Float32, Float64, UInt8
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.frame_limits import read_frame_file
 from annotator.geometry.depth_values import in_metres
-from annotator.recordings.clouds.numpy_file import read_array
+from annotator.recordings.clouds.cloud_file import read_array
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.image_file import read_confidence, read_depth
 from annotator.recordings.listing import frame_file
-from annotator.recordings.options import ReaderOptions
 from annotator.recordings.phones.arkit import phone_cloud, rotation_of, turned, turns_to_upright, up_in_camera
 from annotator.recordings.plausible import LARGEST, are_plausible, is_pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rgbd_camera import pinhole
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.rgbd_folder import pinhole
 from annotator.recordings.video_file import VideoFile, open_video
 from annotator.text import to_number
 from annotator.types import Camera, Frame
@@ -90,12 +89,7 @@ class StrayScanner(KeyedFrames):
         return depth, frame_file(self.path / CONFIDENCE, key, (".png",), f"{DEPTH}/{key}.png")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud has `rgb`.
-
-        Raises:
-            FrameError: a missing or damaged image, calibration or row, or no depth of this confidence.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud has `rgb`."""
         key = self.key(i)
         rgb = self._image(i)
         camera = turned(self._camera(i, rgb), self.turns)
@@ -184,11 +178,7 @@ class StrayScanner(KeyedFrames):
 
 
 def open_stray_scanner(path: Path, options: ReaderOptions) -> StrayScanner | NotFound:
-    """Opens the recording of Stray Scanner at `path`; `NotFound` if it is not one.
-
-    Raises:
-        RecordingError: `odometry.csv` has no rows, no header, or two rows of one frame.
-    """
+    """Opens the recording of Stray Scanner at `path`; `NotFound` if it is not one."""
     poses = path / POSES
     if not ((path / VIDEO).is_file() and poses.is_file() and (path / DEPTH).is_dir()):
         return NotFound(LOOKED_FOR)

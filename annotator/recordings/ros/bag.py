@@ -1,109 +1,36 @@
-"""A bag: messages by topic, in the order of their log times, each read on request.
+"""A bag: messages by topic, in the order of their log times, each read on request; and which files are one.
 
-The readers of the file formats (`ros1_file`, `mcap_file`, `sqlite_file`) list the messages without reading them. They
-are our own because libraries refuse bags without an index or with one damaged chunk, and read whole files to list them.
+PATH.bag           ROS 1, also RealSense's
+PATH.mcap          MCAP, of ROS or not
+PATH.db3           ROS 2, SQLite
+PATH/metadata.yaml, *.mcap or *.db3    a folder of ROS 2; without metadata.yaml the recorder was killed, and the files
+                                       must be one, or NAME_0, NAME_1, ... of one kind, the parts of one recording
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
 
+from annotator.files import open_file, read_text_file
+from annotator.recordings.ros.bag_files import ROS1_MAGIC, SQLITE_MAGIC, BagFile, Channel, Ros1File, SqliteFile
+from annotator.recordings.ros.mcap_file import MCAP_MAGIC, McapFile
 from annotator.types.amounts import amount
+from annotator.types.errors import RecordingError
 
-
-@dataclass(frozen=True, eq=False)
-class Channel:
-    """What one publisher sent on a topic, in one file.
-
-    Attributes:
-        topic: its name.
-        type: message type as the file has it: `sensor_msgs/Image`, `sensor_msgs/msg/Image`, `foxglove.RawImage`.
-        encoding: of the messages: ros1, cdr, protobuf or json.
-        schema_encoding, schema: definition of the type: ros1msg, ros2msg, ros2idl, protobuf or jsonschema; "" = none.
-        publisher: the publisher's name; "" if unknown.
-        number: of the channel in its file.
-        log_ns, chunk, offset: of each message: time of recording and place in the file; chunk -1 = outside chunks.
-    """
-
-    topic: str
-    type: str
-    encoding: str
-    schema_encoding: str
-    schema: bytes
-    publisher: str
-    number: int
-    log_ns: Int64[np.ndarray, "n"]
-    chunk: Int64[np.ndarray, "n"]
-    offset: Int64[np.ndarray, "n"]
-
-
-@runtime_checkable
-class BagFile(Protocol):
-    """One file of a bag.
-
-    Attributes:
-        path: the file.
-        channels: its channels.
-        notes: what is damaged or missing, as sentences.
-    """
-
-    path: Path
-    channels: tuple[Channel, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def is_slow(self) -> bool:
-        """True if reading takes so long that it is worth several threads."""
-
-    def read(self, channel: Channel, i: int, most: int | None = None) -> bytes:
-        """Reads message `i` of a channel, or its first `most` bytes or a few more.
-
-        Raises:
-            ValueError: damaged or truncated.
-            OSError: the file cannot be read.
-        """
-
-    def many(self) -> AbstractContextManager[None]:
-        """Makes the reading of many messages faster, by this thread and within the block."""
-
-
-# Damaged places of a file that are named.
-MOST_NAMED = 8
-
-
-def shortened(damages: list[str]) -> list[str]:
-    """Returns sentences about the first damaged places of a file, and how many more there are."""
-    more = len(damages) - MOST_NAMED
-    return [*damages[:MOST_NAMED], f"is damaged at {amount(more, 'more place')}"] if more > 0 else damages
-
-
-class ChannelBuilder:
-    """Collects the messages of a file while its records are listed."""
-
-    def __init__(self) -> None:
-        self._parts: dict[int, list[tuple[np.ndarray, int, np.ndarray]]] = {}
-        self.first_chunk: dict[int, int] = {}
-
-    def add(self, number: int, log_ns: np.ndarray, chunk: int, offset: np.ndarray) -> None:
-        """Adds messages of channel `number`: times and offsets in a chunk."""
-        self._parts.setdefault(number, []).append((log_ns.astype(np.int64), chunk, offset.astype(np.int64)))
-        self.first_chunk.setdefault(number, chunk)
-
-    def arrays(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns log_ns, chunk and offset of a channel's messages."""
-        parts = self._parts.get(number, [])
-        if not parts:
-            return tuple(np.empty(0, np.int64) for _ in range(3))  # type: ignore[return-value]
-        times, chunks, offsets = zip(*parts, strict=True)
-        lengths = [len(time) for time in times]
-        return np.concatenate(times), np.repeat(np.array(chunks, np.int64), lengths), np.concatenate(offsets)
+METADATA = "metadata.yaml"
+MAGICS = {".bag": ROS1_MAGIC, ".mcap": MCAP_MAGIC, ".db3": SQLITE_MAGIC}
+SUFFIXES = tuple(MAGICS)
+LOOKED_FOR = "a .bag, .mcap or .db3 file, or a folder of ROS 2 with such files"
+LARGEST_METADATA = 1 << 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,3 +155,112 @@ def short_type(name: str) -> str:
     if parts[0] == "foxglove_msgs":
         parts[0] = "foxglove"
     return "/".join(parts)
+
+
+def is_bag(path: Path) -> bool:
+    """True for a bag, by the names and first bytes of its files.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    files = [path] if path.is_file() else _files_in(path)
+    return bool(files) and all(_has_magic(file) for file in files[:1])
+
+
+def open_bag(path: Path) -> Bag | None:
+    """Opens the bag at `path`, listing its messages; None if it is not one. Bags are cached until they change.
+
+    Raises:
+        RecordingError: a file is missing or cannot be used.
+        OSError: a file cannot be read.
+    """
+    if not is_bag(path):
+        return None
+    files = [path] if path.is_file() else [*_files_in(path), *path.glob(METADATA)]
+    stats = [(str(file), (stat := file.stat()).st_mtime_ns, stat.st_size) for file in files]
+    return _open(path, tuple(stats))
+
+
+@lru_cache(maxsize=4)
+def _open(path: Path, state: tuple[tuple[str, int, int], ...]) -> Bag:
+    """Opens a bag whose files are in this `state`: adding a recording opens it several times."""
+    if path.is_file():
+        return join(path, [_open_file(path)])
+    metadata, files = _metadata(path), _files_in(path)
+    names = metadata.get("relative_file_paths")
+    declared = [path / Path(str(name)).name for name in names] if isinstance(names, list) else []
+    missing = [file.name for file in declared if not file.is_file()]
+    compression = str(metadata.get("compression_mode") or "").lower()
+    if missing:
+        raise RecordingError(
+            f"{path}: {', '.join(missing[:3])} is missing; copy it there, or remove {METADATA} to read the other files"
+        )
+    bag = join(path, [_open_file(file, compression == "message") for file in files])
+    count, expected = sum(map(len, bag.topics.values())), metadata.get("message_count")
+    notes = bag.notes
+    if not metadata:
+        notes += (f"has no {METADATA}, so its recorder was not closed; its files are read as far as they are sound",)
+    elif isinstance(expected, int) and expected != count:
+        notes += (f"{METADATA} declares {amount(expected, 'message')}, but the files have {count}",)
+    return Bag(path, bag.topics, notes)
+
+
+def _open_file(path: Path, are_compressed: bool = False) -> BagFile:
+    try:
+        if path.suffix.lower() == ".bag":
+            return Ros1File(path)
+        if path.suffix.lower() == ".mcap":
+            return McapFile(path, are_compressed)
+        return SqliteFile(path, are_compressed)
+    except (ValueError, TypeError, LookupError, ArithmeticError) as error:
+        raise RecordingError(f"{path}: {error}; record or copy it again") from error
+
+
+def _metadata(folder: Path) -> dict[str, Any]:
+    """Returns the content of `metadata.yaml`; empty without that file."""
+    import yaml
+
+    path = folder / METADATA
+    if not path.is_file():
+        return {}
+    if path.stat().st_size > LARGEST_METADATA:
+        raise RecordingError(f"{path}: is too large; remove it to read the bag without it")
+    try:
+        content = yaml.safe_load(read_text_file(path))
+        info = content["rosbag2_bagfile_information"]
+    # ValueError: not UTF-8, or a date that does not exist
+    except (yaml.YAMLError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RecordingError(
+            f"{path}: is not the description of a bag ({str(error)[:100]}); remove it to read the bag without it"
+        ) from error
+    return info if isinstance(info, dict) else {}
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Returns the files of a ROS 2 folder, in the order of their numbers; empty if they are several recordings."""
+    if not folder.is_dir():
+        return []
+    with os.scandir(folder) as entries:
+        named = [entry for entry in entries if entry.name.lower().endswith((".mcap", ".db3"))]
+        files = [folder / entry.name for entry in named if entry.name[0] != "." and entry.is_file()]
+    files.sort(key=lambda file: (len(file.name), file.name))
+    if not (folder / METADATA).is_file():
+        return files if _are_parts(files) else []
+    if not files and any(folder.glob("*.zstd")):
+        raise RecordingError(f"{folder}: its files are compressed as a whole; run zstd -d {folder}/*.zstd")
+    return files
+
+
+def _are_parts(files: list[Path]) -> bool:
+    """True if the files, in the order of their numbers, are parts of one recording by their names."""
+    name = files[0].stem.rpartition("_")[0] if files else ""
+    expected = [f"{name}_{number}{files[0].suffix}" for number in range(len(files))]
+    return len(files) < 2 or [file.name for file in files] == expected
+
+
+def _has_magic(path: Path) -> bool:
+    magic = MAGICS.get(path.suffix.lower())
+    if magic is None:
+        return False
+    with open_file(path) as file:
+        return file.read(len(magic)) == magic

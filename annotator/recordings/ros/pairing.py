@@ -1,20 +1,73 @@
-"""Pairs the images of a bag with its clouds by time."""
+"""Pairs the images of a bag with its clouds by time.
+
+The header times of bags that are slow to read are kept in the user's cache folder: to find those of a bag that is
+compressed with bz2, half of it must be decompressed, half a minute for 2 GB.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
+import logging
 import os
+import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Int64
 
+from annotator.files import TABLE_BYTES, read_file, write_atomic
+from annotator.recordings.frame_times import nearest
 from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.decode import SECOND, quick_stamp_ns
-from annotator.recordings.ros.kept_times import kept_times
+from annotator.recordings.ros.messages import SECOND, quick_stamp_ns
 from annotator.types.amounts import amount
+
+LOG = logging.getLogger("annotator.bags")
+# Faster topics are not kept.
+SLOW_S = 2.0
+
+
+def kept_times(topic: Topic, read: Callable[[], Int64[np.ndarray, "n"]]) -> Int64[np.ndarray, "n"]:
+    """Returns the times of a topic's messages: those that were kept for these files, else what `read` returns."""
+    path = cache_folder() / f"{_fingerprint(topic)}.npy"
+    try:
+        kept = np.load(io.BytesIO(read_file(path, TABLE_BYTES)), allow_pickle=False)
+        if kept.shape == (len(topic),) and kept.dtype == np.int64:
+            return np.asarray(kept)
+    except (OSError, ValueError, EOFError):  # not kept, or damaged
+        pass
+    started = time.monotonic()
+    times = read()
+    if time.monotonic() - started > SLOW_S:
+        content = io.BytesIO()
+        np.save(content, times)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, content.getvalue())
+        except OSError as error:
+            LOG.warning("%s: the times of %s cannot be kept (%s)", path, topic.name, error.strerror)
+    return times
+
+
+def cache_folder() -> Path:
+    """Returns the folder of the kept times, which may be removed at any time."""
+    place = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return (Path(place) if place else Path.home() / ".cache") / "annotator" / "bags"
+
+
+def _fingerprint(topic: Topic) -> str:
+    """Returns a name for a topic in these files, as they are now."""
+    parts = [topic.name, topic.type, str(len(topic))]
+    for file, _ in topic.sources:
+        stat = file.path.stat()
+        parts += [str(file.path.resolve()), str(stat.st_size), str(stat.st_mtime_ns)]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
 
 Clock = Literal["header", "log"]
 # Topics whose stamps are further apart than this, measured against the log, have different clocks.
@@ -130,17 +183,6 @@ def _mutual_nearest(a_ns: np.ndarray, b_ns: np.ndarray) -> tuple[np.ndarray, np.
     """Returns the numbers of those that are each other's nearest."""
     if not len(a_ns) or not len(b_ns):
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    to_b, to_a = _nearest(a_ns, b_ns), _nearest(b_ns, a_ns)
+    to_b, to_a = nearest(a_ns, b_ns), nearest(b_ns, a_ns)
     mutual = np.flatnonzero(to_a[to_b] == np.arange(len(a_ns)))
     return mutual, to_b[mutual]
-
-
-def _nearest(of_ns: np.ndarray, among_ns: np.ndarray) -> np.ndarray:
-    """Returns for each time the number of the nearest of `among_ns`; the earlier one of two."""
-    order = np.argsort(among_ns, kind="stable")
-    ordered = among_ns[order]
-    after = np.clip(np.searchsorted(ordered, of_ns), 1, max(len(ordered) - 1, 1))
-    if len(ordered) == 1:
-        return np.zeros(len(of_ns), np.int64)
-    is_before = of_ns - ordered[after - 1] <= ordered[after] - of_ns
-    return order[np.where(is_before, after - 1, after)]

@@ -23,27 +23,37 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.geometry.transforms import FORWARD
 from annotator.recordings.clouds.cloud_folder import T_CAMERA_LIDAR, VIRTUAL_CAMERA, cloud_in_image
-from annotator.recordings.clouds.columns import RawCloud
-from annotator.recordings.clouds.common_scale import FIRST, CommonScale
-from annotator.recordings.clouds.origin import Origin, without_strays, world_pose
-from annotator.recordings.clouds.virtual_image import virtual_image
-from annotator.recordings.deep_images import Levels
-from annotator.recordings.kitti.frame import UP
-from annotator.recordings.options import Place, ReaderOptions, option_flag
-from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rig import Scan, level_turn
-from annotator.recordings.ros.bag import Bag, Topic
-from annotator.recordings.ros.camera_info import RECTIFIED, BagCamera, read_camera_info
-from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
-from annotator.recordings.ros.files import LOOKED_FOR, open_bag
-from annotator.recordings.ros.gravity import up_near
-from annotator.recordings.ros.images import color_image, depth_image, levels_of
+from annotator.recordings.clouds.columns import FIRST, CommonScale, RawCloud
+from annotator.recordings.clouds.virtual_camera import Origin, virtual_image, without_strays, world_pose
+from annotator.recordings.image_file import Levels
+from annotator.recordings.kitti import UP
+from annotator.recordings.look_around import Scan, level_turn
+from annotator.recordings.recording import KeyedFrames, NotFound, Place, ReaderOptions, option_flag
+from annotator.recordings.ros.bag import LOOKED_FOR, Bag, Topic, open_bag
+from annotator.recordings.ros.messages import (
+    FIELD_ERRORS,
+    RECTIFIED,
+    BagCamera,
+    cloud_of,
+    frame_id,
+    message,
+    read_camera_info,
+)
 from annotator.recordings.ros.pairing import Pairs, pair, stamps_ns
-from annotator.recordings.ros.point_clouds import read_cloud
-from annotator.recordings.ros.realsense import RealSense, between_streams, realsense_of
-from annotator.recordings.ros.roles import IMU_TYPE, VIDEO_TYPE, Chosen, ImageTopic, choose, first_of_pair, frame_of
-from annotator.recordings.ros.transforms import LinkMissingError, TransformReader
-from annotator.recordings.ros.video import video_image
+from annotator.recordings.ros.pictures import color_image, depth_image, levels_of, video_image
+from annotator.recordings.ros.topics import (
+    IMU_TYPE,
+    VIDEO_TYPE,
+    Chosen,
+    ImageTopic,
+    RealSense,
+    between_streams,
+    choose,
+    first_of_pair,
+    frame_of,
+    realsense_of,
+)
+from annotator.recordings.ros.transforms import LinkMissingError, TransformReader, up_near
 from annotator.recordings.two_cameras import registered
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import ConfigError, FrameError, GeometryError, RecordingError
@@ -195,9 +205,9 @@ class RosBag(KeyedFrames):
         """Returns the cloud of a message, with the scale of reflectance that the first ones have."""
         topic, first = self.chosen.partner, self.pairs.cloud
         with _naming(topic):
-            raw = read_cloud(self.path, content)
+            raw = cloud_of(self.path, content)
         return self.scale.apply(
-            topic, raw, lambda: map(int, first), lambda number: read_cloud(self.path, message(topic, number))
+            topic, raw, lambda: map(int, first), lambda number: cloud_of(self.path, message(topic, number))
         )
 
     def camera(self, log_ns: int) -> BagCamera:
@@ -247,12 +257,7 @@ class RosBag(KeyedFrames):
         return camera.T_camera_frame * between * source.T_camera_frame.inv()
 
     def _T_camera_cloud(self, i: int, camera: str, cloud: str, log_ns: int) -> RigidTransform:
-        """Returns the transform of a pair: the cloud at its own time, the camera at that of the image.
-
-        Raises:
-            LinkMissingError: tf does not know it.
-            OSError: the file cannot be read.
-        """
+        """Returns the transform of a pair: the cloud at its own time, the camera at that of the image."""
         time_ns, cloud_ns = int(self.pairs.time_ns[i]), int(self.pairs.cloud_time_ns[i])
         fixed = self.fixed_frame if time_ns != cloud_ns else None
         if camera == cloud and fixed is None:
@@ -305,10 +310,6 @@ class ScanBag(RosBag):
         """Reads the whole cloud of frame `i`, ahead being where the camera looks, or x without images.
 
         Without an IMU, z is taken as up.
-
-        Raises:
-            FrameError: as `frame`.
-            IndexError: there is no such frame.
         """
         with self._errors(i):
             content = _content(self.chosen.partner, int(self.pairs.cloud[i]))
@@ -335,12 +336,7 @@ class ScanBag(RosBag):
 
 
 def open_ros_bag(path: Path, options: ReaderOptions) -> RosBag | NotFound:
-    """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one.
-
-    Raises:
-        ConfigError: an option names a topic that the bag does not have, or an origin although there are images.
-        RecordingError: the topics are ambiguous or missing, no messages are partners, or a file cannot be used.
-    """
+    """Opens the bag at `path`, without reading images or clouds; `NotFound` if it is not one."""
     bag = open_bag(path)
     if bag is None:
         return NotFound(LOOKED_FOR)

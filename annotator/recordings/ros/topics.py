@@ -1,16 +1,404 @@
-"""The topics of a bag, for people who choose among them."""
+"""What the topics of a bag are used for: chosen where it is unambiguous, else by options.
+
+RealSense's own recordings, ROS 1 bags of librealsense, have topics of their own:
+
+/device_N/sensor_N/STREAM_N/image/data         images; depth is mono16
+/device_N/sensor_N/STREAM_N/info               StreamInfo: fps
+/device_N/sensor_N/STREAM_N/info/camera_info   intrinsics
+/device_N/sensor_N/STREAM_N/tf/N               pose relative to the other streams of the same number
+/device_N/sensor_N/option/Depth Units/value    metres of a unit of depth
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.recordings.options import ReaderOptions
-from annotator.recordings.ros.files import open_bag
-from annotator.recordings.ros.realsense import realsense_uses
-from annotator.recordings.ros.roles import choose, options_of, uses
-from annotator.types.errors import InputError
+from annotator.recordings.plausible import are_plausible
+from annotator.recordings.recording import ReaderOptions, option_flag
+from annotator.recordings.ros.bag import Bag, Topic, open_bag
+from annotator.recordings.ros.messages import FIELD_ERRORS, baseline_m, frame_id, message
+from annotator.recordings.ros.pictures import Picture, describe
+from annotator.recordings.ros.transforms import TYPES as TF_TYPES
+from annotator.types.amounts import amount
+from annotator.types.errors import ConfigError, InputError, RecordingError
+
+IMAGE_TYPES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "foxglove/RawImage", "foxglove/CompressedImage")
+VIDEO_TYPE = "foxglove/CompressedVideo"
+CLOUD_TYPES = ("sensor_msgs/PointCloud2", "foxglove/PointCloud")
+INFO_TYPES = ("sensor_msgs/CameraInfo", "foxglove/CameraCalibration")
+IMU_TYPE = "sensor_msgs/Imu"
+# The last part of the names of image_transport's topics, which repeat those without it.
+TRANSPORTS = ("compressed", "compressedDepth", "theora", "ffmpeg", "zstd")
+GREY = ("mono8", "mono16", "8UC1", "16UC1")
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTopic:
+    """A topic of images.
+
+    Attributes:
+        picture: of its first readable message.
+        frame: the tf frame of that message.
+    """
+
+    topic: Topic
+    picture: Picture
+    frame: str
+
+    @property
+    def base(self) -> str:
+        """The topic's name without that of a transport."""
+        above, _, last = self.topic.name.rpartition("/")
+        return above if last in TRANSPORTS else self.topic.name
+
+    @property
+    def camera(self) -> str:
+        """The part of the name that the camera's topics share."""
+        return self.base.rpartition("/")[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The topics of a recording: an image with a calibration and a cloud or depth image, or a cloud alone.
+
+    Attributes:
+        info, depth_info: calibrations of the images and depth images.
+    """
+
+    image: ImageTopic | None
+    info: Topic | None
+    points: Topic | None
+    depth: ImageTopic | None
+    depth_info: Topic | None
+
+    @property
+    def partner(self) -> Topic:
+        """The topic of the points or depths."""
+        partner = self.points or (self.depth.topic if self.depth else None)
+        assert partner is not None
+        return partner
+
+
+def image_topics(bag: Bag) -> list[ImageTopic]:
+    """Returns the topics of images that have a readable message."""
+    found = (_image_topic(topic) for topic in bag.of_type(*IMAGE_TYPES, VIDEO_TYPE))
+    return [image for image in found if image is not None]
+
+
+# Opening a bag asks several times; bags are cached, so their topics stay the same.
+@lru_cache(maxsize=256)
+def _image_topic(topic: Topic) -> ImageTopic | None:
+    first = first_message(topic)
+    try:
+        picture = Picture("video", 0, 0, False) if topic.type == VIDEO_TYPE else describe(first, topic.name)
+        return ImageTopic(topic, picture, frame_id(first))
+    except FIELD_ERRORS:
+        return None
+
+
+@lru_cache(maxsize=256)
+def frame_of(topic: Topic) -> str | None:
+    """Returns the tf frame of a topic's first readable message; None without one."""
+    try:
+        return frame_id(first_message(topic))
+    except FIELD_ERRORS:
+        return None
+
+
+def first_message(topic: Topic, tried: int = 5) -> Any:
+    """Returns the first readable of a topic's first messages; None if none is."""
+    for i in range(min(len(topic), tried)):
+        try:
+            return message(topic, i)
+        except ValueError:
+            continue
+    return None
+
+
+def choose(bag: Bag, options: ReaderOptions) -> Chosen:
+    """Chooses the topics of a recording."""
+    if options.points is not None and options.depth is not None:
+        raise ConfigError(f"{bag.path}: --points and --depth exclude each other; give one of them")
+    images = image_topics(bag)
+    colors = [image for image in images if not image.picture.is_depth]
+    clouds = bag.of_type(*CLOUD_TYPES)
+    image = _image(bag, options.image, images, colors)
+    if image is None:
+        alone = _named(bag, "points", options.points, clouds) or _only_cloud(bag, clouds)
+        return Chosen(None, None, alone, None, None)
+    info = _info(bag, image, images, "camera_info", options.camera_info)
+    points, depth = _partner(bag, options, image, [one for one in images if one.picture.is_depth], clouds)
+    if depth is None:
+        if options.depth_info is not None:
+            raise ConfigError(f"{bag.path}: {option_flag('depth_info')} is for depth images, but points are used")
+        return Chosen(image, info, points, None, None)
+    return Chosen(image, info, points, depth, _info(bag, depth, images, "depth_info", options.depth_info))
+
+
+def options_of(bag: Bag) -> dict[str, str]:
+    """Returns the option that can name each topic, by name; topics that none can name are left out."""
+    found = {image.topic.name: "--depth" if image.picture.is_depth else "--image" for image in image_topics(bag)}
+    found |= {topic.name: "--points" for topic in bag.of_type(*CLOUD_TYPES)}
+    return found | {topic.name: "--camera-info" for topic in bag.of_type(*INFO_TYPES)}
+
+
+def uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
+    """Returns what each topic is used for, by name; topics that are not used are left out."""
+    found: dict[str, str] = {}
+    if chosen is not None:
+        image, depth = (None if one is None else one.topic for one in (chosen.image, chosen.depth))
+        roles = (
+            (chosen.depth_info, "camera of the depth"), (chosen.info, "camera"), (chosen.points, "points"),
+            (depth, "depth"), (image, "image"),
+        )  # fmt: skip
+        found |= {topic.name: role for topic, role in roles if topic is not None}
+    found |= {topic.name: "transforms" for topic in bag.of_type(*TF_TYPES)}
+    return found | {topic.name: "gravity" for topic in bag.of_type(IMU_TYPE)}
+
+
+def _image(bag: Bag, name: str | None, images: list[ImageTopic], colors: list[ImageTopic]) -> ImageTopic | None:
+    if name is not None:
+        topic = _named(bag, "image", name, [image.topic for image in images])
+        return next(image for image in images if image.topic is topic)
+    if not colors:
+        return None
+    candidates = _without_repeats(colors)
+    for is_better in (
+        lambda image: not any(word in image.topic.name.lower() for word in ("infra", "/ir/", "/ir_")),
+        lambda image: image.picture.encoding not in GREY,
+    ):
+        candidates = [image for image in candidates if is_better(image)] or candidates
+    if len(candidates) > 1:
+        raise _ambiguous(bag, "image", [image.topic for image in candidates])
+    return candidates[0]
+
+
+def _without_repeats(images: Sequence[ImageTopic]) -> list[ImageTopic]:
+    """Leaves out images that another transport repeats; uncompressed ones are preferred, then those with most."""
+    best: dict[str, ImageTopic] = {}
+    for image in sorted(images, key=lambda image: (image.topic.name != image.base, -len(image.topic))):
+        best.setdefault(image.base, image)
+    return list(best.values())
+
+
+def _partner(
+    bag: Bag, options: ReaderOptions, image: ImageTopic, depths: list[ImageTopic], clouds: list[Topic]
+) -> tuple[Topic | None, ImageTopic | None]:
+    """Returns the topic of points, or that of depth images."""
+    if options.points is not None:
+        return _named(bag, "points", options.points, clouds), None
+    if options.depth is not None:
+        # 16-bit grey is taken as depth if the operator says so
+        topic = _named(bag, "depth", options.depth, bag.of_type(*IMAGE_TYPES))
+        named = next((depth for depth in [*depths, *image_topics(bag)] if depth.topic is topic), None)
+        if named is None:
+            raise ConfigError(f"{bag.path}: none of the first messages of {options.depth} can be read")
+        return None, named
+    depths = _without_repeats(depths)
+    same = [depth for depth in depths if depth.frame == image.frame and image.frame]
+    size = (image.picture.width_px, image.picture.height_px)
+    # depth that was registered to these images
+    registered = [depth for depth in same if (depth.picture.width_px, depth.picture.height_px) == size]
+    beside = [depth for depth in depths if _shared_parts(depth.camera, image.camera)]
+    for candidates in (registered, same, beside, depths):
+        if len(candidates) == 1:
+            depths = candidates
+            break
+    frames = {depth.frame for depth in depths} | {image.frame}
+    # clouds that the camera's driver made of the depth
+    clouds = [cloud for cloud in clouds if not depths or frame_of(cloud) not in frames]
+    if len(depths) + len(clouds) > 1:
+        named_depths = [depth.topic for depth in depths]
+        if not clouds:
+            raise _ambiguous(bag, "depth", named_depths)
+        if not depths:
+            raise _ambiguous(bag, "points", clouds)
+        raise RecordingError(
+            f"{bag.path}: has points and depth images; choose with {_choices('points', clouds)} or "
+            f"{_choices('depth', named_depths)}"
+        )
+    if not depths and not clouds:
+        raise RecordingError(
+            f"{bag.path}: has images of {image.topic.name}, but neither point clouds (PointCloud2) nor depth images; "
+            "record one of these, too"
+        )
+    return (clouds[0], None) if clouds else (None, depths[0])
+
+
+def _info(bag: Bag, image: ImageTopic, images: list[ImageTopic], option: str, name: str | None) -> Topic:
+    """Returns the calibration of an image topic: the one beside it, that of its tf frame, or one that no other has."""
+    infos = bag.of_type(*INFO_TYPES)
+    named = _named(bag, option, name, infos)
+    if named is not None:
+        return named
+
+    def beside(one: ImageTopic) -> list[Topic]:
+        # RealSense has .../Depth_0/image/data and .../Depth_0/info/camera_info
+        places = (one.camera, one.camera.rpartition("/")[0] + "/info")
+        return [info for info in infos if info.name.rpartition("/")[0] in places]
+
+    same_frame = [info for info in infos if image.frame and frame_of(info) == image.frame]
+    taken = {info.name for other in images if other.base != image.base for info in beside(other)}
+    free = [info for info in infos if info.name not in taken]
+    for candidates in (beside(image), same_frame, free):
+        if len(candidates) == 1:
+            return candidates[0]
+    if not infos:
+        raise RecordingError(
+            f"{bag.path}: has no calibration of {image.topic.name} (CameraInfo); record its camera_info topic, too"
+        )
+    raise _ambiguous(bag, option, beside(image) or same_frame or infos)
+
+
+@lru_cache(maxsize=16)
+def first_of_pair(bag: Bag, info: Topic) -> Topic | None:
+    """Returns the calibration of a stereo pair's first camera for that of the second one; None if it is not one.
+
+    The second one's P has a baseline. Its tf frame is the first one's, as `sensor_msgs/CameraInfo` asks for; if it is a
+    frame of its own, tf has the baseline already.
+    """
+    frame = frame_of(info)
+    if not frame or not _baseline_m(info):
+        return None
+    others = [other for other in bag.of_type(*INFO_TYPES) if other is not info and frame_of(other) == frame]
+    firsts = [other for other in others if _baseline_m(other) == 0.0]
+    return firsts[0] if len(firsts) == 1 else None
+
+
+def _baseline_m(info: Topic) -> float | None:
+    """Returns the baseline in a calibration's P; None if that is not known."""
+    try:
+        return float(np.linalg.norm(baseline_m(first_message(info))))
+    except FIELD_ERRORS:
+        return None
+
+
+def _only_cloud(bag: Bag, clouds: list[Topic]) -> Topic:
+    if not clouds:
+        has = ", ".join(sorted({topic.type for topic in bag.topics.values() if len(topic)})[:12]) or "no messages"
+        raise RecordingError(
+            f"{bag.path}: has neither images nor point clouds that can be read; it has {has}. "
+            f"Known are {', '.join((*IMAGE_TYPES, VIDEO_TYPE, *CLOUD_TYPES))}"
+        )
+    if len(clouds) > 1:
+        raise _ambiguous(bag, "points", clouds)
+    return clouds[0]
+
+
+def _named(bag: Bag, option: str, name: str | None, candidates: Sequence[Topic]) -> Topic | None:
+    """Returns the topic that an option names; None without a name."""
+    if name is None:
+        return None
+    found = next((topic for topic in candidates if name in (topic.name, topic.name.lstrip("/"))), None)
+    if found is None:
+        kind = f"is a {bag.topics[name].type}" if name in bag.topics else "is not in the bag"
+        known = ", ".join(topic.name for topic in candidates) or "none"
+        raise ConfigError(f"{bag.path}: {option_flag(option)} {name}: {kind}; possible are: {known}")
+    return found
+
+
+def _ambiguous(bag: Bag, option: str, topics: Sequence[Topic]) -> RecordingError:
+    return RecordingError(f"{bag.path}: choose one of its topics with {_choices(option, topics)}")
+
+
+def _choices(option: str, topics: Sequence[Topic]) -> str:
+    listed = ", ".join(f"{topic.name} ({amount(len(topic), 'message')})" for topic in topics)
+    return f"{option_flag(option)}: {listed}"
+
+
+def _shared_parts(a: str, b: str) -> bool:
+    """True if two names are in the same namespace: `/left/color` and `/left/depth`, but not at the top."""
+    above = a.rpartition("/")[0]
+    return bool(above) and above == b.rpartition("/")[0]
+
+
+DEPTH = re.compile(r"(/device_\d+/sensor_\d+)(/Depth_\d+)/image/data")
+STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/\w+/data")
+UNIT, POSE = "/option/Depth Units/value", "/tf/0"
+DEFAULT_FPS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class RealSense:
+    """What a recording says about its depth camera.
+
+    Attributes:
+        unit_m: metres of a unit of depth.
+        T_color_depth: from the depth camera to the colour camera.
+        period_s: between two depth images.
+    """
+
+    unit_m: float
+    T_color_depth: RigidTransform
+    period_s: float
+
+
+def realsense_of(bag: Bag, chosen: Chosen) -> RealSense | None:
+    """Returns what a RealSense recording says; None for other bags."""
+    if chosen.depth is None or chosen.image is None:
+        return None
+    depth = DEPTH.fullmatch(chosen.depth.topic.name)
+    if depth is None:
+        return None
+    try:
+        unit_m = float(_first_named(bag, depth[1] + UNIT).data)
+        fps = int(getattr(_first_named(bag, depth[1] + depth[2] + "/info"), "fps", 0)) or DEFAULT_FPS
+    except FIELD_ERRORS:  # the topic is missing, or its messages are of another type
+        unit_m, fps = 0.0, DEFAULT_FPS
+    if not 0 < unit_m < 1:
+        raise RecordingError(f"{bag.path}: the unit of its depth is missing or implausible ({depth[1] + UNIT})")
+    return RealSense(unit_m, between_streams(bag, chosen.image.topic, chosen.depth.topic), 1 / max(fps, 1))
+
+
+def realsense_uses(bag: Bag, chosen: Chosen | None) -> dict[str, str]:
+    """Returns what RealSense's own topics are used for, by name; empty for other bags."""
+    if chosen is None or chosen.depth is None or chosen.image is None:
+        return {}
+    depth = DEPTH.fullmatch(chosen.depth.topic.name)
+    if depth is None:
+        return {}
+    names = [topic.name for topic in (chosen.image.topic, chosen.depth.topic, *bag.of_type(IMU_TYPE))]
+    streams = (stream[1] for name in names if (stream := STREAM.fullmatch(name)))
+    return {
+        depth[1] + UNIT: "unit of the depth",
+        depth[1] + depth[2] + "/info": "rate of the depth",
+        **{stream + POSE: "transforms" for stream in streams},
+    }
+
+
+def between_streams(bag: Bag, target: Topic, source: Topic) -> RigidTransform:
+    """Returns `T_target_source` of two streams."""
+    return _pose(bag, target) * _pose(bag, source).inv()
+
+
+def _pose(bag: Bag, topic: Topic) -> RigidTransform:
+    """Returns the transform from the reference of a stream's group to the stream."""
+    stream = STREAM.fullmatch(topic.name)
+    content = None if stream is None else _first_named(bag, stream[1] + POSE)
+    if content is None:
+        raise RecordingError(f"{bag.path}: the pose of {topic.name} is missing (tf/0 of its stream)")
+    try:
+        place = np.array([float(getattr(content.translation, axis)) for axis in "xyz"])
+        turn = np.array([float(getattr(content.rotation, axis)) for axis in "xyzw"])
+    except FIELD_ERRORS:  # messages of another type
+        place = turn = np.full(4, np.nan)
+    if not are_plausible(place) or not abs(np.linalg.norm(turn) - 1) < 1e-2:
+        raise RecordingError(f"{bag.path}: the pose of {topic.name} is not a rotation and a translation")
+    return RigidTransform.from_components(place, Rotation.from_quat(turn))
+
+
+def _first_named(bag: Bag, name: str) -> Any:
+    topic = bag.topics.get(name)
+    return None if topic is None or not len(topic) else first_message(topic)
 
 
 class TopicReport(BaseModel):

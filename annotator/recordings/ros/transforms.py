@@ -1,7 +1,8 @@
-"""The tree of frames that tf messages describe (`tf2_msgs/TFMessage`, `foxglove.FrameTransform`).
+"""The tree of frames that tf messages describe (`tf2_msgs/TFMessage`, `foxglove.FrameTransform`), and which way is up.
 
 A link is the pose of a frame in its parent; it is interpolated between the messages before and after a time, as tf2
-does. Links of `/tf_static` hold at all times. Only messages near a time are read.
+does. Links of `/tf_static` hold at all times. Only messages near a time are read. An IMU at rest (`sensor_msgs/Imu`)
+says the direction against gravity.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from annotator.recordings.kinect.calibration import MOST_SAMPLES, SAMPLE, WITHIN_NS, up_at_rest
 from annotator.recordings.plausible import are_plausible
 from annotator.recordings.ros.bag import Bag, Topic
-from annotator.recordings.ros.decode import FIELD_ERRORS, SECOND, message, stamp_ns
+from annotator.recordings.ros.messages import FIELD_ERRORS, SECOND, frame_id, message, stamp_ns
 
 TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage", "foxglove/FrameTransform", "foxglove/FrameTransforms")
 STATIC = "static"
@@ -231,3 +234,29 @@ def _between(
     start, end = Rotation.from_quat(first[1]), Rotation.from_quat(second[1])
     turn = start * Rotation.from_rotvec((start.inv() * end).as_rotvec() * share)
     return RigidTransform.from_components(first[0] + (second[0] - first[0]) * share, turn)
+
+
+def up_near(topic: Topic, log_ns: int) -> tuple[Float64[np.ndarray, "3"], str] | None:
+    """Returns the unit vector against gravity at a log time, and the tf frame in which it is given.
+
+    None if the sensor moves, or no message with an acceleration is near.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    near = topic.between(log_ns - WITHIN_NS, log_ns + WITHIN_NS)
+    numbers = sorted(near, key=lambda i: abs(int(topic.log_ns[i]) - log_ns))[:MOST_SAMPLES]
+    samples, frame = np.zeros(len(numbers), SAMPLE), ""
+    count = 0
+    for i in numbers:
+        try:
+            content = message(topic, i)
+            acceleration = content.linear_acceleration
+            samples[count]["acceleration_mps2"] = (acceleration.x, acceleration.y, acceleration.z)
+            frame = frame_id(content)
+        except FIELD_ERRORS:  # damaged: the others suffice
+            continue
+        samples[count]["time_ns"] = max(int(topic.log_ns[i]), 0)
+        count += 1
+    up = up_at_rest(samples[:count], log_ns)
+    return None if up is None else (up, frame)

@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from annotator.file_names import is_within
 from annotator.files import end_of_file, private_folder
+from annotator.text import is_within
 from annotator.types.errors import ConfigError, InUseError, NotFoundError
 from annotator.web.errors import INTERNAL
 from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, require_own_files, write_journal

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
-from annotator.recordings.options import parse_options
+from annotator.recordings.recording import parse_options
 from annotator.recordings.ros.topics import TopicReport
 from annotator.web.context import Ctx, Operator
 from annotator.workflows.workbench.frame_state import preview_bag

@@ -13,7 +13,6 @@ from typing import Literal, Protocol, runtime_checkable
 
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import normal, spelled
 from annotator.formats.boxes_json import each_entries, entry_truth
 from annotator.formats.kitti.label_files import (
     DONT_CARE,
@@ -27,6 +26,7 @@ from annotator.formats.sunrgbd.labels import extracted_truth
 from annotator.formats.text_folder import text_rows
 from annotator.formats.units import Angles
 from annotator.recordings import Recording
+from annotator.text import normal, spelled
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, FormatError
 from annotator.workflows.recorded.reading import is_labelled, label_file, load_truth

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.file_names import normal
 from annotator.files import open_file, read_file
 from annotator.formats import sustechpoints
 from annotator.formats.coco_dataset import is_coco_dataset, read_coco_dataset
@@ -30,6 +29,7 @@ from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.reading import OnFault
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES, SUFFIXES, read_yolo
+from annotator.text import normal
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 from annotator.workflows.importing import BoxFormat, FlatFormat, format_of, read_labels

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from annotator.file_names import normal, spelled
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import FOLDERS, MANIFEST, SPLITS
 from annotator.formats.rcv.read import RcvDataset
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
-from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
+from annotator.recordings.sunrgbd import SunRgbdScenes
+from annotator.text import normal, spelled
 from annotator.types import Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from annotator.file_names import normal
 from annotator.formats.frames_csv import has_frames
 from annotator.formats.text_folder import text_rows
 from annotator.recordings import Recording
-from annotator.recordings.kitti.object_folder import KittiObject
+from annotator.recordings.kitti import KittiObject
 from annotator.recordings.listing import IMAGE_SUFFIXES, stems
-from annotator.recordings.sunrgbd.extracted import SunRgbdExtracted
+from annotator.recordings.sunrgbd import SunRgbdExtracted
+from annotator.text import normal
 
 LISTS, INDICES = "ImageSets", "*_data_idx.txt"
 # KITTI's test frames, whose labels are not public: their folder, and their list.

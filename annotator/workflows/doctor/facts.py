@@ -314,7 +314,7 @@ def extras(_: Path) -> Iterator[Line]:
 
 def kinect(_projects: Path) -> Iterator[Line]:
     """Reports the number of connected Azure Kinects, if their library is installed."""
-    from annotator.recordings.kinect.connection import load_pyk4a
+    from annotator.recordings.kinect.device import load_pyk4a
 
     if find_spec("pyk4a") is None:
         return

@@ -16,7 +16,6 @@ from annotator.evaluation.kitti.protocol import NEIGHBOURS
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
 from annotator.evaluation.sunrgbd import evaluate_sunrgbd
-from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.formats.kitti.label_files import KittiLabel
@@ -24,6 +23,7 @@ from annotator.formats.kitti.label_folders import label_place, read_kitti_folder
 from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.text_folder import holds_texts
+from annotator.text import normal
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError

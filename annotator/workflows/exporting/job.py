@@ -18,8 +18,7 @@ from annotator.project import Project
 from annotator.project.classes.attributes import AttributeOf
 from annotator.recordings import Recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
-from annotator.recordings.look_around import LookAround
-from annotator.recordings.rig import Scanned
+from annotator.recordings.look_around import LookAround, Scanned
 from annotator.types.label import AttributeValue
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
 from annotator.workflows.frame_source import FrameSource

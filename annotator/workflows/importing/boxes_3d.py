@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.file_names import normal
 from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.completing import ValueReader
 from annotator.project.log.event_types import FrameAttributesSet
+from annotator.text import normal
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.types.label import AttributeValue, Said

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from annotator.file_names import normal
 from annotator.project import Project, StoredFrame
+from annotator.text import normal
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from annotator.exif import UPRIGHT, Size, box_as_stored, described, orientation_of, turned_size
 from annotator.files import open_file
 from annotator.formats.reading import read_picture
-from annotator.image_bytes import declared_size
+from annotator.image_bytes import UPRIGHT, Size, box_as_stored, declared_size, described, orientation_of, turned_size
 from annotator.project import FramePart, Project, StoredFrame, WriteContext
 from annotator.project.log.event_types import ImageBoxesSet
 from annotator.project.log.records import storable
@@ -158,7 +157,7 @@ def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, 
 
     Raises:
         FormatError: the labelled image is a scaled or cropped copy, whose boxes would be misplaced; or it is not known
-            whether the boxes are for the image as stored or as shown (`annotator.exif`).
+            whether the boxes are for the image as stored or as shown (`annotator.image_bytes`).
     """
     size_px = (frame.camera.width_px, frame.camera.height_px)
     file = picture.file(path)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from annotator.file_names import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.formats.attributes import Values
 from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.yolo_read import YoloPicture, read_yolo
+from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 

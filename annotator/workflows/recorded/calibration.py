@@ -5,8 +5,8 @@ from __future__ import annotations
 from contextlib import suppress
 
 from annotator.project import Basis, Project
-from annotator.recordings.clouds.virtual_image import has_virtual_image
-from annotator.recordings.times import has_times
+from annotator.recordings.clouds.virtual_camera import has_virtual_image
+from annotator.recordings.frame_times import has_times
 from annotator.types import NO_CORRECTION, Correction
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.frame_source import FrameSource

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.exif import UPRIGHT, as_stored, described, is_turned
-from annotator.file_names import normal, spelled
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.frames_csv import read_frames
@@ -25,16 +23,16 @@ from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_s
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.read import RcvDataset, read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
+from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.recordings import Recording
-from annotator.recordings.argoverse.log import ArgoverseLog
+from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
-from annotator.recordings.exports.openlabel_folder import OpenLabelFolder
-from annotator.recordings.kitti.raw_drive import KittiRaw
-from annotator.recordings.kitti.tracking_folder import KittiTracking
-from annotator.recordings.look_around import LookAround
-from annotator.recordings.nuscenes.recording import NuScenes
-from annotator.recordings.rig import Scanned
-from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
+from annotator.recordings.exports import OpenLabelFolder
+from annotator.recordings.kitti import KittiRaw, KittiTracking
+from annotator.recordings.look_around import LookAround, Scanned
+from annotator.recordings.nuscenes import NuScenes
+from annotator.recordings.sunrgbd import SunRgbdScenes
+from annotator.text import normal, spelled
 from annotator.types import Box2D, Frame, Truth
 from annotator.types.errors import FormatError, RecordingError
 from annotator.workflows.importing.readers.frame_boxes import of_labelcloud

@@ -19,8 +19,8 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.project.log.records import BoxRecord
 from annotator.recordings import Recording
-from annotator.recordings.kitti.folder import KittiFolder
-from annotator.recordings.times import recorded_times
+from annotator.recordings.frame_times import recorded_times
+from annotator.recordings.kitti import KittiFolder
 from annotator.tracking.link import Seen, Track, TrackingConfig, frame_times, link, numbered
 from annotator.tracking.smooth import TrackBox, smoothed
 from annotator.types import OrientedBox, ReviewState, Source

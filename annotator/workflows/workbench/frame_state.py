@@ -20,9 +20,9 @@ from annotator.project.adjusting import Up
 from annotator.project.overview import FramePage, read_page
 from annotator.project.sources import covered_by
 from annotator.recordings import ReaderOptions, open_recording
-from annotator.recordings.clouds.virtual_image import has_virtual_image
+from annotator.recordings.clouds.virtual_camera import has_virtual_image
+from annotator.recordings.frame_times import has_times, recorded_times
 from annotator.recordings.ros.topics import TopicReport
-from annotator.recordings.times import has_times, recorded_times
 from annotator.types import Box2D, Frame, ReviewState
 from annotator.types.errors import InputError, MissingExtraError
 from annotator.workflows.inspect import bag_topics

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.kitti.label_files import label_box, parse_label_line
 from annotator.formats.kitti.tracklets import read_tracklets
 from annotator.geometry.oriented_box import box_corners
-from annotator.recordings.kitti.calibration import read_calibration
+from annotator.recordings.kitti import read_calibration
 from annotator.types.errors import FormatError
 
 HEAD = """<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>

@@ -13,13 +13,13 @@ import pytest
 from argoverse_samples import DELAYS_US, PERIOD_US, put, write_log
 from nuscenes_samples import HEIGHT, START_US, WIDTH, K, ego_pose, mount, scan_points
 from PIL import Image
-from pyarrow import feather
+from pyarrow import compute, feather
 
 from annotator.formats.argoverse import read_argoverse
 from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import project
 from annotator.recordings import ReaderOptions, open_recording
-from annotator.recordings.argoverse.log import ArgoverseLog
+from annotator.recordings.argoverse import ArgoverseLog
 from annotator.types.errors import ConfigError, FormatError, FrameError, MissingExtraError, RecordingError
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
@@ -30,10 +30,24 @@ def opened(path: Path, **options: Any) -> ArgoverseLog:
     return recording
 
 
+@pytest.fixture(scope="module")
+def real(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> ArgoverseLog:
+    """The two real sweeps, with their own boxes only: the file has those of 156 sweeps."""
+    source, folder = shared / "data" / "argoverse2_sample", tmp_path_factory.mktemp("argoverse2") / "sample"
+    folder.mkdir()
+    for name in ("sensors", "calibration", "city_SE3_egovehicle.feather"):
+        (folder / name).symlink_to(source / name)
+    table = feather.read_table(str(source / "annotations.feather"))
+    recording = opened(folder)
+    times = pyarrow.array([int(key) for key in recording.keys])
+    put(folder / "annotations.feather", table.filter(compute.is_in(table["timestamp_ns"], times)).to_pydict())
+    return recording
+
+
 @pytest.mark.shared
-def test_the_real_boxes_hold_the_points_that_argoverse_counted(shared: Path):
-    recording = opened(shared / "data" / "argoverse2_sample")
-    assert (recording.format, recording.name, len(recording)) == ("argoverse2", "argoverse2_sample", 2)
+def test_the_real_boxes_hold_the_points_that_argoverse_counted(real: ArgoverseLog):
+    recording = real
+    assert (recording.format, recording.name, len(recording)) == ("argoverse2", "sample", 2)
     assert recording.notes == ("sensors/cameras/ has no images; a virtual camera looks ahead",)
     boxes = read_argoverse(recording.path / "annotations.feather")
     for index, key in enumerate(recording.keys):
@@ -43,8 +57,8 @@ def test_the_real_boxes_hold_the_points_that_argoverse_counted(shared: Path):
 
 
 @pytest.mark.shared
-def test_the_real_sweeps_are_seen_by_a_level_camera_at_the_lidar(shared: Path):
-    recording = opened(shared / "data" / "argoverse2_sample")
+def test_the_real_sweeps_are_seen_by_a_level_camera_at_the_lidar(real: ArgoverseLog):
+    recording = real
     frames = [recording.frame(index) for index in range(2)]
     truths = [load_truth(recording, index, frame) for index, frame in enumerate(frames)]
     for frame in frames:
@@ -149,7 +163,6 @@ BROKEN: list[tuple[str, Callable[[dict[str, Any]], Any], str]] = [
     (MOUNTS, lambda columns: columns.update(sensor_name=["a", "b", "c"]), "has no row for ring_front_center"),
     (MOUNTS, lambda columns: columns.update(tx_m=[float("nan")] * 3), "tx_m has a number that is not finite"),
     (INTRINSICS, lambda columns: columns.update(fx_px=[0.0, 0.0]), "is not a pinhole camera"),
-    (INTRINSICS, lambda columns: columns.update(fx_px=["a", "b"]), "fx_px must hold a float in every row"),
     (INTRINSICS, lambda columns: columns.update(fx_px=[1.0, None]), "fx_px must hold a float in every row"),
 ]
 

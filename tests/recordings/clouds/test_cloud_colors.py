@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from annotator.recordings.clouds.cloud_file import read_cloud
-from annotator.recordings.clouds.columns import RawCloud, from_columns
-from annotator.recordings.clouds.common_scale import CommonScale
-from annotator.recordings.ros.point_clouds import ROS_TYPES
-from annotator.recordings.ros.point_clouds import read_cloud as read_message
+from annotator.recordings.clouds.columns import CommonScale, RawCloud, from_columns
+from annotator.recordings.ros.messages import ROS_TYPES
+from annotator.recordings.ros.messages import cloud_of as read_message
 from annotator.types.errors import FrameError
 
 N = 12
@@ -117,12 +116,12 @@ FORMS = ["ply ascii", "ply binary_little_endian", "ply binary_big_endian", "pcd 
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(("kind", "colors"), COLUMNS, ids=lambda each: each if isinstance(each, str) else "")
-def test_three_columns(tmp_path: Path, form: str, kind: str, colors: np.ndarray):
+def test_three_columns(tmp_path: Path, form: str):
     order = ">" if form.endswith(("big", "big_endian")) else "<"
-    cloud = read(tmp_path, form, table(kind, colors, NAMES, order))
-    np.testing.assert_array_equal(cloud.rgb, RGB)
-    np.testing.assert_allclose(cloud.xyz_m, XYZ)
+    for kind, colors in COLUMNS:
+        cloud = read(tmp_path, form, table(kind, colors, NAMES, order))
+        np.testing.assert_array_equal(cloud.rgb, RGB, err_msg=f"{kind} up to {colors.max()}")
+        np.testing.assert_allclose(cloud.xyz_m, XYZ)
 
 
 ALPHA = np.uint32(0xFF000000)
@@ -132,15 +131,13 @@ NUMBERS = [("f4", PACKED.astype(np.float32)), ("f8", PACKED.astype(float)), ("f8
 
 
 @pytest.mark.parametrize("form", [form for form in FORMS if form != "ply ascii" and form != "pcd ascii"])
-@pytest.mark.parametrize("name", ["rgb", "rgba"])
-@pytest.mark.parametrize(
-    ("kind", "packed"), WHOLE + BITS + NUMBERS, ids=lambda each: each if isinstance(each, str) else ""
-)
-def test_packed_colours(tmp_path: Path, form: str, name: str, kind: str, packed: np.ndarray):
+def test_packed_colours(tmp_path: Path, form: str):
     order = ">" if form.endswith(("big", "big_endian")) else "<"
-    rows = table(kind, np.zeros((N, 1)), [name], order)
-    rows[name] = packed.view(np.int32) if kind == "i4" else packed
-    np.testing.assert_array_equal(read(tmp_path, form, rows).rgb, RGB)
+    for number, (kind, packed) in enumerate(WHOLE + BITS + NUMBERS):
+        name = ("rgb", "rgba")[number % 2]
+        rows = table(kind, np.zeros((N, 1)), [name], order)
+        rows[name] = packed.view(np.int32) if kind == "i4" else packed
+        np.testing.assert_array_equal(read(tmp_path, form, rows).rgb, RGB, err_msg=f"{name} {kind} {packed[0]}")
 
 
 def lines(texts: Sequence[str]) -> bytes:

@@ -14,9 +14,9 @@ from kitti_samples import HEIGHT, OBJECT_CALIB, WIDTH, by_formula
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.columns import from_columns
-from annotator.recordings.clouds.virtual_image import virtual_image
+from annotator.recordings.clouds.virtual_camera import virtual_image
 from annotator.types import Camera, PointCloud
-from annotator.types.errors import FrameError, UnknownFormatError
+from annotator.types.errors import FrameError
 
 LIDAR_TO_CAMERA = [[0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
 
@@ -130,14 +130,6 @@ def test_a_broken_frame_is_an_error_and_others_are_read(
     if not (tmp_path / "camera_intrinsic.json").exists():
         (tmp_path / "camera_intrinsic.json").write_text(camera_file(cloud_to_camera=LIDAR_TO_CAMERA))
         assert len(recording.frame(1).cloud) > 10
-
-
-def test_a_folder_without_clouds_is_an_error(tmp_path: Path):
-    (tmp_path / "points").mkdir()
-    (tmp_path / "points" / "notes.txt").touch()
-    with pytest.raises(UnknownFormatError, match="no known recording format") as caught:
-        open_recording(tmp_path)
-    assert any("files of points (.ply .pcd .npy .npz .las .laz .bin)" in line for line in caught.value.looked_for)
 
 
 def test_the_drawn_image_shows_the_nearest_point():

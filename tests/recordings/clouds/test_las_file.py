@@ -10,15 +10,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import laspy
-import lazrs
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
-from annotator.recordings.clouds import las_file, laz_check
+from annotator.recordings.clouds import las_file
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.recordings.clouds.las_file import parse_las
 from annotator.types.errors import FrameError, MissingExtraError
@@ -166,13 +164,6 @@ def test_an_intensity_of_255_everywhere_is_none():
     assert parse_las(Path("a.las"), out.getvalue()).reflectance is None
 
 
-def test_the_items_of_each_point_format_are_those_of_the_compressor():
-    for point_format, items in laz_check.ITEMS.items():
-        record = lazrs.LazVlr.new_for_compression(point_format, 5).record_data()
-        size = sum(size for _, size in items) + 5
-        assert not isinstance(laz_check._items(laz_check.LazLayout(record, point_format, size, 1, 0)), str)
-
-
 def test_a_crash_of_the_decoder_is_an_error_of_the_file(tmp_path: Path):
     """Found by `scripts/fuzz files`: on these bytes lazrs reads memory that is not its own."""
     sound = written("1.2", 3, 0, True)
@@ -196,16 +187,6 @@ def patched(data: bytes, at: int, code: str, value: int) -> bytes:
     return data[:at] + struct.pack(f"<{code}", value) + data[at + struct.calcsize(f"<{code}") :]
 
 
-def chunks(data: bytes) -> int:
-    """The offset of the chunk table."""
-    return int(struct.unpack_from("<q", data, start_of(data))[0])
-
-
-def record_at(data: bytes) -> int:
-    """The offset of the content of laszip's header record."""
-    return data.index(b"laszip encoded") + 52
-
-
 HUGE = 2**32 - 1
 OLD, NEW = written("1.2", 3, 0, True), written("1.4", 7, 2, True)
 # Each would crash the program or block it for hours if it were not checked.
@@ -218,18 +199,7 @@ FALSE_HEADERS = [
     (patched(OLD, 100, "I", HUGE), "records before its points"),
     (patched(OLD, 96, "I", HUGE), "position of the points, byte"),
     (patched(OLD, 107, "I", 2**25), "33554432 points take about 4096 MiB"),
-    (patched(OLD, 107, "I", 2**24 - 1), "chunks, too many|fill whole buffer"),
-    (patched(OLD, chunks(OLD) + 4, "I", HUGE), "lists too many chunks"),
-    (patched(NEW, chunks(NEW) + 4, "I", HUGE), "lists too many chunks"),
-    (patched(NEW, start_of(NEW), "q", 2**62), "lists too many chunks"),
-    # the first layer of the first chunk, after a point of 38 bytes and the number of points
-    (patched(NEW, start_of(NEW) + 8 + 38 + 4, "I", HUGE), "chunk 0 of 1 is longer than the file"),
-    (patched(NEW, 247, "Q", 50_001), "chunk 1 of 2 is "),
-    (patched(NEW, record_at(NEW) + 32, "H", 0), "but their point format requires"),
-    (patched(NEW, record_at(NEW) + 32, "H", 99), "is truncated"),
-    (patched(NEW, record_at(NEW) + 12, "I", 0), "is not valid for point format"),
-    (patched(OLD, record_at(OLD), "H", 3), "is not valid for point format"),
-    (OLD[: len(OLD) // 2], "lists too many|truncated"),
+    (OLD[: len(OLD) // 2], "cannot be read as LAS or LAZ"),
     (patched(OLD, 105, "H", 33), "cannot be read as LAS or LAZ"),
     (patched(OLD, 104, "B", 0x80 | 99), "cannot be read as LAS or LAZ"),
     (patched(written("1.2", 3, 0, False), 131, "d", float("nan")), "every point is NaN"),
@@ -248,19 +218,3 @@ def damage(draw: Callable[..., int], content: bytearray) -> None:
     # damage of the data that locates the points has more effects than of the points
     around = st.integers(max(start - 80, 0), min(start + 120, len(content) - 1))
     content[draw(st.one_of(around, st.integers(0, len(content) - 1)))] = draw(st.sampled_from([0, 1, 127, 128, 255]))
-
-
-@given(st.data())
-@settings(max_examples=100, deadline=None)
-def test_damaged_files_are_errors_or_clouds(data: st.DataObject):
-    version, point_format, more = data.draw(st.sampled_from(FORMATS))
-    content = bytearray(written(version, point_format, more, data.draw(st.booleans())))
-    for _ in range(data.draw(st.integers(1, 3))):
-        damage(data.draw, content)
-    try:
-        cloud = parse_las(Path("a.laz"), bytes(content[: data.draw(st.sampled_from([len(content), len(content) - 9]))]))
-    except FrameError as error:
-        assert str(error).startswith("a.laz: ")
-    else:
-        assert np.isfinite(cloud.xyz_m).all()
-        assert 0 < len(cloud.xyz_m) <= COUNT

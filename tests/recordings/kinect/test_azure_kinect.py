@@ -5,16 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import av
 import cv2
 import kinect_recording as made
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from annotator.recordings import open_recording
 from annotator.recordings.kinect.mkv_recording import AzureKinect
@@ -118,7 +114,7 @@ def test_damage_affects_only_the_frames_in_the_damaged_part(tmp_path: Path):
     assert left.frame(len(left) - 1).timestamp_ns == whole.frame(len(whole) - 1).timestamp_ns
 
 
-@pytest.mark.parametrize("share", [0.0001, 0.001, 0.01, 0.2, 0.34, 0.5, 0.67, 0.9, 0.999])
+@pytest.mark.parametrize("share", [0.001, 0.2, 0.5, 0.9])
 def test_a_truncated_file_is_reported_and_its_complete_frames_are_read(
     recording_file: Path, tmp_path: Path, share: float
 ):
@@ -145,61 +141,6 @@ def test_a_truncated_file_is_reported_and_its_complete_frames_are_read(
     assert len(recording) <= complete + 1
 
 
-@given(st.data())
-@settings(max_examples=40, deadline=None)
-def test_random_damage_gives_frames_or_errors_that_name_the_file(recording_file: Path, data: st.DataObject):
-    content = bytearray(recording_file.read_bytes())
-    # most of the file is pixels; damage the structure before them as often
-    places = st.one_of(st.integers(0, 6000), st.integers(0, len(content) - 1))
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(places)
-        noise = data.draw(st.binary(min_size=1, max_size=12))
-        content[at : at + len(noise)] = noise
-    path = recording_file.with_name("damaged.mkv")
-    path.write_bytes(content)
-    try:
-        recording = open_recording(path)
-        for i in range(len(recording)):
-            try:
-                recording.frame(i)
-            except FrameError as error:
-                assert str(path) in str(error)
-    except RecordingError as error:
-        assert str(path) in str(error)
-
-
-def test_invalid_times_are_ignored(recording_file: Path, tmp_path: Path):
-    whole, path = recording_file.read_bytes(), tmp_path / "take.mkv"
-    # the nanoseconds per tick (three bytes after their size), and the bytes that follow
-    scale = b"\x2a\xd7\xb1\x83\x0f\x42\x40" + whole[whole.index(b"\x2a\xd7\xb1") + 7 :][:7]
-    assert scale in whole
-    path.write_bytes(whole.replace(scale, b"\x2a\xd7\xb1\x8a" + b"\xff" * 10))
-    # the first capture is at tick 0, whatever the length of a tick
-    assert opened(path).keys == ("000000",)
-    # a delay of the depth images with any number of digits
-    made.write_recording(path, "MJPG", depth_delay_us=HugeDelay())
-    recording = opened(path)
-    assert (len(recording), recording.times_ns[0]) == (3, made.START_NS)
-
-
-class HugeDelay(int):
-    """A delay of 0 in the images, but 10**40 in the tag."""
-
-    def __mul__(self, _: int) -> int:
-        return 10**40
-
-
-def test_a_declared_size_beyond_the_file_allocates_no_memory(recording_file: Path):
-    recording = opened(recording_file)
-    capture = recording.captures[0]
-    endless = replace(capture, color=replace(capture.color, size=1 << 55), depth=replace(capture.depth, size=1 << 55))
-    cut = replace(recording, captures=(endless,))
-    with pytest.raises(FrameError, match="the file ends in the middle of its colour image"):
-        cut.color_image(0)
-    with pytest.raises(FrameError, match="the file ends in the middle of its depth image"):
-        cut.depth_image(0)
-
-
 def attaching(content: bytes) -> Callable[[Path], object]:
     return lambda path: made.write_recording(path, frames=1, attached=content)
 
@@ -210,21 +151,14 @@ def changed(**changes: object) -> Callable[[Path], object]:
 
 REFUSED = [
     pytest.param(lambda p: p.write_bytes(b""), "is not a Matroska file", id="empty"),
-    pytest.param(lambda p: p.write_bytes(b"RIFF" * 99), "is not a Matroska file", id="another-kind"),
     pytest.param(lambda p: p.write_bytes(b"\x1a\x45\xdf\xa3" + b"\xff" * 99), "no tracks COLOR and DEPTH", id="noise"),
     pytest.param(
         lambda p: made.write_recording(p, titles=("COLOR", "IR", "OTHER")), r"it has: COLOR, IR, OTHER", id="no-depth"
     ),
     pytest.param(lambda p: made.write_recording(p, frames=2, without_depth=(0, 1)), "no frames", id="no-captures"),
-    pytest.param(attaching(b"{]"), "its calibration cannot be used: .*JSON", id="no-json"),
     pytest.param(attaching(b"{}"), "CalibrationInformation: Field required", id="no-cameras"),
     pytest.param(changed(Purpose="other"), "there is no camera CALIBRATION_CameraPurposeDepth", id="no-depth-camera"),
     pytest.param(changed(Intrinsics={"ModelType": "x", "ModelParameters": made.LENS}), "lens model x", id="lens"),
-    pytest.param(
-        changed(Intrinsics={"ModelType": "CALIBRATION_LensDistortionModelBrownConrady", "ModelParameters": [1, 2]}),
-        "ModelParameters",
-        id="few-parameters",
-    ),
     pytest.param(changed(Rt={"Rotation": [0] * 9, "Translation": [0] * 3}), "rotation matrix", id="no-rotation"),
 ]
 
@@ -237,15 +171,6 @@ def test_unusable_recordings_are_errors_with_a_cause(tmp_path: Path, write: Call
         open_recording(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert ";" in str(caught.value) or "expected" in str(caught.value)
-
-
-def test_what_ffmpeg_does_not_know_is_an_error_with_the_file(recording_file: Path, monkeypatch: pytest.MonkeyPatch):
-    def unknown(*_: object, **__: object) -> None:
-        raise av.error.PatchWelcomeError(1163346256, "Not yet implemented in FFmpeg")
-
-    monkeypatch.setattr(av, "open", unknown)
-    with pytest.raises(RecordingError, match=re.escape(f"{recording_file}: cannot be read as Matroska")):
-        open_recording(recording_file)
 
 
 def test_recordings_of_orbbecs_wrapper_are_read(tmp_path: Path):
@@ -278,13 +203,6 @@ def test_recordings_of_orbbecs_wrapper_are_read(tmp_path: Path):
     assert len(frame.cloud) > 50_000
 
 
-def test_a_folder_of_recordings_names_the_files(tmp_path: Path):
-    made.write_recording(tmp_path / "b.MKV", frames=1)
-    (tmp_path / "a.mkv").write_bytes(b"no recording")
-    with pytest.raises(RecordingError, match=r"give the path of one of them: b\.MKV$"):
-        open_recording(tmp_path)
-
-
 @pytest.mark.shared
 def test_the_real_recording_agrees_with_the_sdk(shared: Path):
     folder = shared / "data" / "azure_kinect"
@@ -306,5 +224,5 @@ def test_the_real_recording_agrees_with_the_sdk(shared: Path):
     np.testing.assert_allclose(by_opencv(calibration.color, in_color), expected, atol=0.002)
     # the cloud is computed like single pixels: each visible row is one of its points
     inside = (expected > 1).all(axis=1) & (expected < [1278, 718]).all(axis=1)
-    distance = np.array([np.abs(frame.cloud.xyz_m - point).max(axis=1).min() for point in in_color[inside][::20]])
+    distance = np.array([np.abs(frame.cloud.xyz_m - point).max(axis=1).min() for point in in_color[inside][::100]])
     assert np.mean(distance < 1e-5) > 0.9

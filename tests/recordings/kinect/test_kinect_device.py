@@ -16,7 +16,7 @@ from fake_pyk4a import FPS, Capture, DepthMode, ImageFormat, Script, install
 from kinect_recording import ACCELEROMETER, DEPTH_HEIGHT, DEPTH_WIDTH, calibration, depth_mm, picture
 
 from annotator.recordings import open_recording
-from annotator.recordings.kinect import connection as kinect_connection
+from annotator.recordings.kinect import device as kinect_connection
 from annotator.recordings.kinect import device as kinect_device
 from annotator.recordings.kinect.device import KinectDevice
 from annotator.recordings.kinect.mkv_recording import AzureKinect

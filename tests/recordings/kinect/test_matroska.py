@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.recordings import detect_format
-from annotator.recordings.kinect import matroska
-from annotator.recordings.kinect.matroska import Block, children, element_head, read_index, read_tracks
-from annotator.types.errors import RecordingError
+from annotator.recordings.kinect.matroska import Block, element_head, read_index, read_tracks
 
 HEADS = [
     (b"\xe7\x81", (0xE7, 1, 2)),
@@ -93,40 +91,6 @@ def test_unknown_and_huge_sizes_are_handled(tmp_path: Path):
     first, second = index.blocks
     assert first == Block(track=1, time_ns=263_000_000, offset=len(head + cluster) + 6, size=2, is_laced=False)
     assert (second.track, second.is_laced, second.time_ns) == (2, True, 265_000_000)
-
-
-def test_many_damaged_elements_are_skipped_without_reading_the_file_repeatedly(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    path = tmp_path / "x.mkv"
-    # clusters that contain an element that is not allowed in them
-    path.write_bytes(b"\x1a\x45\xdf\xa3\x80" + b"\x1f\x43\xb6\x75\xff\x42\x42\x42" * 5000)
-    read = 0
-    whole = matroska._IndexReader._read
-
-    def counted(self: matroska._IndexReader, at: int, size: int) -> bytes:
-        nonlocal read
-        content = whole(self, at, size)
-        read += len(content)
-        return content
-
-    monkeypatch.setattr(matroska._IndexReader, "_read", counted)
-    index = read_index(path)
-    assert index is not None and not index.blocks
-    assert read < 5000 * 5000
-
-
-def test_too_many_blocks_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(matroska, "MOST_BLOCKS", 10)
-    path = tmp_path / "x.mkv"
-    path.write_bytes(b"\x1a\x45\xdf\xa3\x80\x1f\x43\xb6\x75\xff" + b"\xa3\x84\x81\x00\x00\x80" * 11)
-    with pytest.raises(RecordingError, match=r"x\.mkv: has more than 10 blocks; cut the recording into parts"):
-        read_index(path)
-
-
-@given(st.binary(max_size=200))
-def test_children_of_any_bytes_are_within_them(data: bytes):
-    assert sum(len(content) for _, content in children(data)) <= len(data)
 
 
 @given(st.binary(max_size=300), st.integers(0, 3))

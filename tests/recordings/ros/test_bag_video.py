@@ -8,14 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from foxglove_takes import foxglove_take, write_mcap
-from hypothesis import given
-from hypothesis import strategies as st
 from ros_takes import MS, START_NS
 
 from annotator.recordings import open_recording
-from annotator.recordings.ros import video
+from annotator.recordings.ros import pictures
 from annotator.recordings.ros.bag import Topic
-from annotator.recordings.ros.h264 import lost_before
+from annotator.recordings.ros.pictures import lost_before
 
 ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
     "h264": ("libx264", {"tune": "zerolatency"}),
@@ -62,9 +60,9 @@ def test_video_is_decoded_from_the_last_key_frame(tmp_path: Path, form: str):
 def picture(monkeypatch: pytest.MonkeyPatch, form: str, packets: list[bytes], i: int) -> np.ndarray:
     """The picture of message `i` of a topic with these packets."""
     contents = [SimpleNamespace(data=packet, format=form) for packet in packets]
-    monkeypatch.setattr(video, "message", lambda _, i: contents[i])
+    monkeypatch.setattr(pictures, "message", lambda _, i: contents[i])
     none = np.empty(0, np.int64)
-    return video.video_image(Topic("/video", "foxglove/CompressedVideo", (), none, none, none), i, contents[i])
+    return pictures.video_image(Topic("/video", "foxglove/CompressedVideo", (), none, none, none), i, contents[i])
 
 
 def test_pictures_made_up_from_damaged_video_are_errors(monkeypatch: pytest.MonkeyPatch):
@@ -101,8 +99,3 @@ def test_lost_pictures_of_h264_are_told_by_their_numbers():
     assert 10 < len(references) < 20
     for i in range(1, 29):
         assert lost_before(skipping[:i] + skipping[i + 1 :]) == (i if i in references else None)
-
-
-@given(st.lists(st.binary(max_size=40).map(lambda data: b"\0\0\1" + data), max_size=4))
-def test_any_bytes_are_searched_for_lost_pictures(pictures: list[bytes]):
-    assert lost_before(pictures) in (None, *range(len(pictures)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,10 +15,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.projection import project
-from annotator.recordings.ros.camera_info import read_camera_info
-from annotator.recordings.ros.images import BAYER, color_image, depth_image, describe
-from annotator.recordings.ros.point_clouds import read_cloud
-from annotator.recordings.ros.rvl import decode_rvl
+from annotator.recordings.ros.messages import cloud_of, read_camera_info
+from annotator.recordings.ros.pictures import BAYER, color_image, depth_image, describe
 from annotator.types.errors import FrameError
 from benchmarks.bag_writer import TYPE_NUMBERS, structured
 
@@ -150,12 +147,6 @@ def test_rvl_depths_come_back(values: list[int]):
     np.testing.assert_array_equal(depth_image(content), depth.astype(np.float32) / np.float32(1000))
 
 
-@given(st.binary(max_size=60), st.booleans())
-def test_any_bytes_are_rvl_or_damaged(data: bytes, has_size: bool):
-    with suppress(ValueError):
-        assert decode_rvl((struct.pack("<II", 4, 3) if has_size else b"") + data).size
-
-
 WRONG_IMAGES = [
     (image(RGB, "rgb8", height=7), "6 pixels|do not fit its 144 bytes"),
     (image(RGB, "rgb8", step=8), "rows of 8 bytes"),
@@ -280,7 +271,7 @@ def test_clouds_of_any_layout_are_read(data: st.DataObject):
     order, padding = data.draw(st.sampled_from("<>")), data.draw(st.integers(0, 5))
     points = structured({name: columns[name] for name in names}, order, padding)
     height = data.draw(st.sampled_from([1, 3]))
-    raw = read_cloud(Path("a.bag"), cloud(points, height, data.draw(st.integers(0, 9))))
+    raw = cloud_of(Path("a.bag"), cloud(points, height, data.draw(st.integers(0, 9))))
     np.testing.assert_array_equal(raw.xyz_m, xyz)
     shifts = np.array([16, 8, 0])
     np.testing.assert_array_equal(raw.rgb, packed[:, None] >> shifts & 255)
@@ -289,7 +280,7 @@ def test_clouds_of_any_layout_are_read(data: st.DataObject):
 
 def test_points_without_a_measurement_are_left_out():
     xyz = np.array([[1, 2, 3], [np.nan, 0, 0], [0, np.inf, 0], [4, 5, 6]], np.float32)
-    raw = read_cloud(Path("a.bag"), cloud(structured(dict(zip("xyz", xyz.T, strict=True)))))
+    raw = cloud_of(Path("a.bag"), cloud(structured(dict(zip("xyz", xyz.T, strict=True)))))
     np.testing.assert_array_equal(raw.xyz_m, xyz[[0, 3]])
 
 
@@ -307,4 +298,4 @@ WRONG_CLOUDS = [
 @pytest.mark.parametrize(("content", "problem"), WRONG_CLOUDS)
 def test_clouds_that_contradict_themselves_are_errors(content: Any, problem: str):
     with pytest.raises((ValueError, FrameError), match=problem):
-        read_cloud(Path("a.bag"), content)
+        cloud_of(Path("a.bag"), content)

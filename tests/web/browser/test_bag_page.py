@@ -11,7 +11,7 @@ import pytest
 from ros_takes import SIZE, START_NS, K, write_camera, write_mount, write_scan
 
 from annotator.recordings import open_recording
-from annotator.recordings.options import stored_options
+from annotator.recordings.recording import stored_options
 from benchmarks.bag_writer import BagWriter
 
 expect = pytest.importorskip("playwright.sync_api").expect

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.exif import as_stored, box_as_stored, is_turned, orientation_of, turned, turned_size
+from annotator.image_bytes import as_stored, box_as_stored, is_turned, orientation_of, turned, turned_size
 from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import Box2D

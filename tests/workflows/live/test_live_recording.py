@@ -21,7 +21,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.recordings.frame_writer import FrameWriter
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.recording import ReaderOptions
 from annotator.types import (
     Box2D,
     Camera,

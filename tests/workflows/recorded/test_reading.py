@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.formats.kitti.label_files import read_tracking_labels
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
-from annotator.recordings.kitti.tracking_folder import KittiTracking
+from annotator.recordings.kitti import KittiTracking
 from annotator.types.errors import FormatError, RecordingError
 from annotator.workflows.recorded import reading as truth_module
 from annotator.workflows.recorded.reading import has_truth, load_mask, load_truth

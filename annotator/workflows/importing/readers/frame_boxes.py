@@ -21,7 +21,7 @@ from annotator.formats.sunrgbd.meta_table import read_meta
 from annotator.formats.sunrgbd.upright_depth import upright_frame
 from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
 from annotator.formats.units import Angles, AngleUnit
-from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
+from annotator.recordings.sunrgbd import read_extracted_calibration
 from annotator.types import Frame, Truth
 from annotator.workflows.importing.readers.placed_boxes import PlacedBoxes, Pose, moved_in_world
 

@@ -16,9 +16,9 @@ from annotator.formats.attributes import Values
 from annotator.formats.nuscenes import is_seen, read_results
 from annotator.formats.packed_truths import PackedTruths
 from annotator.project import Project
-from annotator.recordings.argoverse.log import ArgoverseLog
+from annotator.recordings.argoverse import ArgoverseLog
 from annotator.recordings.look_around import LookAround
-from annotator.recordings.nuscenes.recording import NuScenes
+from annotator.recordings.nuscenes import NuScenes
 from annotator.types import Frame, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.frame_source import FrameSource

@@ -10,32 +10,211 @@ before. The vehicle's poses at both times move the scan to the image's time. Lab
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
 from scipy.spatial.transform import RigidTransform
 
-from annotator.file_names import spelled
+from annotator.geometry.quaternion_order import Quaternions
 from annotator.geometry.transforms import FORWARD
-from annotator.nuscenes_tables import TableError, pose
+from annotator.nuscenes_tables import (
+    CalibratedSensor,
+    EgoPose,
+    Record,
+    Sample,
+    SampleData,
+    Scene,
+    Sensor,
+    TableError,
+    find_rows,
+    pose,
+    read_rows,
+)
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti.frame import visible_cloud
-from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
-from annotator.recordings.nuscenes.scenes import SceneData, Shot, read_scene, scene_names, table_folders
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.kitti import visible_cloud
+from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import is_pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rig import Scan, level_turn
-from annotator.recordings.scan_file import NUSCENES, read_rows, scan_bytes, valid_rows
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.scan_file import NUSCENES, read_scan_rows, scan_bytes, valid_rows
+from annotator.text import posix_path, spelled
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+
+LIDAR = "LIDAR_TOP"
+TABLE_REMEDY = "correct the table, or copy it again from the data set"
+
+Row = TypeVar("Row", bound=Record)
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One image or scan.
+
+    Attributes:
+        sample: token of the annotated moment that it belongs to; None between those moments (a sweep).
+        file: relative to the dataset's root.
+        ego, mount: the vehicle's pose at that time, and the sensor's on the vehicle.
+        width_px, height_px: size of the image; 0 for a scan.
+    """
+
+    sample: str | None
+    file: str
+    time_us: int
+    ego: EgoPose
+    mount: CalibratedSensor
+    width_px: int
+    height_px: int
+
+    def T_global_sensor(self) -> RigidTransform:
+        """Returns the sensor's pose when it was taken.
+
+        Raises:
+            TableError: a rotation is not a unit quaternion.
+        """
+        return pose(self.ego.translation, self.ego.rotation) * pose(self.mount.translation, self.mount.rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneData:
+    """The images of each camera and the scans of the LiDAR of a scene, in time order.
+
+    Attributes:
+        missing: folders that are not there; their files are left out.
+    """
+
+    cameras: dict[str, tuple[Shot, ...]]
+    scans: tuple[Shot, ...]
+    missing: tuple[str, ...]
+
+
+def table_folders(path: Path) -> list[Path]:
+    """Returns the folders of tables of the dataset at `path`: the folder itself, or its `v1.0-*`."""
+    if _has_tables(path):
+        return [path]
+    return sorted(filter(_has_tables, path.glob("v1.0-*"))) if path.is_dir() else []
+
+
+def scene_names(tables: Path) -> dict[str, str]:
+    """Returns the token of each scene by its name, in the order of the table."""
+    names: dict[str, str] = {}
+    for row in _rows(tables, Scene):
+        if row.name in names:
+            raise RecordingError(f"{tables / 'scene.json'}: two scenes are called {row.name}; {REMEDY}")
+        names[row.name] = row.token
+    if not names:
+        raise RecordingError(f"{tables / 'scene.json'}: has no scene; {REMEDY}")
+    return names
+
+
+def read_scene(tables: Path, token: str) -> SceneData:
+    """Reads a scene; the last few scenes are cached, because each of its cameras is a recording."""
+    names = ("sample", "sample_data", "calibrated_sensor", "sensor", "ego_pose")
+    try:
+        status = [(tables / f"{name}.json").stat() for name in names]
+    except OSError as error:
+        raise RecordingError(f"{error.filename}: cannot be read: {error.strerror}; {REMEDY}") from error
+    shots = _read_scene(tables, token, tuple((each.st_mtime_ns, each.st_size) for each in status))
+    # sweeps are a separate download, so whole folders may be missing
+    folders = {_folder(shot) for each in shots.values() for shot in each}
+    missing = {folder for folder in folders if not (tables.parent / folder).is_dir()}
+    present = {sensor: tuple(shot for shot in each if _folder(shot) not in missing) for sensor, each in shots.items()}
+    cameras = {channel: each for (modality, channel), each in present.items() if modality == "camera" and each}
+    lidars = {channel: each for (modality, channel), each in present.items() if modality == "lidar" and each}
+    if len(lidars) > 1 and LIDAR not in lidars:
+        raise RecordingError(f"{tables}: has several LiDARs ({', '.join(lidars)}), but none is called {LIDAR}")
+    return SceneData(cameras, lidars.get(LIDAR, next(iter(lidars.values()), ())), tuple(sorted(missing)))
+
+
+@lru_cache(maxsize=8)
+def _read_scene(
+    tables: Path, token: str, versions: tuple[tuple[int, int], ...]
+) -> dict[tuple[str, str], tuple[Shot, ...]]:
+    """Returns the images and scans in time order, by modality and channel."""
+    sensors = {row.token: row for row in _rows(tables, Sensor)}
+    calibrated = {row.token: row for row in _rows(tables, CalibratedSensor)}
+    samples = {row.token for row in _rows(tables, Sample, "scene_token", {token})}
+    shots: dict[tuple[str, str], list[Shot]] = {}
+    data: list[tuple[Sensor, CalibratedSensor, SampleData]] = []
+    for row in _rows(tables, SampleData, "sample_token", samples):
+        mount = _row(tables, "sample_data", row.token, calibrated, CalibratedSensor, row.calibrated_sensor_token)
+        sensor = _row(tables, "calibrated_sensor", mount.token, sensors, Sensor, mount.sensor_token)
+        if sensor.modality in ("camera", "lidar"):
+            data.append((sensor, mount, row))
+    wanted = {row.ego_pose_token for _, _, row in data}
+    poses = {row.token: row for row in _rows(tables, EgoPose, "token", wanted)}
+    _require_w_first(tables, poses)
+    for sensor, mount, row in data:
+        ego = _row(tables, "sample_data", row.token, poses, EgoPose, row.ego_pose_token)
+        shot = Shot(
+            row.sample_token if row.is_key_frame else None,
+            _inside(tables, row.token, row.filename),
+            row.timestamp,
+            ego,
+            mount,
+            row.width,
+            row.height,
+        )
+        shots.setdefault((sensor.modality, sensor.channel), []).append(shot)
+    return {key: tuple(sorted(each, key=lambda shot: shot.time_us)) for key, each in shots.items()}
+
+
+def _require_w_first(tables: Path, poses: dict[str, EgoPose]) -> None:
+    quaternions = Quaternions(thing="pose of the vehicle is", things="poses of the vehicle are")
+    for row in poses.values():
+        quaternions.add(row.rotation)
+    if (problem := quaternions.problem()) is not None:
+        raise RecordingError(f"{tables / 'ego_pose.json'}: {problem}, also in calibrated_sensor.json")
+
+
+def _inside(tables: Path, token: str, name: str) -> str:
+    """Refuses the name of a file outside the dataset, which may be a device that never ends."""
+    path = PurePosixPath(posix_path(name))
+    if path.is_absolute() or ".." in path.parts or "\0" in name:
+        raise RecordingError(
+            f"{tables / 'sample_data.json'}: row {token}: filename: {name!r} must be a path in the dataset; {REMEDY}"
+        )
+    return str(path)
+
+
+def _folder(shot: Shot) -> str:
+    return shot.file.rpartition("/")[0]
+
+
+def _has_tables(folder: Path) -> bool:
+    return (folder / "sample_data.json").is_file() and (folder / "scene.json").is_file()
+
+
+def _rows(tables: Path, model: type[Row], field: str = "", wanted: Collection[str] = ()) -> list[Row]:
+    """Returns the rows of a table; with `field`, those with one of the `wanted` values in it."""
+    path = tables / f"{_table(model)}.json"
+    try:
+        return list(find_rows(path, model, field, wanted) if field else read_rows(path, model))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}; {REMEDY}") from error
+    except TableError as error:
+        raise RecordingError(f"{path}: {error}; {REMEDY}") from error
+
+
+def _row(tables: Path, table: str, token: str, rows: dict[str, Row], model: type[Row], wanted: str) -> Row:
+    if wanted not in rows:
+        raise RecordingError(
+            f"{tables / table}.json: row {token} refers to {wanted}, which is not in {_table(model)}.json; {REMEDY}"
+        )
+    return rows[wanted]
+
+
+def _table(model: type[Record]) -> str:
+    return {"SampleData": "sample_data", "CalibratedSensor": "calibrated_sensor", "EgoPose": "ego_pose"}.get(
+        model.__name__, model.__name__.lower()
+    )
+
 
 LOOKED_FOR = "nuScenes' tables (v1.0-*/scene.json, sample_data.json, ...) beside samples/ and sweeps/"
 FRONT = "CAM_FRONT"
@@ -105,12 +284,7 @@ class NuScenes(KeyedFrames):
         return tuple(spelled(self.root, shot.file) for shot in ((image, scan) if self.camera else (scan,)))
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud holds the points inside the image, or all without images.
-
-        Raises:
-            FrameError: a missing or broken file, an impossible pose or camera, or no point in the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud holds the points inside the image, or all without images."""
         key = self.key(i)
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
@@ -145,12 +319,7 @@ class NuScenes(KeyedFrames):
         )
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole scan of frame `i`, ahead being where the camera looks; without one, where the vehicle does.
-
-        Raises:
-            FrameError: a missing or broken file, or an impossible pose.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole scan of frame `i`; ahead is where the camera looks; without one, where the vehicle does."""
         self.key(i)
         image, scan = self.moments[i]
         T_camera_global, T_global_lidar = self._poses(image, scan)
@@ -177,12 +346,7 @@ class NuScenes(KeyedFrames):
         return tuple(sorted(self.data.cameras))
 
     def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, with the image's size in the tables.
-
-        Raises:
-            FrameError: it is impossible, or the tables lack the size.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera of frame `i`, with the image's size in the tables."""
         self.key(i)
         image = self.moments[i][0]
         if min(image.width_px, image.height_px) < 1:
@@ -195,12 +359,7 @@ class NuScenes(KeyedFrames):
         return PurePosixPath(self.moments[i][1].file).name
 
     def T_rig_camera(self, i: int) -> RigidTransform:
-        """Returns the camera's pose in the frame of the LiDAR at the scan's time.
-
-        Raises:
-            FrameError: an impossible pose.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera's pose in the frame of the LiDAR at the scan's time."""
         self.key(i)
         T_camera_global, T_global_lidar = self._poses(*self.moments[i])
         return (T_camera_global * T_global_lidar).inv()
@@ -217,10 +376,6 @@ def open_nuscenes(path: Path, options: ReaderOptions) -> NuScenes | NotFound:
 
     Without the option `scene`, it is the first one; without `camera`, CAM_FRONT or the first one. If there are no
     images, the frames are the scans.
-
-    Raises:
-        ConfigError: no such scene or camera.
-        RecordingError: damaged tables, several folders of tables, or no frame.
     """
     folders = table_folders(path)
     if not folders:
@@ -258,12 +413,8 @@ def is_nuscenes(path: Path) -> bool:
 
 
 def read_scan(path: Path) -> Float32[np.ndarray, "n 5"]:
-    """Returns the valid points of a scan: x y z (metres, LiDAR frame), intensity 0..255, ring.
-
-    Raises:
-        FrameError: the file is missing, empty, truncated, or has no valid point.
-    """
-    return valid_rows(path, read_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
+    """Returns the valid points of a scan: x y z (metres, LiDAR frame), intensity 0..255, ring."""
+    return valid_rows(path, read_scan_rows(path, scan_bytes(path), NUSCENES), NUSCENES)
 
 
 def _knows_world(shot: Shot) -> bool:

@@ -22,17 +22,16 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.exif import Size
 from annotator.feather import FeatherError, Kind, read_feather
+from annotator.image_bytes import Size
 from annotator.recordings.clouds.cloud_folder import VIRTUAL_CAMERA
+from annotator.recordings.frame_times import nearest
 from annotator.recordings.image_file import read_color_image
-from annotator.recordings.kitti.frame import visible_cloud
+from annotator.recordings.kitti import visible_cloud
 from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, sorted_keys, stems
-from annotator.recordings.look_around import R_CAMERA_LEVEL, virtual_frame
-from annotator.recordings.options import ReaderOptions
+from annotator.recordings.look_around import R_CAMERA_LEVEL, Scan, level_turn, virtual_frame
 from annotator.recordings.plausible import are_plausible, are_returns, is_pinhole
-from annotator.recordings.recording import KeyedFrames, NotFound
-from annotator.recordings.rig import Scan, level_turn
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
 from annotator.types import Camera, Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
@@ -86,12 +85,7 @@ class ArgoverseLog(KeyedFrames):
         return self._sweep_file(key), frame_file(folder, self.images[i], IMAGE_SUFFIXES, f"the sweep {key}")
 
     def frame(self, i: int) -> Frame:
-        """Reads frame `i`; its cloud holds the points inside the image, or all without images.
-
-        Raises:
-            FrameError: a missing or broken file, or no point in the image.
-            IndexError: there is no such frame.
-        """
+        """Reads frame `i`; its cloud holds the points inside the image, or all without images."""
         key = self.key(i)
         if not self.camera:
             return virtual_frame(self.scan(i), key, i, VIRTUAL_CAMERA, R_CAMERA_LEVEL)
@@ -126,12 +120,7 @@ class ArgoverseLog(KeyedFrames):
         )
 
     def scan(self, i: int) -> Scan:
-        """Reads the whole sweep of frame `i`.
-
-        Raises:
-            FrameError: a missing or broken file.
-            IndexError: there is no such frame.
-        """
+        """Reads the whole sweep of frame `i`."""
         key = self.key(i)
         xyz_m, reflectance = self._sweep(key)
         T_city_ego = self._T_city_ego(key)
@@ -141,12 +130,7 @@ class ArgoverseLog(KeyedFrames):
         return Scan(xyz_m, None, reflectance, R_level_ego, place_m, T_ego_label, True, int(key), T_city_ego)
 
     def intrinsics(self, i: int) -> Camera:
-        """Returns the camera of frame `i`, with the size that the calibration names.
-
-        Raises:
-            FrameError: it is missing or impossible.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera of frame `i`, with the size that the calibration names."""
         self.key(i)
         size = self._size()
         if size is None:
@@ -158,12 +142,7 @@ class ArgoverseLog(KeyedFrames):
         return self.key(i)
 
     def T_rig_camera(self, i: int) -> RigidTransform:
-        """Returns the camera's pose in the ego frame of the sweep's time.
-
-        Raises:
-            FrameError: a pose is missing.
-            IndexError: there is no such frame.
-        """
+        """Returns the camera's pose in the ego frame of the sweep's time."""
         T_ego_city = self._T_city_ego(self.key(i)).inv()
         return T_ego_city * self._T_city_ego(self.images[i]) * self._mount(self.camera)
 
@@ -214,13 +193,7 @@ class ArgoverseLog(KeyedFrames):
 
 
 def open_argoverse2(path: Path, options: ReaderOptions) -> ArgoverseLog | NotFound:
-    """Opens the log at `path`; `NotFound` if it is not one. Without the option `camera`, the front one is read.
-
-    Raises:
-        MissingExtraError: pyarrow is not installed.
-        ConfigError: no such camera.
-        RecordingError: no sweep, or no image near a sweep.
-    """
+    """Opens the log at `path`; `NotFound` if it is not one. Without the option `camera`, the front one is read."""
     if not is_argoverse2(path):
         return NotFound(LOOKED_FOR)
     keys = sorted_keys(path, _times(path / SWEEPS, (".feather",)), f"{SWEEPS}/TIME_NS.feather")
@@ -254,11 +227,7 @@ def is_argoverse2(path: Path) -> bool:
 
 
 def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
-    """Returns the names of files that are times.
-
-    Raises:
-        RecordingError: a time does not fit into 64 bits.
-    """
+    """Returns the names of files that are times."""
     names = {name for name in stems(folder, suffixes) if name.isdecimal() and len(name) <= LONGEST_TIME}
     late = sorted(name for name in names if int(name) > LATEST_NS)
     if late:
@@ -269,14 +238,9 @@ def _times(folder: Path, suffixes: tuple[str, ...]) -> set[str]:
 def _pairs(keys: Sequence[str], images: set[str], within_s: float) -> dict[str, str]:
     """Returns the time of the nearest image of each sweep, by the sweep's time."""
     names = sorted(images, key=int)
-    times = np.array([int(name) for name in names])
-    pairs = {}
-    for key in keys:
-        after = int(np.searchsorted(times, int(key)))
-        near = min(range(max(after - 1, 0), min(after + 1, len(times))), key=lambda one: abs(times[one] - int(key)))
-        if abs(int(times[near]) - int(key)) <= within_s * 1e9:
-            pairs[key] = names[near]
-    return pairs
+    near = nearest(np.array([int(key) for key in keys]), np.array([int(name) for name in names]))
+    found = {key: names[at] for key, at in zip(keys, near.tolist(), strict=True)}
+    return {key: name for key, name in found.items() if abs(int(name) - int(key)) <= within_s * 1e9}
 
 
 def _table(path: Path, columns: dict[str, Kind]) -> dict[str, np.ndarray]:

@@ -1,0 +1,364 @@
+"""Datasets that annotator exported, opened as recordings again: unrelated single frames.
+
+rcv, its own format
+    dataset.json           the frames' ids, in order; they need not be consecutive
+    labels/ID.json         the frame's camera, up direction, time and files [and its labels, read by annotator.formats]
+    images/ID.png|jpg      clouds/ID.ply, in the camera's frame
+OpenLABEL, or one part of a divided export
+    RECORDING.json         one document per recording: frames with files, times and intrinsics [and labels]
+    images/ID.png|jpg      clouds/ID.ply, in the camera's frame
+    frames.csv             the frames' origins, here or above the parts
+
+The keys are the ids. OpenLABEL of other programs is not opened: its clouds may be in any frame.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.files import open_file, read_file, read_text_file
+from annotator.recordings.clouds.cloud_file import CLOUD_SUFFIXES, read_cloud
+from annotator.recordings.image_file import read_color_image
+from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
+from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.recordings.rgbd_folder import Number, Positive, Side
+from annotator.text import OutsideError, decoded, inside, normal, stem_of
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError, RecordingError
+from annotator.types.times import LATEST_NS, in_time, too_late
+from annotator.types.validation import first_problem
+
+REMEDY = "export the dataset again"
+# A document may describe a whole recording.
+MOST_DOCUMENT_BYTES = 2**28
+
+
+def read_document(path: Path) -> Any:
+    """Returns the content of a JSON file."""
+    try:
+        return json.loads(decoded(read_file(path, MOST_DOCUMENT_BYTES)))
+    except (OSError, ValueError, RecursionError) as error:
+        raise FrameError(path, f"cannot be read as JSON ({str(error)[:80]})", REMEDY) from error
+
+
+def exported_files(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
+    """Returns the paths of files that a document names."""
+    try:
+        return tuple(inside(folder, name) for name in names)
+    except OutsideError as error:
+        raise FrameError(folder, f"has a frame whose file {error}", REMEDY) from error
+
+
+def exported_frame(
+    key: str,
+    index: int,
+    files: tuple[Path, ...],
+    camera: Camera,
+    up: Float64[np.ndarray, "3"] | None,
+    timestamp_ns: int | None,
+    T_world_camera: RigidTransform | None,
+) -> Frame:
+    """Reads the image and the cloud of a frame.
+
+    Args:
+        files: image and cloud.
+    """
+    image, cloud = files
+    picture = read_color_image(image, (camera.width_px, camera.height_px))
+    _check_size(image, picture.rgb, camera)
+    if cloud.suffix.lower() not in CLOUD_SUFFIXES:
+        raise FrameError(cloud, f"is none of {' '.join(CLOUD_SUFFIXES)}", REMEDY)
+    raw = read_cloud(cloud)
+    points = PointCloud(raw.xyz_m.astype(np.float32), rgb=raw.rgb, reflectance=raw.reflectance)
+    return Frame(
+        key,
+        index,
+        camera,
+        picture.rgb,
+        points,
+        up=up,
+        timestamp_ns=timestamp_ns,
+        T_world_camera=T_world_camera,
+        exif_orientation=picture.exif_orientation,
+    )
+
+
+def _check_size(path: Path, rgb: UInt8[np.ndarray, "h w 3"], camera: Camera) -> None:
+    height, width = rgb.shape[:2]
+    if (width, height) != (camera.width_px, camera.height_px):
+        raise FrameError(
+            path, f"has {width} x {height} pixels, but its camera {camera.width_px} x {camera.height_px}", REMEDY
+        )
+
+
+OPENLABEL_LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
+ORIGINS = "frames.csv"
+CAMERA, CLOUD, PLACE = "camera", "cloud", "base_to_world"
+# Axes of the base: x forward, y left, z up.
+T_BASE_CAMERA = RigidTransform.from_matrix(np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
+# Documents of annotator have this word, and its name, near their beginning.
+HEAD_BYTES, HEAD = 1024, (b'"openlabel"', b'"annotator"')
+
+
+class DocumentFrame(NamedTuple):
+    """A frame of a document: its files, its intrinsics and pose as in the file, and its time."""
+
+    document: Path
+    image: str
+    cloud: str
+    intrinsics: Any
+    timestamp_ns: int | None
+    place: Any
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLabelFolder(KeyedFrames):
+    """A `Recording` of exported OpenLABEL documents; labels are in the camera's frame.
+
+    Attributes:
+        documents: the documents; they are large, and read with the first frame.
+    """
+
+    documents: tuple[Path, ...]
+    format: ClassVar[str] = "openlabel"
+    is_sequence: ClassVar[bool] = False
+
+    def document(self, key: str) -> Path:
+        """Returns the document of a frame, which has its labels."""
+        return self.documents[0] if len(self.documents) == 1 else self._listed(key).document
+
+    def files(self, i: int) -> tuple[Path, ...]:
+        listed = self._listed(self.key(i))
+        return exported_files(self.path, (listed.image, listed.cloud))
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; its up direction is unknown."""
+        key = self.key(i)
+        listed = self._listed(key)
+        camera = _openlabel_camera(listed.document, key, listed.intrinsics)
+        world = None if listed.place is None else _openlabel_pose(listed.document, key, listed.place)
+        return exported_frame(key, i, self.files(i), camera, None, listed.timestamp_ns, world)
+
+    def _listed(self, key: str) -> DocumentFrame:
+        listed = self._frames.get(normal(key))
+        if listed is None:
+            names = ", ".join(document.name for document in self.documents)
+            raise FrameError(self.path / "images" / key, f"is in no document ({names})", REMEDY)
+        return listed
+
+    @cached_property
+    def _frames(self) -> dict[str, DocumentFrame]:
+        frames: dict[str, DocumentFrame] = {}
+        for document in self.documents:
+            try:
+                for frame in _frames(document, read_document(document)["openlabel"]):
+                    frames[normal(stem_of(frame.image))] = frame
+            except (KeyError, TypeError, AttributeError, ValueError) as error:
+                problem = f"is not a document of annotator ({type(error).__name__} {str(error)[:60]})"
+                raise FrameError(document, problem, REMEDY) from error
+        return frames
+
+
+def open_openlabel(path: Path) -> OpenLabelFolder | NotFound:
+    """Opens the exported documents in the folder `path`; `NotFound` if there are none."""
+    images = path / "images"
+    if not (images.is_dir() and (path / "clouds").is_dir()):
+        return NotFound(OPENLABEL_LOOKED_FOR)
+    if not any((folder / ORIGINS).is_file() for folder in (path, path.parent)):
+        return NotFound(OPENLABEL_LOOKED_FOR)
+    documents = tuple(file for file in sorted(path.glob("*.json")) if _is_ours(file))
+    if not documents:
+        return NotFound(OPENLABEL_LOOKED_FOR)
+    return OpenLabelFolder(path, sorted_keys(path, stems(images, IMAGE_SUFFIXES), "images/KEY.png"), documents)
+
+
+def _is_ours(file: Path) -> bool:
+    with suppress(OSError), open_file(file) as stream:
+        head = stream.read(HEAD_BYTES)
+        return all(word in head for word in HEAD)
+    return False
+
+
+def _frames(document: Path, content: Any) -> Iterator[DocumentFrame]:
+    """Yields the frames of a document in order; a KeyError or TypeError says what it lacks."""
+    common = content["streams"][CAMERA]["stream_properties"]["intrinsics_pinhole"]
+    for number in sorted(content["frames"], key=int):
+        properties = content["frames"][number]["frame_properties"]
+        camera, cloud = properties["streams"][CAMERA], properties["streams"][CLOUD]
+        intrinsics = camera["stream_properties"].get("intrinsics_pinhole", common)
+        time = properties.get("timestamp")
+        yield DocumentFrame(
+            document,
+            str(camera["uri"]),
+            str(cloud["uri"]),
+            intrinsics,
+            None if time is None else _nanoseconds(str(time)),
+            properties.get("transforms", {}).get(PLACE),
+        )
+
+
+def _nanoseconds(seconds: str) -> int:
+    """Returns whole nanoseconds; a float would lose some."""
+    whole, _, rest = seconds.partition(".")
+    time_ns = int(whole[:20]) * 10**9 + int((rest[:9] or "0").ljust(9, "0"))
+    if time_ns > LATEST_NS:
+        raise ValueError(too_late(seconds, "s"))
+    if time_ns < 0:
+        raise ValueError(f"the time {seconds[:40]} is negative")
+    return time_ns
+
+
+def _openlabel_pose(document: Path, key: str, record: Any) -> RigidTransform:
+    """Returns the camera's pose from that of the base."""
+    try:
+        data = record["transform_src_to_dst"]
+        place, turn = (np.array(data[name], np.float64) for name in ("translation", "quaternion"))
+        if not (are_plausible(place) and are_plausible(turn)):
+            raise ValueError("numbers too large")
+        return RigidTransform.from_components(place, Rotation.from_quat(turn)) * T_BASE_CAMERA
+    except (KeyError, TypeError, ValueError) as error:
+        raise FrameError(document, f"frame {key}: its {PLACE} is invalid ({str(error)[:80]})", REMEDY) from error
+
+
+def _openlabel_camera(document: Path, key: str, record: Any) -> Camera:
+    try:
+        K = np.array(record["camera_matrix"], np.float64).reshape(3, 4)[:, :3]
+        size = int(record["width_px"]), int(record["height_px"])
+        distortion = tuple(float(value) for value in record["distortion_coeffs"])
+        if not is_pinhole(K) or not 0 < min(size) <= max(size) <= LARGEST_SIDE_PX:
+            raise ValueError("not a pinhole camera")
+        fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        # the format needs at least five coefficients
+        return Camera(*size, fx, fy, cx, cy, distortion if any(distortion) else ())
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FrameError(document, f"frame {key}: its intrinsics are invalid ({str(error)[:80]})", REMEDY) from error
+
+
+MANIFEST, LABELS = "dataset.json", "labels"
+FORMAT_NAME = "annotator-rcv"
+RCV_LOOKED_FOR = f"{MANIFEST} with labels/, images/ and clouds/ (an export in the format rcv)"
+LEAST_LENGTH = 1e-6
+Vector = tuple[Number, Number, Number]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class ManifestFile(_Record):
+    """What frames need of `dataset.json`; an id is a file name."""
+
+    format: Literal["annotator-rcv"]
+    version: Literal[1]
+    frames: tuple[Annotated[str, Field(pattern=r"^[^/\\\x00]+$")], ...]
+
+
+class CameraRecord(_Record):
+    """The camera of a frame, pixels; `distortion` as `Camera`."""
+
+    width_px: Side
+    height_px: Side
+    fx: Positive
+    fy: Positive
+    cx: Number
+    cy: Number
+    distortion: tuple[Number, ...] = ()
+
+
+class PoseRecord(_Record):
+    """The camera's pose in map coordinates; quaternion w x y z."""
+
+    translation: Vector
+    quaternion: tuple[Number, Number, Number, Number]
+
+    def transform(self) -> RigidTransform:
+        """Raises ValueError for a quaternion of length zero."""
+        rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+        return RigidTransform.from_components(np.array(self.translation), rotation)
+
+
+class FrameFile(_Record):
+    """What a frame needs of `labels/ID.json`."""
+
+    image: str
+    cloud: str
+    camera: CameraRecord
+    up: Vector | None = None
+    world: PoseRecord | None = None
+    timestamp_ns: Annotated[int, AfterValidator(in_time)] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RcvFolder(KeyedFrames):
+    """A `Recording` of an `rcv` dataset; labels are in the camera's frame."""
+
+    format: ClassVar[str] = "rcv"
+    is_sequence: ClassVar[bool] = False
+
+    def files(self, i: int) -> tuple[Path, ...]:
+        path, record = self._record(self.key(i))
+        return path, *exported_files(self.path, (record.image, record.cloud))
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`."""
+        key = self.key(i)
+        path, record = self._record(key)
+        try:
+            camera = Camera(**record.camera.model_dump())
+            world = None if record.world is None else record.world.transform()
+        except ValueError as error:
+            raise FrameError(path, f"does not describe a frame ({error})", REMEDY) from error
+        up = None if record.up is None else np.array(record.up)
+        if up is not None:
+            length = np.linalg.norm(up)
+            if length < LEAST_LENGTH:
+                raise FrameError(path, "up has length 0", REMEDY)
+            up = up / length
+        files = exported_files(self.path, (record.image, record.cloud))
+        return exported_frame(key, i, files, camera, up, record.timestamp_ns, world)
+
+    def _record(self, key: str) -> tuple[Path, FrameFile]:
+        """Returns the path and the content of a frame's file."""
+        path = self.path / LABELS / f"{key}.json"
+        try:
+            return path, FrameFile.model_validate_json(read_text_file(path))
+        except OSError as error:
+            raise FrameError(path, f"cannot be read ({error.strerror})", REMEDY) from error
+        except ValueError as error:  # pydantic's errors, too
+            raise FrameError(path, f"does not describe a frame ({_first_line(error)})", REMEDY) from error
+
+
+def open_rcv(path: Path) -> RcvFolder | NotFound:
+    """Opens the `rcv` dataset at `path`; `NotFound` if it is not one."""
+    manifest = path / MANIFEST
+    if not manifest.is_file():
+        return NotFound(RCV_LOOKED_FOR)
+    content = read_document(manifest)
+    if not isinstance(content, dict) or content.get("format") != FORMAT_NAME:
+        return NotFound(RCV_LOOKED_FOR)
+    try:
+        keys = ManifestFile.model_validate(content).frames
+    except ValidationError as error:
+        raise RecordingError(f"{manifest}: {_first_line(error)}; {REMEDY}") from error
+    if len(set(keys)) < len(keys):
+        raise RecordingError(f"{manifest}: a frame is listed twice; {REMEDY}")
+    sorted_keys(path, set(keys), f"frames in {MANIFEST}")  # raises without frames; the manifest has their order
+    return RcvFolder(path, keys)
+
+
+def _first_line(error: ValueError) -> str:
+    if not isinstance(error, ValidationError):
+        return str(error)
+    return first_problem(error)

@@ -1,1 +1,0 @@
-"""Datasets that annotator exported, opened as recordings again."""

@@ -1,0 +1,486 @@
+"""KITTI recordings: an image folder and a folder of LiDAR scans with the same keys.
+
+object     [training/]image_2/KEY.png  velodyne/KEY.bin  calib/KEY.txt  [label_2/KEY.txt]; unrelated single frames
+tracking   image_02/KEY.png  velodyne/KEY.bin  calib.txt  [label_02.txt]; consecutive frames of a drive, 10 a second; or
+           the data set, where each drive is a scene:
+           [training/]image_02/DRIVE/KEY.png  velodyne/DRIVE/KEY.bin  calib/DRIVE.txt  [label_02/DRIVE.txt]
+raw        DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIVE/image_02/timestamps.txt
+           calib_cam_to_cam.txt  calib_velo_to_cam.txt, in the drive's folder or in that of its day above it
+           [tracklet_labels.xml]; the layout of the download ("synced and rectified")
+
+Labels are read by annotator.formats.kitti.
+
+Calibration (object devkit, readme.txt): `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar`, all row-major, in colour camera
+2. The tracking files call two of the matrices R_rect and Tr_velo_cam and omit the colon. Raw drives (raw devkit,
+readme.txt) have the same matrices in two files: P_rect_02 and R_rect_00, and the LiDAR's pose as R and T.
+
+A frame's cloud holds the points in front of the camera that project inside the image, each with its reflectance and
+the colour of the nearest pixel (exact except for the parallax between camera and LiDAR). The rest of a 360 degree scan
+has no colour and no label, and is dropped.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float, Float64
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.files import TABLE_BYTES, read_text_file
+from annotator.geometry.projection import inside_image, project
+from annotator.geometry.transforms import level_pose
+from annotator.recordings.image_file import read_rgb
+from annotator.recordings.listing import IMAGE_SUFFIXES, frame_file, joined, sorted_keys, stems
+from annotator.recordings.look_around import Scan
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.recordings.recording import KeyedFrames, NotFound, ReaderOptions
+from annotator.recordings.scan_file import Scans
+from annotator.text import spelled, to_number
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import ConfigError, FrameError, RecordingError
+
+P2_NAMES = ("P2",)
+RECTIFICATION_NAMES = ("R0_rect", "R_rect")
+LIDAR_NAMES = ("Tr_velo_to_cam", "Tr_velo_cam")
+RAW_P2_NAMES, RAW_RECTIFICATION_NAMES = ("P_rect_02",), ("R_rect_00",)
+# Tolerance for rotations: files have four digits or more.
+MOST_OFF_ROTATION = 1e-2
+REMEDY = "copy the calibration file again from the data set"
+
+
+@dataclass(frozen=True, eq=False)
+class KittiCalibration:
+    """The calibration of one frame.
+
+    The `camera` frame is that of colour camera 2, an ideal pinhole with the K of P2. KITTI's labels are in the frame
+    of rectified camera 0, which P2 = K [I | t] shifts by t. No component of t is zero.
+
+    Attributes:
+        path: the file.
+        matrix: (3, 3) K of P2.
+        shift_m: (3,) t = K^-1 P2[:, 3].
+        T_rect_lidar: (3, 4) R0_rect * Tr_velo_to_cam: LiDAR to rectified camera 0, as in the file. Not a
+            RigidTransform, because it is orthonormal only to seven digits and products must equal the data set's own.
+    """
+
+    path: Path
+    matrix: Float64[np.ndarray, "3 3"]
+    shift_m: Float64[np.ndarray, "3"]
+    T_rect_lidar: Float64[np.ndarray, "3 4"]
+
+    @property
+    def T_camera_label(self) -> RigidTransform:
+        """The transform from rectified camera 0, the labels' frame, to colour camera 2."""
+        return RigidTransform.from_translation(self.shift_m)
+
+    @property
+    def T_camera_lidar(self) -> RigidTransform:
+        """The exactly rigid transform from the LiDAR to colour camera 2; `to_camera` uses the file's matrix instead."""
+        rotation = Rotation.from_matrix(self.T_rect_lidar[:, :3])
+        return RigidTransform.from_components(self.T_rect_lidar[:, 3] + self.shift_m, rotation)
+
+    def camera(self, width_px: int, height_px: int) -> Camera:
+        """Returns colour camera 2 for an image of this size."""
+        K = self.matrix
+        return Camera(width_px, height_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+
+    def to_camera(self, xyz_lidar_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Returns LiDAR points in the camera frame, metres."""
+        xyz = xyz_lidar_m.astype(np.float64)
+        shift = self.T_rect_lidar[:, 3] + self.shift_m
+        return np.asarray(xyz @ self.T_rect_lidar[:, :3].T + shift)
+
+
+def read_calibration(path: Path) -> KittiCalibration:
+    """Reads the calibration of a KITTI object or tracking file."""
+    rows = _read_rows(path)
+    P2 = _matrix(path, rows, P2_NAMES, (3, 4))
+    R0 = _matrix(path, rows, RECTIFICATION_NAMES, (3, 3))
+    return _calibration(path, path, P2, R0, _matrix(path, rows, LIDAR_NAMES, (3, 4)))
+
+
+def read_raw_calibration(cameras: Path, lidar: Path) -> KittiCalibration:
+    """Reads the calibration of a raw drive: `calib_cam_to_cam.txt` and `calib_velo_to_cam.txt`."""
+    rows, poses = _read_rows(cameras), _read_rows(lidar)
+    P2 = _matrix(cameras, rows, RAW_P2_NAMES, (3, 4))
+    R0 = _matrix(cameras, rows, RAW_RECTIFICATION_NAMES, (3, 3))
+    Tr = np.concatenate([_matrix(lidar, poses, ("R",), (3, 3)), _matrix(lidar, poses, ("T",), (3, 1))], axis=1)
+    return _calibration(cameras, lidar, P2, R0, Tr)
+
+
+def calibration_text(path: Path) -> str:
+    """Returns the text of a calibration file."""
+    try:
+        return read_text_file(path)
+    except FileNotFoundError as error:
+        raise FrameError(path, "the calibration is missing", "copy it from the data set") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise FrameError(path, f"the calibration cannot be read ({error})", REMEDY) from error
+
+
+def _read_rows(path: Path) -> dict[str, list[str]]:
+    """Returns the values of each line of a calibration file, by the name before them."""
+    rows = {}
+    for line in calibration_text(path).splitlines():
+        name, *values = line.replace(":", " ", 1).split() or [""]
+        rows[name] = values
+    return rows
+
+
+def _calibration(path: Path, lidar: Path, P2: np.ndarray, R0: np.ndarray, Tr: np.ndarray) -> KittiCalibration:
+    """Builds the calibration from the devkit's three matrices; `path` is the file of the first two."""
+    K = P2[:, :3]
+    if not is_pinhole(K):
+        raise FrameError(path, "P2 is not a pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
+    for place, name, R in ((path, "rectification", R0), (lidar, "LiDAR's pose", Tr[:, :3])):
+        if not is_rotation(R, MOST_OFF_ROTATION):
+            raise FrameError(place, f"the {name} is not a rotation", REMEDY)
+    return KittiCalibration(path, K, np.linalg.solve(K, P2[:, 3]), R0 @ Tr)
+
+
+def _matrix(path: Path, rows: dict[str, list[str]], names: tuple[str, ...], shape: tuple[int, int]) -> np.ndarray:
+    name = next((name for name in names if name in rows), None)
+    if name is None:
+        raise FrameError(path, f"{' or '.join(names)} is missing", REMEDY)
+    try:
+        values = np.array([to_number(value) for value in rows[name]])
+    except ValueError as error:
+        raise FrameError(path, f"{name}: {error}", REMEDY) from error
+    if values.size != shape[0] * shape[1]:
+        raise FrameError(path, f"{name} must have {shape[0] * shape[1]} numbers, not {values.size}", REMEDY)
+    if not are_plausible(values):
+        raise FrameError(path, f"{name} has a number that is not finite or is too large", REMEDY)
+    return values.reshape(shape)
+
+
+NEAREST_Z_M = 0.1
+# The rectified cameras are mounted upright on the car: their y axis points down.
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def read_frame(
+    key: str,
+    index: int,
+    image_path: Path,
+    scan_path: Path,
+    scans: Scans,
+    calibration: KittiCalibration,
+    timestamp_ns: int | None,
+) -> Frame:
+    """Reads the frame of an image and a scan; `camera` is colour camera 2."""
+    rgb = read_rgb(image_path)
+    camera = calibration.camera(rgb.shape[1], rgb.shape[0])
+    scan = scans.read(scan_path)
+    cloud = visible_cloud(camera, calibration.to_camera(scan.xyz_m), scan.reflectance, rgb)
+    if len(cloud) == 0:
+        raise FrameError(
+            scan_path,
+            f"none of its points lies in the image ({len(scan.xyz_m)} in all), so the cloud is empty",
+            f"check that {calibration.path} belongs to this scan",
+        )
+    return Frame(key, index, camera, rgb, cloud, None, UP, calibration.T_camera_label, timestamp_ns)
+
+
+def visible_cloud(camera: Camera, xyz_m: np.ndarray, reflectance: np.ndarray | None, rgb: np.ndarray) -> PointCloud:
+    """Returns the points (n, 3) in the camera frame that project inside the image, coloured by the nearest pixel."""
+    in_front = xyz_m[:, 2] > NEAREST_Z_M
+    px = project(camera, xyz_m[in_front])
+    inside = inside_image(camera, px)
+    chosen = np.flatnonzero(in_front)[inside]
+    u, v = np.floor(px[inside] + 0.5).astype(np.int64).T
+    seen = None if reflectance is None else reflectance[chosen]
+    return PointCloud(xyz_m[chosen].astype(np.float32), rgb=rgb[v, u], reflectance=seen)
+
+
+# The rotating LiDAR triggers KITTI's sensors ten times a second.
+PERIOD_NS = 100_000_000
+# KITTI's names have 6 or 10 digits; times of longer numbers would not fit into 64 bits.
+MOST_DIGITS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class KittiFolder(KeyedFrames, ABC):
+    """A `Recording` of image and scan pairs.
+
+    Attributes:
+        images, scans: their folders, relative to `root`.
+        reader: reads the scans.
+    """
+
+    reader: Scans = field(default_factory=Scans, kw_only=True)
+    images: ClassVar[str]
+    scans: ClassVar[str]
+    is_parallel: ClassVar[bool] = True
+
+    def files(self, i: int) -> tuple[Path, Path]:
+        key = self.key(i)
+        image = frame_file(self.root / self.images, key, IMAGE_SUFFIXES, f"{self.scans}/{key}.bin")
+        return image, self._scan_file(key)
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; labels are in rectified camera 0 (`T_camera_label`)."""
+        key, (image, scan) = self.key(i), self.files(i)
+        return read_frame(key, i, image, scan, self.reader, self.calibration(key), self._time_of(i))
+
+    def scan(self, i: int) -> Scan:
+        """Reads the whole scan of frame `i`."""
+        key = self.key(i)
+        points = self.reader.read(self._scan_file(key))
+        calibration = self.calibration(key)
+        return Scan(
+            points.xyz_m.astype(np.float64),
+            None,
+            points.reflectance,
+            level_pose(UP).rotation * calibration.T_camera_lidar.rotation,
+            np.zeros(3),
+            calibration.T_camera_lidar.inv() * calibration.T_camera_label,
+            timestamp_ns=self._time_of(i),
+        )
+
+    def _scan_file(self, key: str) -> Path:
+        return frame_file(self.root / self.scans, key, (".bin",), f"the image {key}")
+
+    def _time_of(self, i: int) -> int | None:
+        """Returns the time of frame `i`: the key's number determines it, so gaps are kept."""
+        key = self.keys[i]
+        return self.time_ns(int(key) if key.isascii() and key.isdigit() and len(key) <= MOST_DIGITS else i)
+
+    @abstractmethod
+    def calibration(self, key: str) -> KittiCalibration:
+        """Reads the calibration of a frame."""
+
+    def time_ns(self, number: int) -> int | None:
+        """Returns the time of frame `number` of the drive, counted from its frame 0; None if frames have no time."""
+        return number * PERIOD_NS
+
+
+def keys_in(root: Path, images: str, scans: str) -> tuple[str, ...] | None:
+    """Returns the keys of the frames of two folders in `root`; None if these are not there."""
+    if not ((root / images).is_dir() and (root / scans).is_dir()):
+        return None
+    expected = f"{images}/KEY.png and {scans}/KEY.bin"
+    keys = joined(stems(root / images, IMAGE_SUFFIXES), stems(root / scans, (".bin",)))
+    return sorted_keys(root, keys, expected)
+
+
+def require_calibration(root: Path, looks_like: str, name: str, scans: str) -> None:
+    """Refuses a folder of images and scans without a calibration, in place of an error for each frame."""
+    if not (root / name).exists():
+        raise RecordingError(
+            f"{root}: looks like {looks_like}: {name} is missing; copy it from the data set, or give the path of "
+            f"{scans} to label the scans without images"
+        )
+
+
+OBJECT_LOOKED_FOR = "folders image_2/ and velodyne/ (and calib/), here or in training/"
+
+
+@dataclass(frozen=True, eq=False)
+class KittiObject(KittiFolder):
+    """A `Recording` of a KITTI object folder.
+
+    Attributes:
+        folder: the folder of images and scans, `path` or `path`/training.
+    """
+
+    folder: Path
+    format: ClassVar[str] = "kitti_object"
+    is_sequence: ClassVar[bool] = False
+    images: ClassVar[str] = "image_2"
+    scans: ClassVar[str] = "velodyne"
+
+    @property
+    def root(self) -> Path:
+        return self.folder
+
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(spelled(self.root / "calib", f"{key}.txt"))
+
+    def time_ns(self, number: int) -> None:
+        """Unrelated frames have no time."""
+
+
+def open_kitti_object(path: Path, options: ReaderOptions) -> KittiObject | NotFound:
+    """Opens the KITTI object folder at `path` or `path`/training; `NotFound` if there is none."""
+    for root in (path, path / "training"):
+        keys = keys_in(root, KittiObject.images, KittiObject.scans)
+        if keys is not None:
+            require_calibration(root, "a KITTI object folder", "calib/", "velodyne/")
+            return KittiObject(path, keys, root, reader=Scans(options.columns))
+    return NotFound(OBJECT_LOOKED_FOR)
+
+
+RAW_LOOKED_FOR = "folders image_02/data/ and velodyne_points/data/ (and calib_*.txt, here or in the folder above)"
+CAMERAS, LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+TIME = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
+
+
+@dataclass(frozen=True, eq=False)
+class KittiRaw(KittiFolder):
+    """A `Recording` of one KITTI raw drive.
+
+    Times come from `timestamps.txt`, read as UTC; its first line is the drive's frame 0. Without that file, times count
+    from the drive's frame 0.
+    """
+
+    format: ClassVar[str] = "kitti_raw"
+    is_sequence: ClassVar[bool] = True
+    images: ClassVar[str] = "image_02/data"
+    scans: ClassVar[str] = "velodyne_points/data"
+
+    def calibration(self, key: str) -> KittiCalibration:
+        for folder in (self.path, self.path.resolve().parent):
+            if (folder / CAMERAS).is_file() or (folder / LIDAR).is_file():
+                return read_raw_calibration(folder / CAMERAS, folder / LIDAR)
+        raise FrameError(
+            self.path / CAMERAS, "the calibration is missing", f"copy {CAMERAS} and {LIDAR} of the drive's day there"
+        )
+
+    def time_ns(self, number: int) -> int:
+        path = self.path / "image_02" / "timestamps.txt"
+        if not path.is_file():
+            return number * PERIOD_NS
+        try:
+            stat = path.stat()
+            times = _times(path, stat.st_mtime_ns, stat.st_size)
+        except (OSError, UnicodeDecodeError) as error:
+            raise FrameError(path, f"cannot be read ({error})", "copy it again from the data set") from error
+        time_ns = times[number] if number < len(times) else None
+        if time_ns is None:
+            raise FrameError(
+                path,
+                f"line {number + 1} must be the time of frame {number}",
+                "copy it again, or remove it to use times from the frame numbers",
+            )
+        return time_ns
+
+
+@lru_cache(maxsize=4)
+def _times(path: Path, changed_ns: int, size: int) -> tuple[int | None, ...]:
+    """Returns the time of each line, nanoseconds since the epoch; None for an invalid line."""
+    return tuple(_nanoseconds(line) for line in read_text_file(path, TABLE_BYTES).splitlines())
+
+
+def _nanoseconds(line: str) -> int | None:
+    match = TIME.fullmatch(line.strip())
+    if match is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(match[1]).replace(tzinfo=UTC)
+    except ValueError:  # such as the 31st of February
+        return None
+    return int(moment.timestamp()) * 1_000_000_000 + int((match[2] or "0").ljust(9, "0"))
+
+
+def open_kitti_raw(path: Path, options: ReaderOptions) -> KittiRaw | NotFound:
+    """Opens the KITTI raw drive at `path`; `NotFound` if it is not one. Takes the option `columns`."""
+    keys = keys_in(path, KittiRaw.images, KittiRaw.scans)
+    return NotFound(RAW_LOOKED_FOR) if keys is None else KittiRaw(path, keys, reader=Scans(options.columns))
+
+
+TRACKING_LOOKED_FOR = (
+    "folders image_02/ and velodyne/ (and calib.txt), or image_02/0000/, velodyne/0000/ (and calib/0000.txt)"
+)
+IMAGES, SCANS = "image_02", "velodyne"
+
+
+@dataclass(frozen=True, eq=False)
+class KittiTracking(KittiFolder):
+    """A `Recording` of one KITTI drive; its times count from the drive's frame 0."""
+
+    format: ClassVar[str] = "kitti_tracking"
+    is_sequence: ClassVar[bool] = True
+    images: ClassVar[str] = IMAGES
+    scans: ClassVar[str] = SCANS
+
+    @property
+    def label_file(self) -> Path:
+        """The file of the labels, which may be missing."""
+        return self.root / "label_02.txt"
+
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(self.path / "calib.txt")
+
+
+@dataclass(frozen=True, eq=False)
+class KittiSequence(KittiTracking):
+    """One drive of a KITTI tracking data set.
+
+    Attributes:
+        folder: of the data set, `path` or `path`/training.
+        scene: name of the drive.
+        scenes: names of all drives.
+        notes: what was left out.
+    """
+
+    folder: Path
+    scene: str
+    scenes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def root(self) -> Path:
+        return self.folder
+
+    @property
+    def name(self) -> str:
+        return self.scene
+
+    @property
+    def images(self) -> str:  # type: ignore[override]
+        return f"{IMAGES}/{self.scene}"
+
+    @property
+    def scans(self) -> str:  # type: ignore[override]
+        return f"{SCANS}/{self.scene}"
+
+    @property
+    def label_file(self) -> Path:
+        return self.root / "label_02" / f"{self.scene}.txt"
+
+    def calibration(self, key: str) -> KittiCalibration:
+        return read_calibration(self.root / "calib" / f"{self.scene}.txt")
+
+
+def open_kitti_tracking(path: Path, options: ReaderOptions) -> KittiTracking | NotFound:
+    """Opens the KITTI tracking folder at `path`, or a drive of the data set there; `NotFound` if it is neither.
+
+    Takes the options `columns` and, of a data set, `scene`; without it, the first drive is read.
+    """
+    for root in (path, path / "training"):
+        drives = _drives(root)
+        if drives:
+            return _sequence(path, root, drives, options)
+    keys = keys_in(path, IMAGES, SCANS)
+    if keys is None:
+        return NotFound(TRACKING_LOOKED_FOR)
+    if options.scene is not None:
+        raise ConfigError(f"{path}: is one drive of KITTI, which takes no --scene")
+    require_calibration(path, "a KITTI tracking folder", "calib.txt", "velodyne/")
+    return KittiTracking(path, keys, reader=Scans(options.columns))
+
+
+def _drives(root: Path) -> list[str]:
+    """Returns the drives of a data set that have a calibration."""
+    if not (root / IMAGES).is_dir():
+        return []
+    return sorted(file.stem for file in (root / "calib").glob("*.txt") if (root / IMAGES / file.stem).is_dir())
+
+
+def _sequence(path: Path, root: Path, drives: list[str], options: ReaderOptions) -> KittiSequence:
+    scene = options.scene or drives[0]
+    if scene not in drives:
+        raise ConfigError(f"{path}: has no scene {scene}; it has {', '.join(drives)}")
+    images, scans = f"{IMAGES}/{scene}", f"{SCANS}/{scene}"
+    keys = keys_in(root, images, scans) or sorted_keys(root, set(), f"{images}/KEY.png and {scans}/KEY.bin")
+    notes: tuple[str, ...] = ()
+    if len(drives) > 1 and options.scene is None:
+        notes = (f"{len(drives)} drives: {', '.join(drives)}; this is the first (--scene names another, or all)",)
+    return KittiSequence(path, keys, root, scene, tuple(drives), notes, reader=Scans(options.columns))

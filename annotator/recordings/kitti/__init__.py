@@ -1,1 +1,0 @@
-"""KITTI recordings: object, tracking and raw-drive folders."""

@@ -1,1 +1,0 @@
-"""nuScenes: its tables, and one recording per scene and camera."""

@@ -1,0 +1,442 @@
+"""Messages of bags: decoded by the definitions in the bag, and the clouds and cameras that they describe.
+
+ROS 1, ROS 2 (CDR; both by rosbags), Protobuf and JSON. A decoded message is an object whose attributes are the fields
+of its definition, except that all ROS times have `sec` and `nanosec`.
+
+Clouds: `sensor_msgs/PointCloud2`, `foxglove.PointCloud`. Cameras: `sensor_msgs/CameraInfo`,
+`foxglove.CameraCalibration`. K, D, R, P, binning and region of interest have the meaning of the comments in
+`sensor_msgs/CameraInfo.msg`, and image and region are related as in `image_geometry::PinholeCameraModel`: K and P are
+of the full sensor, of which the image is a region, binned. A rectified image (by its topic's name) has the camera P,
+without distortion, turned by R. The right camera of a stereo pair that names the tf frame of the left one is moved by
+the baseline in P.
+
+Fisheye images (`equidistant`) are undistorted, because a `Camera` is a pinhole camera. RealSense's inverse
+Brown-Conrady model maps distorted to undistorted points; it is replaced by the nearest model of OpenCV's form.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import re
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.frame_limits import require_pixels
+from annotator.recordings.clouds.columns import RawCloud, from_columns
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.recordings.ros.bag import Topic, short_type
+from annotator.recordings.ros.bag_files import Channel
+from annotator.types import Camera
+from annotator.types.camera import DISTORTION_LENGTHS
+from annotator.types.errors import MissingExtraError
+from annotator.types.times import LATEST_NS
+
+# Enough of a message for its time.
+HEAD_BYTES = 32
+SECOND = 10**9
+# What reading the fields of a message raises if they are missing, or of other types than usual.
+FIELD_ERRORS = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)
+
+
+def decode(channel: Channel, data: bytes) -> Any:
+    """Decodes a message.
+
+    Raises:
+        ValueError: it is damaged, or its encoding is unknown.
+        MissingExtraError: rosbags or protobuf is not installed.
+    """
+    try:
+        return _decoder(channel.encoding, channel.type, channel.schema_encoding, channel.schema)(data)
+    except MissingExtraError:
+        raise
+    # for damaged messages and definitions, the libraries raise any exception
+    except Exception as error:
+        raise ValueError(f"is not a {short_type(channel.type)} ({str(error)[:120]})") from error
+
+
+def message(topic: Topic, i: int) -> Any:
+    """Reads and decodes message `i` of a topic.
+
+    Raises:
+        ValueError: it is damaged.
+        OSError: the file cannot be read.
+        MissingExtraError: rosbags or protobuf is not installed.
+    """
+    channel, data = topic.read(i)
+    return decode(channel, data)
+
+
+def stamp_ns(content: Any) -> int:
+    """Returns the time in a message's header, nanoseconds; 0 = not set.
+
+    Raises:
+        ValueError: it is before 1970 or after 2262.
+    """
+    time = content.header.stamp if hasattr(content, "header") else content.timestamp
+    if hasattr(time, "nanosec"):
+        stamp = int(time.sec) * SECOND + int(time.nanosec)
+    elif hasattr(time, "nanos"):
+        stamp = int(time.seconds) * SECOND + int(time.nanos)
+    else:
+        stamp = int(time.sec) * SECOND + int(time.nsec)
+    if not 0 <= stamp <= LATEST_NS:
+        raise ValueError(f"has the impossible time {stamp} ns")
+    return stamp
+
+
+def frame_id(content: Any) -> str:
+    """Returns the tf frame of a message, without a slash before it."""
+    name = content.header.frame_id if hasattr(content, "header") else content.frame_id
+    return str(name).lstrip("/")
+
+
+def quick_stamp_ns(topic: Topic, i: int) -> int | None:
+    """Returns the time in the header of message `i`, of a type that begins with it; None if it is damaged."""
+    try:
+        channel, data = topic.read(i, HEAD_BYTES)
+        return _stamp_of_head(channel, data) if channel.encoding in ("ros1", "cdr") else stamp_ns(message(topic, i))
+    except (*FIELD_ERRORS, OSError, struct.error):
+        return None
+
+
+def _stamp_of_head(channel: Channel, data: bytes) -> int:
+    if channel.encoding == "cdr":
+        sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    else:
+        # a header of ROS 1 begins with a number
+        has_header = not channel.type.startswith("foxglove")
+        sec, nanosec = struct.unpack_from("<II", data, 4 if has_header else 0)
+    return int(sec) * SECOND + int(nanosec)
+
+
+@lru_cache(maxsize=256)
+def _decoder(encoding: str, kind: str, schema_encoding: str, schema: bytes) -> Callable[[bytes], Any]:
+    if encoding == "json":
+        return _from_json
+    if encoding == "protobuf":
+        return _protobuf_decoder(kind, schema)
+    if encoding not in ("ros1", "cdr"):
+        raise ValueError(f"has the unknown encoding {encoding!r}; known are ros1, cdr, protobuf and json")
+    store, name = _typestore(kind, schema_encoding, schema), _ros2_type(kind)
+    method = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
+    return lambda data: method(data, name)
+
+
+def _ros2_type(kind: str) -> str:
+    package, _, name = short_type(kind).partition("/")
+    package = "foxglove_msgs" if package == "foxglove" else package
+    return f"{package}/msg/{name}"
+
+
+def _typestore(kind: str, schema_encoding: str, schema: bytes) -> Any:
+    try:
+        from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+    except ImportError as error:
+        raise MissingExtraError("rosbags", "ros") from error
+    if not schema:
+        # bags of ROS 2 before Iron have no definitions
+        return get_typestore(Stores.ROS2_HUMBLE)
+    text = schema.decode("utf-8", "replace")
+    store = get_typestore(Stores.EMPTY)
+    if schema_encoding in ("ros1msg", "ros2msg"):
+        types = get_types_from_msg(text, _ros2_type(kind))
+    elif schema_encoding in ("ros2idl", "omgidl"):
+        types = {}
+        for part in text.split("=" * 80 + "\n"):
+            types.update(get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part))
+    else:
+        raise ValueError(f"has a definition of the unknown kind {schema_encoding!r}")
+    store.register(types)
+    return store
+
+
+def _protobuf_decoder(kind: str, schema: bytes) -> Callable[[bytes], Any]:
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    except ImportError as error:
+        raise MissingExtraError("protobuf", "ros") from error
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema).file:
+        pool.Add(file)
+    parse: Callable[[bytes], Any] = message_factory.GetMessageClass(pool.FindMessageTypeByName(kind)).FromString
+    return parse
+
+
+def _from_json(data: bytes) -> Any:
+    return json.loads(data, object_hook=lambda values: SimpleNamespace(**values))
+
+
+def byte_array(data: Any) -> np.ndarray:
+    """Returns the bytes of a field: an array, bytes, base64 text (JSON) or a list of numbers.
+
+    Raises:
+        ValueError: something else.
+    """
+    if isinstance(data, str):
+        try:
+            data = base64.b64decode(data, validate=True)
+        except binascii.Error as error:
+            raise ValueError("its data are not base64") from error
+    if isinstance(data, bytes | bytearray | memoryview):
+        return np.frombuffer(data, np.uint8)
+    return np.asarray(data).view(np.uint8) if isinstance(data, np.ndarray) else np.array(data, np.uint8)
+
+
+# sensor_msgs/PointField.msg and foxglove.PackedElementField.NumericType
+ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
+MOST_FIELDS = 256
+LARGEST_POINT = 1 << 16
+
+
+def cloud_of(path: Path, content: Any) -> RawCloud:
+    """Returns the cloud of a decoded message, in the frame that it names.
+
+    Raises:
+        ValueError: the message contradicts itself.
+        FrameError: it has no coordinates, or no valid point.
+    """
+    if hasattr(content, "point_stride"):
+        return _foxglove_cloud(path, content)
+    width, height, row = int(content.width), int(content.height), int(content.row_step)
+    size, data = int(content.point_step), byte_array(content.data)
+    row = row or width * size
+    end = row * (height - 1) + width * size if width * height else 0
+    if row < width * size or end > len(data):
+        raise ValueError(
+            f"declares {width} x {height} points of {size} bytes in rows of {row} bytes, but has {len(data)} bytes"
+        )
+    order = ">" if content.is_bigendian else "<"
+    fields = [(str(field.name), int(field.offset), order + ROS_TYPES.get(int(field.datatype), ""), int(field.count))
+              for field in content.fields]  # fmt: skip
+    dtype = _point_type(size, fields)
+    if row == width * size:
+        points = np.frombuffer(data, dtype, width * height)
+    else:
+        points = np.ndarray((height, width), dtype, data, 0, (row, size)).reshape(-1)
+    return from_columns(path, _point_columns(points))
+
+
+def _foxglove_cloud(path: Path, content: Any) -> RawCloud:
+    size, data = int(content.point_stride), byte_array(content.data)
+    fields = [(str(field.name), int(field.offset), "<" + FOXGLOVE_TYPES.get(int(field.type), ""), 1)
+              for field in content.fields]  # fmt: skip
+    raw = from_columns(path, _point_columns(np.frombuffer(data, _point_type(size, fields), len(data) // size)))
+    pose = getattr(content, "pose", None)
+    if pose is None:
+        return raw
+    turn = [float(getattr(pose.orientation, name)) for name in "xyzw"]
+    place = [float(getattr(pose.position, name)) for name in "xyz"]
+    if not any(turn):
+        turn = [0.0, 0.0, 0.0, 1.0]
+    T = RigidTransform.from_components(place, Rotation.from_quat(turn))
+    return replace(raw, xyz_m=T.apply(raw.xyz_m))
+
+
+def _point_type(size: int, fields: list[tuple[str, int, str, int]]) -> np.dtype:
+    """Returns the type of a point; fields of an unknown type or of several values are left out."""
+    if not 0 < size <= LARGEST_POINT or len(fields) > MOST_FIELDS:
+        raise ValueError(f"declares {len(fields)} fields in points of {size} bytes")
+    used = {}
+    for name, offset, kind, count in fields:
+        if len(kind) < 3 or count > 1 or name.lower() in used:
+            continue
+        if offset < 0 or offset + np.dtype(kind).itemsize > size:
+            raise ValueError(f"has a field {name} at byte {offset}, outside of a point of {size} bytes")
+        used[name.lower()] = (kind, offset)
+    kinds, offsets = [kind for kind, _ in used.values()], [offset for _, offset in used.values()]
+    return np.dtype({"names": list(used), "formats": kinds, "offsets": offsets, "itemsize": size})
+
+
+def _point_columns(points: np.ndarray) -> dict[str, np.ndarray]:
+    """Returns the columns by name, in the machine's byte order."""
+    names = points.dtype.names or ()
+    return {name: points[name].astype(points.dtype[name].newbyteorder("=")) for name in names}
+
+
+RECTIFIED = re.compile(r"rect(?!angle)", re.IGNORECASE)
+FISHEYE = ("equidistant", "fisheye", "kannala_brandt4")
+MOST_OFF_ROTATION = 1e-3
+# Points per side of the grid on which the inverse distortion is fitted.
+GRID = 25
+
+
+@dataclass(frozen=True, eq=False)
+class BagCamera:
+    """A calibrated camera of a bag.
+
+    Attributes:
+        camera: of the images as they are given to annotator.
+        T_camera_frame: from the tf frame that the calibration names to the camera (rectification and baseline).
+        fisheye: K and D of the images in the bag, if they must be undistorted.
+    """
+
+    camera: Camera
+    T_camera_frame: RigidTransform
+    fisheye: tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "4"]] | None = None
+
+    def picture(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+        """Returns an image of the bag as this camera sees it.
+
+        Raises:
+            ValueError: it has another size.
+        """
+        import cv2
+
+        self.require_size(rgb.shape)
+        if self.fisheye is None:
+            return rgb
+        K, D = self.fisheye
+        size = (self.camera.width_px, self.camera.height_px)
+        maps = cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), self.camera.matrix, size, cv2.CV_32FC1)
+        return np.asarray(cv2.remap(rgb, *maps, cv2.INTER_LINEAR))
+
+    def require_size(self, shape: tuple[int, ...]) -> None:
+        """
+        Raises:
+            ValueError: an image of this shape is not of this camera.
+        """
+        size = (self.camera.width_px, self.camera.height_px)
+        if shape[1::-1] != size:
+            raise ValueError(
+                f"has {shape[1]} x {shape[0]} pixels, but its camera has {size[0]} x {size[1]}; "
+                "name its calibration with --camera-info (of depth images: --depth-info)"
+            )
+
+
+def read_camera_info(content: Any, is_rectified: bool, first: Any = None) -> BagCamera:
+    """Returns the camera of a decoded message.
+
+    Args:
+        is_rectified: its images are.
+        first: calibration of the first camera of a stereo pair, if the second one, this, names its tf frame.
+
+    Raises:
+        ValueError: it is not calibrated, or its numbers contradict each other; the message says which.
+    """
+    K, D, R, P = (_field(content, name) for name in "KDRP")
+    if not K.any():
+        raise ValueError(
+            "is not calibrated: K is zero; name another topic with --camera-info (of depth images: --depth-info)"
+        )
+    if len(K) != 9 or not are_plausible(K):
+        raise ValueError("has a K that is not nine plausible numbers")
+    is_rectified = is_rectified and len(P) == 12 and bool(P.any())
+    full = P.reshape(3, 4)[:, :3] if is_rectified else K.reshape(3, 3)
+    matrix, width, height = _region(content, full)
+    if not is_pinhole(matrix):
+        raise ValueError("is not a pinhole camera: K must be fx 0 cx 0 fy cy 0 0 1")
+    require_pixels(width, height)
+    T = RigidTransform.identity()
+    # P of the second camera is relative to the rectified first one
+    R = R if first is None else _field(first, "R")
+    if is_rectified and R.any():
+        if len(R) != 9 or not is_rotation(R.reshape(3, 3), MOST_OFF_ROTATION):
+            raise ValueError("has an R that is not a rotation")
+        T = RigidTransform.from_rotation(Rotation.from_matrix(R.reshape(3, 3)))
+    if is_rectified and first is not None:
+        T = RigidTransform.from_translation(baseline_m(content)) * T
+    model = str(content.distortion_model).lower()
+    if is_rectified or not D.any():
+        return BagCamera(_pinhole_camera(width, height, matrix), T)
+    if not are_plausible(D):
+        raise ValueError("has a D with implausible numbers")
+    if model in FISHEYE:
+        return _undistorted(width, height, matrix, D)
+    if "inverse" in model:
+        return BagCamera(_pinhole_camera(width, height, matrix, _inverted(width, height, matrix, D)), T)
+    # longer lists may end with zeros
+    length = next((length for length in DISTORTION_LENGTHS if length >= len(D)), None)
+    if length is None or model in ("ftheta", "omni", "cata"):
+        raise ValueError(
+            f"has the distortion {model or 'without a name'} with {len(D)} numbers; known are plumb_bob, "
+            "rational_polynomial and equidistant"
+        )
+    return BagCamera(_pinhole_camera(width, height, matrix, (*D.tolist(), *[0.0] * (length - len(D)))), T)
+
+
+def baseline_m(content: Any) -> Float64[np.ndarray, "3"]:
+    """Returns the place of the first camera of a stereo pair in the rectified camera of a message; zero without one.
+
+    Raises:
+        ValueError: P is damaged.
+    """
+    P = _field(content, "P")
+    if len(P) != 12 or not P.any():
+        return np.zeros(3)
+    P = P.reshape(3, 4)
+    if not are_plausible(P) or not is_pinhole(P[:, :3]):
+        raise ValueError("has a P that is not that of a pinhole camera")
+    return np.linalg.solve(P[:, :3], P[:, 3])
+
+
+def _region(content: Any, full: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """Returns K, width and height of the region of interest after binning, as `image_geometry` does."""
+    width, height, matrix = int(content.width), int(content.height), full.copy()
+    roi = getattr(content, "roi", None)
+    if roi is not None and int(roi.width) and int(roi.height):
+        width, height = int(roi.width), int(roi.height)
+        matrix[:2, 2] -= (int(roi.x_offset), int(roi.y_offset))
+    x, y = (max(int(getattr(content, f"binning_{axis}", 1)), 1) for axis in "xy")
+    matrix[0] /= x
+    matrix[1] /= y
+    return matrix, width // x, height // y
+
+
+def _field(content: Any, name: str) -> Float64[np.ndarray, "n"]:
+    """Returns a field of numbers; ROS 2 writes its name in lower case."""
+    values: Sequence[float] = getattr(content, name if hasattr(content, name) else name.lower())
+    return np.array(list(values), np.float64).reshape(-1)
+
+
+def _pinhole_camera(width: int, height: int, K: np.ndarray, distortion: tuple[float, ...] = ()) -> Camera:
+    fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(width, height, fx, fy, cx, cy, distortion)
+
+
+def _undistorted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> BagCamera:
+    import cv2
+
+    if len(D) < 4:
+        raise ValueError(f"has {len(D)} numbers of distortion; equidistant has four")
+    D = D[:4]
+    size = (width, height)
+    ideal = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(K, D, size, np.eye(3), balance=0.0)
+    if not is_pinhole(ideal):
+        raise ValueError("has a distortion that cannot be undone")
+    return BagCamera(_pinhole_camera(width, height, ideal), RigidTransform.identity(), (K, D))
+
+
+def _inverted(width: int, height: int, K: np.ndarray, D: np.ndarray) -> tuple[float, ...]:
+    """Returns k1 k2 p1 p2 k3 that map the undistorted points of an inverse Brown-Conrady model to the distorted ones.
+
+    Both models are linear in their coefficients, so that these are a least-squares solution.
+    """
+    columns, rows = np.meshgrid(np.linspace(0, width - 1, GRID), np.linspace(0, height - 1, GRID))
+    seen = np.stack([(columns.ravel() - K[0, 2]) / K[0, 0], (rows.ravel() - K[1, 2]) / K[1, 1]], axis=1)
+    coefficients = np.concatenate([D, np.zeros(5)])[:5]
+    ideal = seen + (_brown_conrady(seen) @ coefficients)
+    solution, *_ = np.linalg.lstsq(_brown_conrady(ideal).reshape(-1, 5), (seen - ideal).reshape(-1), rcond=None)
+    return tuple(solution.tolist())
+
+
+def _brown_conrady(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2 5"]:
+    """Returns by how much each coefficient (k1 k2 p1 p2 k3) moves normalised points."""
+    x, y = xy.T
+    r2 = (xy**2).sum(axis=1)[:, None]
+    tangential = [
+        np.stack([2 * x * y, r2[:, 0] + 2 * y * y], axis=1),
+        np.stack([r2[:, 0] + 2 * x * x, 2 * x * y], axis=1),
+    ]
+    return np.stack([xy * r2, xy * r2**2, *tangential, xy * r2**3], axis=2)

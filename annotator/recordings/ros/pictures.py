@@ -1,0 +1,469 @@
+"""Pictures from messages: `Image`, `CompressedImage`, and the forms of Foxglove, also of a video.
+
+Encodings: `sensor_msgs/image_encodings.hpp`; `compressedDepth`: `compressed_depth_image_transport` (a header of twelve
+bytes, then PNG or RVL; floats are quantised inverse depths).
+
+RVL (A. D. Wilson, "Fast Lossless Depth Image Compression", ISS 2017, Figure 3): a picture is a list of numbers: how
+many zeros follow, how many depths follow, and each depth as the difference to the one before. A number is written in
+groups of three bits, lowest first, each with a fourth bit that says whether another group follows; eight such groups
+are a little-endian word, the first one in its highest bits.
+
+Each message of a video topic (`foxglove.CompressedVideo`) has the bytes of one picture, without pictures that depend
+on later ones. PyAV decodes it from the last key frame on. A decoder replaces a lost reference picture by another one
+without a word, and all pictures up to the next key frame are made up: of H.264, the numbers in its slice headers tell
+it (ITU-T H.264, 7.3, 7.4.3).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8, UInt16
+
+from annotator.frame_limits import most_pixels, require_pixels
+from annotator.geometry.depth_values import in_metres
+from annotator.image_bytes import decode_image
+from annotator.recordings.image_file import Levels, contrast_levels, depth_levels, pixels_as_eight_bits
+from annotator.recordings.ros.bag import Topic
+from annotator.recordings.ros.messages import FIELD_ERRORS, byte_array, message
+from annotator.recordings.video_file import STRICT, STRICTEST
+
+# columns and rows, which `compressed_depth_image_transport` writes before the words
+RVL_HEAD_BYTES = 8
+LONGEST_NUMBER = 7
+
+
+def decode_rvl(data: bytes) -> UInt16[np.ndarray, "h w"]:
+    """Returns the depths of an RVL picture with its size before it.
+
+    Raises:
+        ValueError: it is truncated or damaged.
+    """
+    width, height = np.frombuffer(data[:RVL_HEAD_BYTES], "<u4").tolist() if len(data) >= RVL_HEAD_BYTES else (0, 0)
+    require_pixels(width, height, give_points=True)
+    numbers = _numbers(data[RVL_HEAD_BYTES:])
+    deltas = np.zeros(width * height, np.int64)
+    is_depth = np.zeros(width * height, bool)
+    at = pixel = 0
+    while pixel < len(deltas):
+        if at + 2 > len(numbers):
+            raise ValueError("its RVL picture is truncated")
+        zeros, depths = int(numbers[at]), int(numbers[at + 1])
+        start, end = pixel + zeros, pixel + zeros + depths
+        if end > len(deltas) or at + 2 + depths > len(numbers) or end == pixel:
+            raise ValueError("its RVL picture is damaged or truncated")
+        coded = numbers[at + 2 : at + 2 + depths]
+        deltas[start:end] = (coded >> 1) ^ -(coded & 1)
+        is_depth[start:end] = True
+        at, pixel = at + 2 + depths, end
+    return np.where(is_depth, np.cumsum(deltas), 0).astype(np.uint16).reshape(height, width)
+
+
+def _numbers(data: bytes) -> np.ndarray:
+    """Returns all numbers of a stream of words."""
+    words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
+    groups = (words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32) & 15).reshape(-1).astype(np.int64)
+    ends = np.flatnonzero(groups < 8)
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    if len(ends) == 0 or (ends - starts).max() > LONGEST_NUMBER:
+        raise ValueError("its RVL picture is damaged")
+    groups = groups[: ends[-1] + 1]
+    place = np.arange(len(groups)) - np.repeat(starts, ends - starts + 1)
+    return np.add.reduceat((groups & 7) << 3 * place, starts)
+
+
+# bytes per value and channels of the encodings without colour conversion
+PLAIN: dict[str, tuple[str, int]] = {
+    "rgb8": ("u1", 3), "bgr8": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4), "mono8": ("u1", 1),
+    "8UC1": ("u1", 1), "8UC3": ("u1", 3), "8UC4": ("u1", 4), "mono16": ("u2", 1), "16UC1": ("u2", 1),
+    "rgb16": ("u2", 3), "bgr16": ("u2", 3), "32FC1": ("f4", 1),
+}  # fmt: skip
+# OpenCV names a Bayer pattern by its second row, ROS by its first.
+BAYER = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
+YUV422 = {
+    "yuv422": "UYVY",
+    "uyvy": "UYVY",
+    "yuv422_uyvy": "UYVY",
+    "yuv422_yuy2": "YUY2",
+    "yuyv": "YUY2",
+    "yuy2": "YUY2",
+}
+DEPTH_ENCODINGS = ("16UC1", "32FC1", "mono16")
+COMPRESSED_DEPTH = "compressedDepth"
+DEPTH_HEAD = struct.Struct("<iff")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What an image message says about itself.
+
+    Attributes:
+        encoding: of its pixels; for compressed ones as the format names it ("" if it does not).
+        width_px, height_px: 0 if only the compressed bytes know it.
+        is_depth: the pixels are depths.
+    """
+
+    encoding: str
+    width_px: int
+    height_px: int
+    is_depth: bool
+
+
+def describe(content: Any, topic: str) -> Picture:
+    """Describes an image message; 16-bit grey is depth if its topic says so."""
+    if not hasattr(content, "encoding"):
+        encoding = str(content.format).partition(";")[0].strip()
+        return Picture(encoding, 0, 0, COMPRESSED_DEPTH in str(content.format) or encoding in DEPTH_ENCODINGS[:2])
+    encoding, name = str(content.encoding), topic.lower()
+    is_depth = encoding == "32FC1" or (encoding == "16UC1" and "infra" not in name and "/ir" not in name)
+    is_depth = is_depth or (encoding == "mono16" and "depth" in name)
+    return Picture(encoding, int(content.width), int(content.height), is_depth)
+
+
+def color_image(content: Any, common: Callable[[Levels], Levels] = lambda own: own) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the picture of an image message, RGB order.
+
+    Args:
+        common: returns the levels of a topic, given those of a picture of more than 8 bits (`deep_images`).
+
+    Raises:
+        ValueError: it is damaged, contradicts itself, or has an unknown encoding.
+    """
+    import cv2
+
+    if not hasattr(content, "encoding"):
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+        bgr = decode_image(byte_array(content.data).tobytes(), flags)
+        is_grey = bgr.dtype == np.uint16 and bool((bgr == bgr[:, :, :1]).all())
+        return np.ascontiguousarray(_shallow(bgr, common, is_grey)[:, :, ::-1])
+    encoding = str(content.encoding)
+    if encoding.startswith("bayer_"):
+        depth = "u2" if encoding.endswith("16") else "u1"
+        pattern = BAYER.get(encoding[6:10])
+        if pattern is None:
+            raise ValueError(f"has the unknown encoding {encoding!r}")
+        values = _shallow(_values(content, depth, 1)[:, :, 0], common, is_grey=False)
+        return np.asarray(cv2.cvtColor(values, getattr(cv2, f"COLOR_Bayer{pattern}2RGB")))
+    if encoding.lower() in YUV422:
+        values = np.ascontiguousarray(_values(content, "u1", 2))
+        return np.asarray(cv2.cvtColor(values, getattr(cv2, f"COLOR_YUV2RGB_{YUV422[encoding.lower()]}")))
+    if encoding not in PLAIN or encoding == "32FC1":
+        known = ", ".join([*PLAIN, *(f"bayer_{pattern}8" for pattern in BAYER), *YUV422])
+        raise ValueError(f"has the encoding {encoding!r}, which is not a picture's; known are {known}")
+    values = _values(content, *PLAIN[encoding])
+    values = _shallow(values, common, encoding in ("mono16", "16UC1"))
+    if values.shape[2] == 1:
+        values = np.repeat(values, 3, axis=2)
+    is_bgr = encoding.startswith(("bgr", "8UC"))
+    return np.ascontiguousarray(values[:, :, 2::-1] if is_bgr else values[:, :, :3])
+
+
+def levels_of(read: Callable[[int], Any], numbers: Sequence[int]) -> list[Levels]:
+    """Returns the levels of those of some messages that have more than 8 bits.
+
+    Args:
+        read: returns a message; one that is damaged is left to its own frame.
+    """
+    found: list[Levels] = []
+
+    def note(own: Levels) -> Levels:
+        found.append(own)
+        return own
+
+    for number in numbers:
+        with suppress(*FIELD_ERRORS, OSError):
+            color_image(read(number), note)
+    return found
+
+
+def depth_image(content: Any, unit_m: float | None = None) -> Float32[np.ndarray, "h w"]:
+    """Returns the depths of an image message, metres; 0 = none.
+
+    Args:
+        unit_m: metres of one unit of whole numbers; None = millimetres.
+
+    Raises:
+        ValueError: it is damaged, contradicts itself, or is not depth.
+    """
+    if hasattr(content, "encoding"):
+        encoding = str(content.encoding)
+        if encoding not in DEPTH_ENCODINGS:
+            raise ValueError(f"has the encoding {encoding!r}, which is not depth (16UC1, mono16 or 32FC1)")
+        values = _values(content, *PLAIN[encoding])[:, :, 0]
+    else:
+        values = _compressed_depth(str(content.format), byte_array(content.data).tobytes())
+    if values.dtype.kind == "f":
+        return in_metres(values, 1.0)
+    return in_metres(values, 1000.0) if unit_m is None else in_metres(values, 1.0) * np.float32(unit_m)
+
+
+def _compressed_depth(form: str, data: bytes) -> np.ndarray:
+    import cv2
+
+    start = DEPTH_HEAD.size if COMPRESSED_DEPTH in form else 0
+    if start and len(data) < start:
+        raise ValueError("its compressed depth is truncated")
+    values = decode_rvl(data[start:]) if "rvl" in form.lower() else decode_image(data[start:], cv2.IMREAD_UNCHANGED)
+    if values.ndim != 2 or values.dtype != np.uint16:
+        raise ValueError("its picture has no 16-bit depths")
+    if not form.startswith("32FC1"):
+        return values
+    _, quantum, offset = DEPTH_HEAD.unpack_from(data)
+    with np.errstate(all="ignore"):
+        inverse = np.float32(quantum) / (values.astype(np.float32) - np.float32(offset))
+    return np.where(values > 0, inverse, np.float32(0))
+
+
+def _values(content: Any, kind: str, channels: int) -> np.ndarray:
+    """Returns the pixels, (h, w, channels), without the padding of the rows."""
+    width, height, step = int(content.width), int(content.height), int(content.step)
+    size = np.dtype(kind).itemsize * channels
+    data = byte_array(content.data)
+    require_pixels(width, height)
+    step = step or width * size
+    if step < width * size or len(data) < step * (height - 1) + width * size:
+        raise ValueError(
+            f"contradicts itself: {width} x {height} pixels of {content.encoding} in rows of {step} bytes do not fit "
+            f"its {len(data)} bytes"
+        )
+    rows = np.lib.stride_tricks.as_strided(data, (height, width * size), (step, 1), writeable=False)
+    order = ">" if getattr(content, "is_bigendian", 0) else "<"
+    values = np.ascontiguousarray(rows).view(np.dtype(order + kind))
+    return values.reshape(height, width, channels).astype(np.dtype(kind), copy=False)
+
+
+def _shallow(values: np.ndarray, common: Callable[[Levels], Levels], is_grey: bool) -> np.ndarray:
+    """Returns pixels of 8 or 16 bits as 8 bits."""
+    if values.dtype == np.uint8:
+        return values
+    return pixels_as_eight_bits(values, common(contrast_levels(values) if is_grey else depth_levels(values)))
+
+
+START_CODE = b"\x00\x00\x01"
+SLICE, KEY_SLICE, SEQUENCE, PICTURE = 1, 5, 7, 8
+# Profiles whose sequence parameter sets describe chroma and scaling.
+HIGH_PROFILES = {44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244}
+# Bytes of a slice that have the beginning of its header; of a sequence parameter set.
+SLICE_BYTES, SET_BYTES = 32, 1024
+MOST_ZEROS = 32
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """Of a sequence parameter set: bits of a picture's number, whether numbers may be left out, and colour planes."""
+
+    bits: int
+    has_gaps: bool
+    has_planes: bool
+
+
+@dataclass
+class _Parameters:
+    sequences: dict[int, _Sequence] = field(default_factory=dict)
+    # picture parameter set -> sequence parameter set
+    pictures: dict[int, int] = field(default_factory=dict)
+
+
+def lost_before(pictures: Sequence[bytes]) -> int | None:
+    """Returns which picture is the first after a lost one; None if none is lost, as far as the stream tells.
+
+    Args:
+        pictures: of an Annex B stream, in order, each with all its NAL units, from a key frame on.
+    """
+    parameters, expected = _Parameters(), None
+    for index, data in enumerate(pictures):
+        try:
+            found = _number(data, parameters)
+        except ValueError:  # damaged, or of an unknown form: the decoder judges it
+            found = None
+        if found is None:
+            expected = None
+            continue
+        number, bits, is_reference, is_key = found
+        if not is_key and expected is not None and number != expected:
+            return index
+        # pictures that are no references have the number of the next one that is
+        expected = (number + is_reference) % (1 << bits)
+    return None
+
+
+def nal_units(data: bytes) -> Iterator[tuple[int, int]]:
+    """Yields the first byte of each NAL unit, and the place after it."""
+    at = data.find(START_CODE)
+    while 0 <= at < len(data) - 3:
+        yield data[at + 3], at + 4
+        at = data.find(START_CODE, at + 3)
+
+
+def _number(data: bytes, parameters: _Parameters) -> tuple[int, int, bool, bool] | None:
+    """Returns a picture's number, its bits, and whether it is a reference and a key frame; None if that is not told."""
+    for head, at in nal_units(data):
+        kind = head & 31
+        if kind == SEQUENCE:
+            number, sequence = _read_sequence(_Bits(data[at : at + SET_BYTES]))
+            parameters.sequences[number] = sequence
+        elif kind == PICTURE:
+            bits = _Bits(data[at : at + SLICE_BYTES])
+            parameters.pictures[bits.exp_golomb()] = bits.exp_golomb()
+        elif kind in (SLICE, KEY_SLICE):
+            bits = _Bits(data[at : at + SLICE_BYTES])
+            bits.exp_golomb()  # first macroblock
+            bits.exp_golomb()  # type
+            found = parameters.sequences.get(parameters.pictures.get(bits.exp_golomb(), -1))
+            if found is None or found.has_gaps:
+                return None
+            bits.read(2 if found.has_planes else 0)
+            return bits.read(found.bits), found.bits, bool(head & 0x60), kind == KEY_SLICE
+    return None
+
+
+def _read_sequence(bits: _Bits) -> tuple[int, _Sequence]:
+    """Reads a sequence parameter set; returns its number and content."""
+    profile = bits.read(8)
+    bits.read(16)  # constraints, level
+    number, has_planes = bits.exp_golomb(), False
+    if profile in HIGH_PROFILES:
+        chroma = bits.exp_golomb()
+        has_planes = chroma == 3 and bool(bits.read(1))
+        bits.exp_golomb()  # depth of luma
+        bits.exp_golomb()  # depth of chroma
+        bits.read(1)
+        if bits.read(1):
+            for index in range(12 if chroma == 3 else 8):
+                if bits.read(1):
+                    _skip_scaling(bits, 16 if index < 6 else 64)
+    length = bits.exp_golomb() + 4
+    order = bits.exp_golomb()
+    if order == 0:
+        bits.exp_golomb()
+    elif order == 1:
+        bits.read(1)
+        bits.exp_golomb()
+        bits.exp_golomb()
+        for _ in range(bits.exp_golomb()):
+            bits.exp_golomb()
+    bits.exp_golomb()  # number of reference frames
+    return number, _Sequence(length, bool(bits.read(1)), has_planes)
+
+
+def _skip_scaling(bits: _Bits, size: int) -> None:
+    last = following = 8
+    for _ in range(size):
+        if following:
+            coded = bits.exp_golomb()
+            following = (last + (coded + 1) // 2 * (1 if coded % 2 else -1)) % 256
+        last = following or last
+
+
+class _Bits:
+    """The bits of a NAL unit's content, without its emulation prevention bytes."""
+
+    def __init__(self, content: bytes) -> None:
+        content = content.replace(b"\0\0\3", b"\0\0")
+        self._value, self._left = int.from_bytes(content), 8 * len(content)
+
+    def read(self, count: int) -> int:
+        """Returns the next `count` bits as a number; raises ValueError at the end."""
+        if count > self._left:
+            raise ValueError("a NAL unit is cut")
+        self._left -= count
+        return self._value >> self._left & (1 << count) - 1
+
+    def exp_golomb(self) -> int:
+        """Returns the next number in Exp-Golomb code; raises ValueError at the end."""
+        zeros = 0
+        while not self.read(1):
+            zeros += 1
+        if zeros > MOST_ZEROS:
+            raise ValueError("a number is too long")
+        return (1 << zeros) - 1 + self.read(zeros)
+
+
+CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "libdav1d"}
+# Encoders put a key frame every few seconds.
+MOST_BACK = 600
+
+
+def video_image(topic: Topic, i: int, content: Any) -> UInt8[np.ndarray, "h w 3"]:
+    """Returns the picture of message `i`, whose decoded `content` is given, RGB order.
+
+    Raises:
+        ValueError: it cannot be decoded.
+    """
+    import av
+
+    form = str(content.format).lower()
+    if form not in CODECS:
+        raise ValueError(f"has the unknown video format {form!r}; known are {', '.join(CODECS)}")
+    data = byte_array(content.data).tobytes()
+    packets = [data]
+    for before in range(i - 1, max(i - MOST_BACK, -1), -1):
+        if is_key_frame(form, packets[-1]):
+            break
+        packets.append(byte_array(message(topic, before).data).tobytes())
+    if not is_key_frame(form, packets[-1]):
+        raise ValueError(f"has no key frame among the {len(packets)} pictures before it")
+    packets.reverse()
+    if form == "h264" and lost_before(packets) is not None:
+        raise ValueError("a picture of its video is lost since the last key frame, and those after it depend on it")
+    pictures = []
+    try:
+        decoder: Any = av.CodecContext.create(CODECS[form], "r")
+        decoder.options = {
+            "err_detect": STRICTEST if CODECS[form] == "hevc" else STRICT,
+            "max_pixels": str(most_pixels()),
+        }
+        for number, packet in enumerate([*packets, None], 1):
+            encoded = None if packet is None else av.Packet(packet)
+            if encoded is not None:
+                encoded.pts = number
+            # only the last one is kept
+            for picture in decoder.decode(encoded):
+                pictures = [picture]
+                if picture.is_corrupt:
+                    raise ValueError("a picture is incomplete")
+    except (av.FFmpegError, ValueError) as error:
+        raise ValueError(f"its video cannot be decoded ({error})") from error
+    # of a message without a picture, an earlier one would be shown
+    if not pictures or pictures[-1].pts != len(packets):
+        raise ValueError("its video has no picture here")
+    return np.asarray(pictures[-1].to_ndarray(format="rgb24"))
+
+
+def is_key_frame(form: str, data: bytes) -> bool:
+    """True if a picture can be decoded without those before it."""
+    if form == "vp9":
+        # 2 bits marker, 2 profile, in profile 3 one more, then: shows an existing frame, is no key frame
+        return bool(data) and data[0] >> 6 == 2 and not data[0] & (0x06 if data[0] & 0x30 == 0x30 else 0x0C)
+    if form == "av1":
+        return _has_sequence_header(data)
+    heads = [head for head, _ in nal_units(data)]
+    if form == "h264":
+        return any(head & 31 == KEY_SLICE for head in heads)
+    return any(16 <= head >> 1 & 63 <= 21 for head in heads)
+
+
+def _has_sequence_header(data: bytes) -> bool:
+    """True if a temporal unit of AV1 has a sequence header, which every key frame needs (AV1 specification, 5.3)."""
+    at = 0
+    while at < len(data):
+        kind, has_extension, has_size = data[at] >> 3 & 15, data[at] & 4, data[at] & 2
+        if kind == 1:
+            return True
+        if not has_size:
+            return False
+        at += 2 if has_extension else 1
+        size = shift = 0
+        while at < len(data):
+            size |= (data[at] & 127) << shift
+            shift += 7
+            at += 1
+            if not data[at - 1] & 128:
+                break
+        at += size
+    return False

@@ -1,0 +1,404 @@
+"""SUN RGB-D recordings: VoteNet's extraction, and raw scenes; unrelated single frames.
+
+extracted  image/KEY.jpg  calib/KEY.txt  depth/KEY.mat (`instance`: n x 6, x y z r g b)  or  points/KEY.npz
+           [label/KEY.txt, read by annotator.formats]
+scenes     one folder with one frame each; or any folder above them, such as the whole data set
+           SCENE/intrinsics.txt  SCENE/image/*.jpg  SCENE/depth/*.png  SCENE/depth_bfx/*.png  SCENE/extrinsics/*.txt
+           [SCENE/annotation3Dfinal/index.json, read by annotator.formats]
+
+The data set counts pixels from 1, so 1 is subtracted from its principal point. Labels and extracted clouds are in the
+frame "upright depth": x right, y forward, z up, origin at the camera, tilt removed. A camera's point is mapped there
+by `Rtilt * [X, Z, -Y]`. Raw scenes have extrinsics E instead, with `Rtilt = A E B`; A and B only convert between
+camera axes and upright axes, so E alone levels the camera (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
+
+Of raw scenes, the sensor's own depth images (`depth/`) are read, as in VoteNet; those with filled holes (`depth_bfx/`)
+only if `depth/` has none.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.files import open_file
+from annotator.frame_limits import VARIABLE, frame_memory
+from annotator.geometry.projection import pixel_colors, project, unproject_depth
+from annotator.mat_file import MatFileError, MatSizeError, read_mat
+from annotator.recordings.clouds.cloud_file import read_cloud
+from annotator.recordings.clouds.columns import RawCloud, from_columns
+from annotator.recordings.image_file import decode_depth, read_color_image, read_depth
+from annotator.recordings.kitti import calibration_text
+from annotator.recordings.listing import (
+    IMAGE_SUFFIXES,
+    REMEDIES,
+    frame_file,
+    joined,
+    path_errors,
+    sorted_keys,
+    stems,
+    unread_note,
+)
+from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
+from annotator.recordings.recording import KeyedFrames, NotFound
+from annotator.text import spelled, to_number
+from annotator.types import Camera, Frame, PointCloud
+from annotator.types.errors import FrameError
+
+REMEDY = "copy the calibration again from the data set"
+# From camera axes (x right, y down, z forward) to upright ones (x right, y forward, z up), both without tilt.
+UPRIGHT_OF_LEVEL = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+MOST_OFF_ROTATION = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class SunCalibration:
+    """The camera of one frame.
+
+    Attributes:
+        path: the file, for messages.
+        matrix: (3, 3) K, pixels counted from 1.
+        T_camera_upright: from upright depth to the camera.
+    """
+
+    path: Path
+    matrix: Float64[np.ndarray, "3 3"]
+    T_camera_upright: RigidTransform
+
+    def camera(self, width_px: int, height_px: int) -> Camera:
+        """Returns the camera for an image of this size."""
+        K = self.matrix
+        return Camera(width_px, height_px, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - 1.0, float(K[1, 2]) - 1.0)
+
+    @property
+    def up(self) -> Float64[np.ndarray, "3"]:
+        """The unit vector against gravity, in the camera frame."""
+        return np.asarray(self.T_camera_upright.rotation.apply([0.0, 0.0, 1.0]))
+
+
+def read_extracted_calibration(path: Path) -> SunCalibration:
+    """Reads a `calib/KEY.txt`: a line of Rtilt and a line of K, both column by column."""
+    lines = [line for line in calibration_text(path).splitlines() if line.strip()]
+    if len(lines) < 2:
+        raise FrameError(path, f"must have two lines, Rtilt and K, not {len(lines)}", REMEDY)
+    Rtilt, K = (_nine(path, line).T for line in lines[:2])
+    return _calibration(path, K, Rtilt @ UPRIGHT_OF_LEVEL)
+
+
+def read_scene_calibration(intrinsics: Path, extrinsics: Path) -> SunCalibration:
+    """Reads the calibration of a raw scene: K, and a 3 x 4 matrix whose first three columns are E; row by row."""
+    K = _nine(intrinsics, calibration_text(intrinsics))
+    values = _numbers(extrinsics, calibration_text(extrinsics))
+    if len(values) not in (9, 12):
+        raise FrameError(extrinsics, f"must have 3 x 4 numbers, not {len(values)}", REMEDY)
+    E = values.reshape(3, -1)[:, :3]
+    calibration = _calibration(extrinsics, np.eye(3), UPRIGHT_OF_LEVEL @ E)
+    return SunCalibration(intrinsics, _pinhole(intrinsics, K), calibration.T_camera_upright)
+
+
+def _calibration(path: Path, K: np.ndarray, upright_of_camera: np.ndarray) -> SunCalibration:
+    R = upright_of_camera
+    if not is_rotation(R, MOST_OFF_ROTATION):
+        raise FrameError(path, "the tilt is not a rotation", REMEDY)
+    T = RigidTransform.from_rotation(Rotation.from_matrix(R.T))
+    return SunCalibration(path, _pinhole(path, K), T)
+
+
+def _pinhole(path: Path, K: np.ndarray) -> np.ndarray:
+    if not is_pinhole(K):
+        raise FrameError(path, "K is not a pinhole camera (fx 0 cx / 0 fy cy / 0 0 1)", REMEDY)
+    return K
+
+
+def _nine(path: Path, text: str) -> np.ndarray:
+    values = _numbers(path, text)
+    if len(values) != 9:
+        raise FrameError(path, f"a matrix must have 9 numbers, not {len(values)}", REMEDY)
+    return values.reshape(3, 3)
+
+
+def _numbers(path: Path, text: str) -> np.ndarray:
+    try:
+        values = np.array([to_number(word) for word in text.split()])
+    except ValueError as error:
+        raise FrameError(path, str(error), REMEDY) from error
+    if not are_plausible(values):
+        raise FrameError(path, "a number is not finite or is too large", REMEDY)
+    return values
+
+
+EXTRACTED_LOOKED_FOR = "folders image/, calib/ and depth/ (with .mat files) or points/ (.npz)"
+# What is read here and by annotator.formats.
+EXTRACTED_READ = (
+    "image",
+    "calib",
+    "depth",
+    "points",
+    "label",
+    "*_data_idx.txt",
+    "SUNRGBDMeta*.mat",
+    "frames.csv",
+    "classes.txt",
+)
+CLOUD_REMEDY = "extract it again from the data set"
+# A cloud is organised if its points project to pixel centres within this distance.
+ON_PIXEL_PX = 0.05
+# About ten million points.
+
+
+@dataclass(frozen=True, eq=False)
+class SunRgbdExtracted(KeyedFrames):
+    """A `Recording` of VoteNet's layout.
+
+    Attributes:
+        clouds: the folder of the clouds.
+    """
+
+    clouds: Path
+    format: ClassVar[str] = "sunrgbd_extracted"
+    is_sequence: ClassVar[bool] = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        note = unread_note(self.path, EXTRACTED_READ, "label/KEY.txt")
+        return () if note is None else (note,)
+
+    def files(self, i: int) -> tuple[Path, Path]:
+        key, suffix = self.key(i), ".mat" if self.clouds.name == "depth" else ".npz"
+        image = frame_file(self.path / "image", key, IMAGE_SUFFIXES, f"{self.clouds.name}/{key}{suffix}")
+        return image, frame_file(self.clouds, key, (suffix,), f"image/{image.name}")
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i`; labels are in upright depth (`T_camera_label`).
+
+        `depth_m` and `pixel_index` are set if each point has a pixel of its own.
+        """
+        key, (image_path, cloud_path) = self.key(i), self.files(i)
+        calibration = read_extracted_calibration(spelled(self.path / "calib", f"{key}.txt"))
+        image = read_color_image(image_path, has_depth=True)
+        rgb = image.rgb
+        camera = calibration.camera(rgb.shape[1], rgb.shape[0])
+        raw = _read_mat(cloud_path) if cloud_path.suffix.lower() == ".mat" else read_cloud(cloud_path)
+        xyz_m = calibration.T_camera_upright.apply(raw.xyz_m)
+        cloud, depth_m = _organised(camera, xyz_m, raw, rgb)
+        return Frame(
+            key,
+            i,
+            camera,
+            rgb,
+            cloud,
+            depth_m,
+            calibration.up,
+            calibration.T_camera_upright,
+            exif_orientation=image.exif_orientation,
+        )
+
+
+def open_sunrgbd_extracted(path: Path) -> SunRgbdExtracted | NotFound:
+    """Opens the folder in VoteNet's layout at `path`; `NotFound` if it is not one."""
+    if not ((path / "image").is_dir() and (path / "calib").is_dir()):
+        return NotFound(EXTRACTED_LOOKED_FOR)
+    for clouds, suffix in ((path / "depth", ".mat"), (path / "points", ".npz")):
+        names = stems(clouds, (suffix,)) if clouds.is_dir() else set()
+        calibrated = stems(path / "calib", (".txt",)) if names else set()
+        # a cloud folder with KITTI's calibration differs only in the content of calib/
+        if names and calibrated and not _is_kitti(path / "calib" / f"{min(calibrated)}.txt"):
+            keys = joined(names, stems(path / "image", IMAGE_SUFFIXES))
+            return SunRgbdExtracted(path, sorted_keys(path, keys, EXTRACTED_LOOKED_FOR), clouds)
+    return NotFound(EXTRACTED_LOOKED_FOR)
+
+
+def _is_kitti(path: Path) -> bool:
+    with open_file(path) as file:
+        return b":" in file.read(200)
+
+
+def _read_mat(path: Path) -> RawCloud:
+    """Reads the cloud of a MATLAB file of version 5 to 7."""
+    try:
+        table = read_mat(path, "instance", frame_memory() // 2, numbers_only=True)
+    except OSError as error:
+        raise FrameError(path, f"cannot be read ({error.strerror})", CLOUD_REMEDY) from error
+    except MatSizeError as error:
+        raise FrameError(path, f"is too large: it {error}", f"raise {VARIABLE} (MiB), or save fewer points") from error
+    except MatFileError as error:
+        raise FrameError(path, f"cannot be read as a MATLAB file: it {error}", CLOUD_REMEDY) from error
+    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 6:
+        raise FrameError(path, "has no variable `instance` of n x 6 numbers (x y z r g b)", CLOUD_REMEDY)
+    return from_columns(path, dict(zip(("x", "y", "z", "red", "green", "blue"), table.T, strict=True)))
+
+
+def _organised(
+    camera: Camera, xyz_m: np.ndarray, raw: RawCloud, rgb: np.ndarray
+) -> tuple[PointCloud, Float32[np.ndarray, "h w"] | None]:
+    """Returns the cloud in the camera frame, and its depth image if it is organised (else None)."""
+    xyz = xyz_m.astype(np.float32)
+    px = project(camera, xyz_m)
+    nearest = np.rint(px)
+    size = np.array([camera.width_px, camera.height_px])
+    with np.errstate(invalid="ignore"):
+        on_pixel = (np.abs(px - nearest) < ON_PIXEL_PX).all(axis=1) & ((nearest >= 0) & (nearest < size)).all(axis=1)
+    if not on_pixel.all():
+        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
+    pixel: Int32[np.ndarray, "n"] = (nearest[:, 1] * camera.width_px + nearest[:, 0]).astype(np.int32)
+    depth_m = np.zeros(camera.height_px * camera.width_px, np.float32)
+    depth_m[pixel] = xyz[:, 2]
+    if np.count_nonzero(depth_m) < len(pixel):
+        return PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance), None
+    cloud = PointCloud(xyz, rgb=_colors(raw, px, rgb), reflectance=raw.reflectance, pixel_index=pixel)
+    return cloud, depth_m.reshape(camera.height_px, camera.width_px)
+
+
+def _colors(raw: RawCloud, px: np.ndarray, rgb: np.ndarray) -> np.ndarray | None:
+    """Returns the points' colours, else those of their pixels; None if a point has no pixel."""
+    if raw.rgb is not None:
+        return raw.rgb
+    if not np.isfinite(px).all():
+        return None
+    u, v = np.clip(np.rint(px), 0, np.array(rgb.shape[1::-1]) - 1).astype(np.int64).T
+    return rgb[v, u]
+
+
+SCENES_LOOKED_FOR = "scene folders (intrinsics.txt, image/, depth/, extrinsics/), or folders of them"
+MARK = "intrinsics.txt"
+# The data set's top folders, one per camera. They are searched several levels deep, any other folder only one level.
+CAMERA_FOLDERS = frozenset({"kv1", "kv2", "realsense", "xtion"})
+MOST_LEVELS = 5
+SCENE_MARKS = ("image", "extrinsics")
+DEPTH_FOLDERS = ("depth", "depth_bfx")
+LABELS = "annotation3Dfinal/index.json"
+# What is read here and by annotator.formats.
+SCENES_READ = (MARK, *SCENE_MARKS, *DEPTH_FOLDERS, "annotation3Dfinal")
+KEY_SEPARATOR = "__"
+
+
+@dataclass(frozen=True, eq=False)
+class SunRgbdScenes(KeyedFrames):
+    """A `Recording` of raw scenes, unrelated to each other. A frame's key is its scene's path, with `__` for `/`.
+
+    Attributes:
+        folders: the scenes' folders, in the order of the keys; strings, since creating ten thousand Paths is slow.
+    """
+
+    folders: tuple[str, ...]
+    format: ClassVar[str] = "sunrgbd_scenes"
+    is_sequence: ClassVar[bool] = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Names what the first scene has besides."""
+        note = unread_note(Path(self.folders[0]), SCENES_READ, LABELS)
+        return () if note is None else (f"in the first scene, {note}",)
+
+    @cached_property
+    def scenes(self) -> tuple[Path, ...]:
+        """The folders of all frames."""
+        return tuple(map(Path, self.folders))
+
+    def scene(self, key: str) -> Path:
+        """Returns the folder of a frame."""
+        return Path(self._by_key[key])
+
+    @cached_property
+    def _by_key(self) -> dict[str, str]:
+        return dict(zip(self.keys, self.folders, strict=True))
+
+    def files(self, i: int) -> tuple[Path, Path, Path, Path]:
+        self.key(i)
+        scene = Path(self.folders[i])
+        image, depth = _latest(scene, ("image",), IMAGE_SUFFIXES), _latest(scene, DEPTH_FOLDERS, (".png",))
+        return scene / MARK, _latest(scene, ("extrinsics",), (".txt",)), image, depth
+
+    def frame(self, i: int) -> Frame:
+        """Reads frame `i` with `depth_m`; labels are in upright depth (`T_camera_label`)."""
+        key = self.key(i)
+        intrinsics, extrinsics, image_path, depth_path = self.files(i)
+        calibration = read_scene_calibration(intrinsics, extrinsics)
+        image = read_color_image(image_path, has_depth=True)
+        rgb = image.rgb
+        raw = read_depth(depth_path)
+        if raw.shape != rgb.shape[:2]:
+            raise FrameError(
+                depth_path,
+                f"is {raw.shape[1]} x {raw.shape[0]} pixels, but the image is {rgb.shape[1]} x {rgb.shape[0]}",
+                "copy both again",
+            )
+        camera, depth_m = calibration.camera(rgb.shape[1], rgb.shape[0]), decode_depth(raw)
+        xyz_m, pixel = unproject_depth(camera, depth_m)
+        if len(xyz_m) == 0:
+            raise FrameError(
+                depth_path, "no pixel has a depth, so the cloud is empty", "copy it again, or remove the scene"
+            )
+        cloud = PointCloud(xyz_m, rgb=pixel_colors(rgb, pixel), pixel_index=pixel)
+        return Frame(
+            key,
+            i,
+            camera,
+            rgb,
+            cloud,
+            depth_m,
+            calibration.up,
+            calibration.T_camera_upright,
+            exif_orientation=image.exif_orientation,
+        )
+
+
+def open_sunrgbd_scenes(path: Path) -> SunRgbdScenes | NotFound:
+    """Lists the raw scenes at or below `path`; `NotFound` if there are none."""
+    if not path.is_dir():
+        return NotFound(SCENES_LOOKED_FOR)
+    if _is_scene(str(path)):
+        return SunRgbdScenes(path, (path.resolve().name,), (str(path),))
+    with path_errors(path):
+        is_data_set = path.resolve().name in CAMERA_FOLDERS or any((path / name).is_dir() for name in CAMERA_FOLDERS)
+        levels = MOST_LEVELS if is_data_set else 1
+        folders = dict(_scenes(str(path), levels))
+    if not folders:
+        return NotFound(SCENES_LOOKED_FOR)
+    keys = sorted_keys(path, set(folders), SCENES_LOOKED_FOR)
+    return SunRgbdScenes(path, keys, tuple(folders[key] for key in keys))
+
+
+def _scenes(root: str, levels: int) -> Iterator[tuple[str, str]]:
+    """Yields key and folder of all scenes below a folder."""
+    waiting = [(root, "", 1)]
+    while waiting:
+        folder, prefix, level = waiting.pop()
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.name.startswith(".") or not entry.is_dir():
+                    continue
+                key = prefix + entry.name
+                if _is_scene(entry.path):
+                    yield key, entry.path
+                elif level < levels:
+                    waiting.append((entry.path, key + KEY_SEPARATOR, level + 1))
+
+
+def _is_scene(folder: str) -> bool:
+    marks = (f"{folder}/{mark}" for mark in SCENE_MARKS)
+    return os.path.exists(f"{folder}/{MARK}") and all(map(os.path.isdir, marks))  # noqa: PTH110
+
+
+def _latest(scene: Path, folders: tuple[str, ...], suffixes: tuple[str, ...]) -> Path:
+    """Returns the file of a scene's subfolder; the last one if there are several (they are named by date)."""
+    for name in folders:
+        folder = scene / name
+        try:
+            files = (
+                sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes) if folder.is_dir() else []
+            )
+        except OSError as error:
+            raise FrameError(folder, f"cannot be read: {error.strerror}", REMEDIES.get(error.errno or 0, "")) from error
+        if files:
+            return files[-1]
+    raise FrameError(
+        scene / folders[0], f"has no {' or '.join(suffixes)} file", "copy the scene again from the data set"
+    )

@@ -1,1 +1,0 @@
-"""SUN RGB-D recordings: VoteNet's extraction, and raw scenes."""

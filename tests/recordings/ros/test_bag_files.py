@@ -1,0 +1,195 @@
+"""The files of bags: which are one, what is missing, of any writer, unfinished and damaged, and what is kept."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foxglove_takes import WRITERS, picture_take, write_mcap
+from ros_takes import IMAGE, MS, START_NS, K, seen_points, write_take
+
+from annotator.recordings import detect_format, open_recording
+from annotator.recordings.ros import messages, pairing
+from annotator.recordings.ros.bag import open_bag
+from annotator.recordings.ros.bag_files import KEPT, MOST_KEPT_BYTES, Chunk, ChunkedFile
+from annotator.types.errors import FrameError, MissingExtraError, RecordingError, UnknownFormatError
+from benchmarks.bag_writer import BagWriter
+
+
+def test_a_folder_says_what_is_missing_or_counted_wrong(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_take(bag)
+    metadata = bag.path / "metadata.yaml"
+    text = metadata.read_text()
+    assert "message_count: 10" in text
+    metadata.write_text(text.replace("message_count: 10", "message_count: 12"))
+    assert open_recording(bag.path).notes == ("metadata.yaml declares 12 messages, but the files have 10",)
+    metadata.write_text(text.replace("take_mcap.mcap", "other_0.mcap"))
+    with pytest.raises(RecordingError, match=r"other_0\.mcap is missing"):
+        open_recording(bag.path)
+    for damaged in ("[1, 2", "rosbag2_bagfile_information: 2026-13-45"):
+        metadata.write_text(damaged)
+        with pytest.raises(RecordingError, match="is not the description of a bag"):
+            open_recording(bag.path)
+    metadata.write_text("rosbag2_bagfile_information: {relative_file_paths: 5}")
+    assert len(open_recording(bag.path)) == 3
+    metadata.unlink()
+    assert "has no metadata.yaml" in open_recording(bag.path).notes[0]
+
+
+def test_the_parts_of_a_recording_are_one_bag_and_other_files_are_not(tmp_path: Path):
+    with BagWriter(tmp_path, "mcap") as bag:
+        write_take(bag, 2)
+    file = next(bag.path.glob("*.mcap"))
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    for i in range(11):
+        shutil.copy(file, whole / f"take_{i}.mcap")
+    opened = open_bag(whole)
+    assert opened is not None and len(opened.topics["/points"]) == 22
+    # two drives, a copy in another format, parts of which the second is missing
+    for number, names in enumerate((("a.mcap", "b.mcap"), ("a_0.mcap", "a_0.db3"), ("a_0.mcap", "a_2.mcap"))):
+        folder = tmp_path / f"several_{number}"
+        folder.mkdir()
+        for name in names:
+            shutil.copy(file, folder / name)
+        with pytest.raises(UnknownFormatError, match="contains recordings; give the path of one of them: a"):
+            open_recording(folder)
+
+
+def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag)
+    messages._decoder.cache_clear()
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.typesys", None)
+    assert detect_format(bag.path) == "ros_bag"
+    with pytest.raises(MissingExtraError, match=r"rosbags is not installed; .*scripts/setup ros"):
+        open_recording(bag.path)
+
+
+def test_files_of_another_content_are_not_bags(tmp_path: Path):
+    for name in ("a.bag", "a.mcap", "a.db3"):
+        (tmp_path / name).write_bytes(b"no bag")
+        assert detect_format(tmp_path / name) is None
+    (tmp_path / "b.db3").write_bytes(b"SQLite format 3\0" + bytes(100))
+    with pytest.raises(RecordingError, match=r"b\.db3: "):
+        open_recording(tmp_path / "b.db3")
+
+
+def test_chunks_are_unpacked_only_as_far_as_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    import bz2
+
+    data = np.random.default_rng(0).bytes(500_000)
+    path = tmp_path / "a"
+    path.write_bytes(bz2.compress(data))
+    chunks = ChunkedFile(path)
+    chunks.chunks.append(Chunk(0, path.stat().st_size, "bz2", len(data)))
+    assert chunks.content(0, 10, 20) == data[10:30]
+    assert 30 <= len(KEPT.get(chunks, 0)[0]) < 100_000
+    assert chunks.content(0, 499_990, 100) == data[-10:]
+
+
+def test_the_kept_contents_of_many_files_are_few(tmp_path: Path):
+    import bz2
+
+    size = MOST_KEPT_BYTES // 8
+    path = tmp_path / "a"
+    path.write_bytes(bz2.compress(bytes(size)))
+    files = [ChunkedFile(path) for _ in range(12)]
+    for file in files:
+        file.chunks.append(Chunk(0, path.stat().st_size, "bz2", size))
+        assert file.content(0, size - 4, 9) == bytes(4)
+    kept = [len(KEPT.get(file, 0)[0]) for file in files]
+    assert kept[-1] == size
+    assert sum(kept) <= MOST_KEPT_BYTES
+
+
+def test_times_that_are_slow_to_read_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(pairing, "SLOW_S", -1.0)
+    # bz2 is read by several threads
+    monkeypatch.setattr(pairing.os, "cpu_count", lambda: 4)
+    with BagWriter(tmp_path, "ros1", "bz2") as bag:
+        write_take(bag)
+    opened = open_bag(bag.path)
+    assert opened is not None
+    topic, expected = opened.topics["/points"], START_NS + np.arange(3) * 100 * MS
+    np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    (file,) = pairing.cache_folder().iterdir()
+    # the second time they are read from there, unless the file is damaged or the bag has changed
+    with monkeypatch.context() as patched:
+        patched.setattr(pairing, "quick_stamp_ns", lambda *_: pytest.fail("the bag is read"))
+        np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    file.write_bytes(b"damaged")
+    np.testing.assert_array_equal(pairing.stamps_ns.__wrapped__(topic), expected)
+    bag.path.touch()
+    pairing.stamps_ns.__wrapped__(topic)
+    assert len(list(pairing.cache_folder().iterdir())) == 2
+
+
+def cut(path: Path, share: float) -> None:
+    with path.open("r+b") as opened:
+        opened.truncate(int(path.stat().st_size * share))
+
+
+@pytest.mark.parametrize("share", [0.6, 0.999])
+def test_a_ros1_bag_without_its_index_is_refused_with_the_command_that_restores_it(tmp_path: Path, share: float):
+    with BagWriter(tmp_path, "ros1") as bag:
+        write_take(bag, 10)
+    cut(bag.path, share)
+    with pytest.raises(RecordingError, match=r"has no index, or is damaged .*; run rosbag reindex take\.bag"):
+        open_recording(bag.path)
+
+
+@pytest.mark.parametrize("how", WRITERS)
+def test_a_cut_mcap_file_is_read_as_far_as_it_is_sound(tmp_path: Path, how: dict[str, Any]):
+    path, moments = tmp_path / "a.mcap", []
+    for i in range(40):
+        picture = np.random.default_rng(i).integers(0, 256, IMAGE.shape, np.uint8)
+        time_ns = START_NS + i * 20 * MS
+        moments.append((time_ns, picture_take("protobuf", picture, time_ns)))
+    write_mcap(path, "protobuf", moments, **{"chunk_size": 20_000} | how)
+    cut(path, 0.6)
+    recording = open_recording(path)
+    assert "a.mcap was not closed by its recorder" in recording.notes[0]
+    assert 15 < len(recording) < 40
+    last = np.random.default_rng(len(recording) - 1).integers(0, 256, IMAGE.shape, np.uint8)
+    np.testing.assert_array_equal(recording.frame(len(recording) - 1).rgb, last)
+
+
+def test_damage_in_the_middle_loses_only_its_chunk(tmp_path: Path):
+    for container, compression in (("ros1", "lz4"), ("mcap", "storage")):
+        with BagWriter(tmp_path, container, compression) as bag:
+            if container == "ros1":
+                bag.writer.chunk_threshold = 5000
+            write_take(bag, 400 if container == "mcap" else 100)
+        file = bag.path if bag.path.is_file() else next(bag.path.glob("*.mcap"))
+        content = bytearray(file.read_bytes())
+        middle = len(content) // 2
+        content[middle : middle + 400] = bytes(400)
+        file.write_bytes(content)
+        recording = open_recording(bag.path)
+        readable = 0
+        for i in range(0, len(recording), 3):
+            try:
+                readable += len(recording.frame(i).cloud) > 0
+            except FrameError as error:
+                assert str(error).startswith(str(bag.path))
+        assert readable > 20
+
+
+@pytest.mark.parametrize("how", WRITERS)
+@pytest.mark.parametrize("encoding", ["protobuf", "json"])
+def test_foxglove_messages_of_any_writer(tmp_path: Path, encoding: str, how: dict[str, Any]):
+    path = tmp_path / "a.mcap"
+    write_mcap(path, encoding, [(START_NS, picture_take(encoding))], **how)
+    recording = open_recording(path)
+    assert recording.notes == ()
+    frame = recording.frame(0)
+    np.testing.assert_array_equal(frame.rgb, IMAGE)
+    np.testing.assert_allclose(frame.cloud.xyz_m, seen_points(), atol=1e-6)
+    assert frame.timestamp_ns == START_NS
+    np.testing.assert_array_equal(frame.camera.matrix, K)
