@@ -20,11 +20,19 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiResult, Metric, MinOverlap, evaluate_kitti
-from annotator.evaluation.kitti.protocol import DIFFICULTIES, NEIGHBOURS
+from annotator.evaluation.kitti import (
+    DIFFICULTIES,
+    NEIGHBOURS,
+    OFFICIAL,
+    RELAXED,
+    KittiResult,
+    Metric,
+    MinOverlap,
+    evaluate_kitti,
+)
 from annotator.evaluation.sunrgbd import SunRgbdResult, evaluate_sunrgbd
 from annotator.formats.box_csv import read_box_csv
-from annotator.formats.kitti.label_folders import read_kitti_folder
+from annotator.formats.kitti_objects import read_kitti_folder
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluating.evaluate_files import box_rows, kitti_rows

@@ -11,8 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from annotator.formats.kitti.box_rows import derived_box, heading, observation_angle
-from annotator.formats.kitti.label_files import label_box, parse_label_line
+from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_label_line
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project
 from annotator.recordings.kitti.calibration import KittiCalibration, read_calibration

@@ -16,10 +16,17 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from annotator.formats.kitti.box_rows import UNKNOWN, label_frame, occlusion
-from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, label_box, parse_tracking_fields
-from annotator.formats.kitti.label_folders import read_kitti_file
-from annotator.formats.text_folder import text_rows
+from annotator.formats.kitti_objects import read_kitti_file
+from annotator.formats.kitti_rows import (
+    DONT_CARE,
+    UNKNOWN,
+    KittiLabel,
+    label_box,
+    label_frame,
+    occlusion,
+    parse_tracking_fields,
+)
+from annotator.formats.reading import text_rows
 from annotator.geometry.occlusion import Sight
 from annotator.recordings import Recording, open_recording
 from annotator.types import Frame

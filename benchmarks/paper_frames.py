@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annotator.files import new_folder
-from annotator.formats.kitti.label_files import read_tracking_labels
-from annotator.formats.kitti.label_folders import read_kitti_file
+from annotator.formats.kitti_objects import read_kitti_file
+from annotator.formats.kitti_rows import read_tracking_labels
 from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings import Recording
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes

@@ -6,8 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from pydantic import JsonValue
 
-from annotator.evaluation.kitti import Metric
-from annotator.evaluation.kitti.protocol import DIFFICULTIES
+from annotator.evaluation.kitti import DIFFICULTIES, Metric
 from benchmarks.paper_settings import SUNRGBD_CLASSES, Classes
 from benchmarks.report import Table
 

@@ -14,8 +14,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from annotator.file_names import OutsideError, inside, is_within, normal, spelled, stem_of
-from annotator.formats.rcv.read import _inside as of_rcv
-from annotator.formats.yolo_read import read_yolo
+from annotator.formats.rcv import _inside as of_rcv
+from annotator.formats.yolo import read_yolo
 from annotator.recordings.tum_rgbd import TumRgbd
 from annotator.types.errors import AnnotatorError, FormatError
 from annotator.workflows.importing.picture_labels import PictureLabels

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from annotator.files import open_text_file, read_text_file
-from annotator.formats.text_folder import read_text
+from annotator.formats.reading import read_text
 from annotator.text import NotTextError, decoded, to_number
 from annotator.types.errors import FormatError
 

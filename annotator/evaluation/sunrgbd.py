@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.evaluation.average_precision import PrecisionRecall, precision_recall
 from annotator.evaluation.boxes import BoxTable, overlapping
+from annotator.evaluation.oriented import PrecisionRecall, precision_recall
 
 THRESHOLDS = (0.15, 0.25, 0.5)
 

@@ -38,7 +38,7 @@ from annotator.file_names import normal, spelled
 from annotator.files import new_folder
 from annotator.formats.attributes import from_joined, joined
 from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
-from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames, read_frames
+from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, dump_frames, has_frames, read_frames
 from annotator.formats.json_file import Bounded, BoundedPositive, read_model
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.units import Angles, AngleUnit, rotation_problem

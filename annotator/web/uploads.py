@@ -20,9 +20,8 @@ from pathlib import Path, PurePosixPath
 from annotator.file_names import is_within
 from annotator.files import ARCHIVE_ERRORS, open_archive, private_folder
 from annotator.formats.box_csv import is_box_csv
-from annotator.formats.coco_dataset import ANNOTATIONS
-from annotator.formats.yolo_dataset import DATA_YAML
-from annotator.formats.yolo_read import CLASSES
+from annotator.formats.coco import ANNOTATIONS
+from annotator.formats.yolo import CLASSES, DATA_YAML
 from annotator.project import Project
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web.security import UPLOAD_LIMIT

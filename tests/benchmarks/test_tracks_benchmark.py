@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from annotator.formats.kitti.label_files import read_tracking_labels
+from annotator.formats.kitti_rows import read_tracking_labels
 from benchmarks.tracks import idf1, measure, switches
 
 

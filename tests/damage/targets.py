@@ -36,21 +36,30 @@ from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
 from test_ros_messages import rvl  # noqa: E402
 
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
-from annotator.formats.coco_dataset import CocoWriter  # noqa: E402
+from annotator.formats.coco import CocoWriter  # noqa: E402
 from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
-from annotator.formats.frame_class_names import six_digit_ids  # noqa: E402
-from annotator.formats.kitti.object_folder import write_kitti  # noqa: E402
-from annotator.formats.kitti.tracking_folder import sequence_ids, write_kitti_tracking  # noqa: E402
-from annotator.formats.kitti.tracklets import read_tracklets  # noqa: E402
-from annotator.formats.labelcloud import read_labelcloud, write_labelcloud  # noqa: E402
+from annotator.formats.frame_names import six_digit_ids  # noqa: E402
+from annotator.formats.kitti_objects import write_kitti  # noqa: E402
+from annotator.formats.kitti_tracking import (
+    sequence_ids,  # noqa: E402
+    write_kitti_tracking,
+)
+from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
+from annotator.formats.labelcloud import (
+    read_labelcloud,  # noqa: E402
+    write_labelcloud,
+)
 from annotator.formats.losses import Losses  # noqa: E402
-from annotator.formats.nuscenes import write_nuscenes  # noqa: E402
-from annotator.formats.nuscenes.results import read_results  # noqa: E402
+from annotator.formats.nuscenes import read_results  # noqa: E402
+from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.formats.openlabel import write_openlabel  # noqa: E402
-from annotator.formats.rcv import RcvInfo, export_rcv  # noqa: E402
-from annotator.formats.sunrgbd.folder import write_sunrgbd  # noqa: E402
+from annotator.formats.rcv import (
+    RcvInfo,  # noqa: E402
+    export_rcv,
+)
+from annotator.formats.sunrgbd import write_sunrgbd  # noqa: E402
 from annotator.formats.sustechpoints import write_sustechpoints  # noqa: E402
-from annotator.formats.yolo_dataset import YoloWriter  # noqa: E402
+from annotator.formats.yolo import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
 from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
 from annotator.types import Box2D, Frame, Label, Truth  # noqa: E402

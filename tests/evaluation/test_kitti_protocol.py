@@ -10,8 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kitti_scenes import Box, Frame, columns, samples
 
-from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiResult, KittiRows, Metric, evaluate_kitti
-from annotator.evaluation.kitti.protocol import score_thresholds
+from annotator.evaluation.kitti import (
+    OFFICIAL,
+    RELAXED,
+    KittiResult,
+    KittiRows,
+    Metric,
+    evaluate_kitti,
+    score_thresholds,
+)
 
 EASY = 0
 CAR = Box("Car", (100, 100, 200, 150))
@@ -269,7 +276,7 @@ def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = drive(30, 8)
     found = columns(jittered(truth, 9))
     whole = points(evaluate_kitti(found, columns(truth)))
-    monkeypatch.setattr("annotator.evaluation.kitti.overlap.BLOCK", 7)
+    monkeypatch.setattr("annotator.evaluation.kitti.BLOCK", 7)
     assert points(evaluate_kitti(found, columns(truth))) == whole
 
 

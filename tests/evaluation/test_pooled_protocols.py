@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation import boxes as boxes_module
-from annotator.evaluation.boxes import BoxTable, overlapping
-from annotator.evaluation.oriented import evaluate_oriented
-from annotator.evaluation.pairs import pairs_within, place_within
-from annotator.evaluation.poses import LABELLINGS, pose_errors
+from annotator.evaluation.boxes import BoxTable, overlapping, pairs_within, place_within
+from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, pose_errors
 from annotator.evaluation.sunrgbd import evaluate_sunrgbd
 from annotator.geometry.iou import iou_3d
 from annotator.types import OrientedBox

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.frames_csv import FrameOrigin, dump_frames, parse_frames, read_frames
+from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
 from annotator.types.errors import FormatError
 
 # file names contain no NUL and no lone surrogates

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.formats import json_stream
-from annotator.formats.json_stream import read_pairs
+from annotator.formats import json_file
+from annotator.formats.json_file import read_pairs
 from annotator.types.errors import FormatError
 
 VALUES = st.recursive(
@@ -40,7 +40,7 @@ def test_pairs_are_those_of_the_whole_file_wherever_its_parts_end(
     text = json.dumps(content, indent=indent, ensure_ascii=is_ascii)
     path.write_text(f"\n {text}\n", encoding="utf-8-sig" if bom else "utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(json_stream, "CHUNK_BYTES", chunk)
+        patch.setattr(json_file, "CHUNK_BYTES", chunk)
         assert list(read_pairs(path)) == list(content.items())
         path.write_text(json.dumps({"meta": {"a": [1]}, "in": content, "end": 12}, ensure_ascii=is_ascii))
         assert list(read_pairs(path, "in")) == list(content.items())
@@ -52,7 +52,7 @@ def test_numbers_are_whole_wherever_a_part_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, chunk: int
 ) -> None:
     (tmp_path / "content.json").write_text(f'{{"a": {number}, "b": [{number}]}}')
-    monkeypatch.setattr(json_stream, "CHUNK_BYTES", chunk)
+    monkeypatch.setattr(json_file, "CHUNK_BYTES", chunk)
     assert list(read_pairs(tmp_path / "content.json")) == [("a", float(number)), ("b", [float(number)])]
 
 
@@ -82,8 +82,8 @@ def test_what_is_wrong_is_said_with_its_line(
     path = tmp_path / "content.json"
     path.write_bytes(text.encode("latin-1"))
     if "MiB" in problem:
-        monkeypatch.setattr(json_stream, "CHUNK_BYTES", 4)
-        monkeypatch.setattr(json_stream, "MOST_VALUE", 20)
+        monkeypatch.setattr(json_file, "CHUNK_BYTES", 4)
+        monkeypatch.setattr(json_file, "MOST_VALUE", 20)
     with pytest.raises(FormatError, match=r"content\.json") as raised:
         list(read_pairs(path))
     assert problem in str(raised.value)

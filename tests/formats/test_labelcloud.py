@@ -12,8 +12,14 @@ from dataset_samples import BOXES, assert_same_box, make_box, make_item, make_la
 from hypothesis import example, given, settings
 from scipy.spatial.transform import Rotation
 
-from annotator.formats.labelcloud import read_labelcloud, write_labelcloud
-from annotator.formats.labelcloud.boxes import angles_xyz, box_of, centroid_object, vertices_object
+from annotator.formats.labelcloud import (
+    angles_xyz,
+    box_of,
+    centroid_object,
+    read_labelcloud,
+    vertices_object,
+    write_labelcloud,
+)
 from annotator.formats.losses import Losses
 from annotator.formats.ply import XYZ
 from annotator.geometry.transforms import level_pose

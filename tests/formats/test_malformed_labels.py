@@ -26,12 +26,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.box_csv import read_box_csv
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.coco import read_coco
-from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
-from annotator.formats.kitti.label_folders import read_kitti_file
-from annotator.formats.masks import read_mask
+from annotator.formats.kitti_objects import read_kitti_file
+from annotator.formats.kitti_rows import read_object_labels, read_tracking_labels
 from annotator.formats.rcv import read_rcv
-from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
-from annotator.formats.text_folder import text_files
+from annotator.formats.reading import read_mask, text_files
+from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels
 from annotator.types.errors import AnnotatorError, FormatError
 
 CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
@@ -365,7 +364,7 @@ def test_named_pipes_are_errors_and_do_not_block(tmp_path: Path) -> None:
 
 
 def test_long_files_are_not_read_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("annotator.formats.json_stream.MAX_BYTES", 1 << 20)
+    monkeypatch.setattr("annotator.formats.json_file.MAX_BYTES", 1 << 20)
     path = tmp_path / "boxes.json"
     with path.open("wb") as file:
         file.truncate(4 << 30)  # sparse

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from annotator.formats.masks import read_mask
+from annotator.formats.reading import read_mask
 from annotator.types.errors import FormatError
 
 

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.losses import Losses
-from annotator.formats.nuscenes import read_nuscenes, write_nuscenes
-from annotator.formats.nuscenes.shapes import box_from, quaternion, vector, width_length_height
+from annotator.formats.nuscenes import box_from, quaternion, read_nuscenes, vector, width_length_height
+from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.types import Camera, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 

@@ -13,11 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.openlabel import read_openlabel, write_openlabel
-from annotator.formats.openlabel.model import Document
-from annotator.formats.openlabel.read import parse
-from annotator.formats.openlabel.scene import Scene
-from annotator.formats.openlabel.write import dump
+from annotator.formats.openlabel import Scene, dump, parse, read_openlabel, write_openlabel
+from annotator.formats.openlabel_document import Document
 from annotator.types import BoxKind, Camera, OrientedBox, ReviewState, Suggestion
 from annotator.types.errors import FormatError
 

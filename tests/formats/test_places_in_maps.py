@@ -12,10 +12,11 @@ import pytest
 from dataset_samples import make_item, make_label
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.kitti.object_folder import write_kitti
+from annotator.formats.kitti_objects import write_kitti
 from annotator.formats.labelcloud import write_labelcloud
 from annotator.formats.losses import Losses
-from annotator.formats.nuscenes import read_world_poses, write_nuscenes
+from annotator.formats.nuscenes import read_world_poses
+from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.formats.openlabel import read_openlabel, write_openlabel
 from annotator.formats.rcv import RcvInfo, export_rcv, read_rcv
 from annotator.formats.sustechpoints import read_sustechpoints, write_sustechpoints

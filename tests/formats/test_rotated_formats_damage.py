@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.labelcloud import read_labelcloud, write_labelcloud
 from annotator.formats.losses import Losses
-from annotator.formats.nuscenes import read_nuscenes, write_nuscenes
+from annotator.formats.nuscenes import read_nuscenes
+from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.formats.openlabel import read_openlabel, write_openlabel
 from annotator.types import PointCloud
 from annotator.types.errors import FormatError

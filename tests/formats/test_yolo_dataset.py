@@ -12,8 +12,7 @@ import pytest
 import yaml
 
 from annotator.formats.dataset_writing import LabelledPicture
-from annotator.formats.yolo_dataset import YoloWriter
-from annotator.formats.yolo_read import read_yolo
+from annotator.formats.yolo import YoloWriter, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, read_pictures

@@ -2,7 +2,7 @@
 
 DRIVE/image_02/data/KEY.png  DRIVE/velodyne_points/data/KEY.bin  DRIVE/image_02/timestamps.txt
 calib_cam_to_cam.txt  calib_velo_to_cam.txt    in the drive's folder, or in the folder of its day above it
-[tracklet_labels.xml, read by annotator.formats.kitti.tracklets]
+[tracklet_labels.xml, read by annotator.formats.kitti_tracklets]
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 image_02/KEY.png  velodyne/KEY.bin  calib.txt  [label_02.txt]
 [training/]image_02/DRIVE/KEY.png  velodyne/DRIVE/KEY.bin  calib/DRIVE.txt  [label_02/DRIVE.txt]
 
-Labels are read by annotator.formats.kitti.label_files.
+Labels are read by annotator.formats.kitti_rows.
 """
 
 from __future__ import annotations

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from annotator.file_names import normal, spelled
-from annotator.formats.rcv import read_rcv
-from annotator.formats.rcv.export import FOLDERS, MANIFEST, SPLITS
-from annotator.formats.rcv.read import RcvDataset
+from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES

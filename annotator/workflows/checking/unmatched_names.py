@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from annotator.file_names import normal
-from annotator.formats.frames_csv import has_frames
-from annotator.formats.text_folder import text_rows
+from annotator.formats.frame_names import has_frames
+from annotator.formats.reading import text_rows
 from annotator.recordings import Recording
 from annotator.recordings.kitti.object_folder import KittiObject
 from annotator.recordings.listing import IMAGE_SUFFIXES, stems

@@ -9,10 +9,16 @@ from pathlib import Path
 from annotator.formats.losses import Losses, Lost
 from annotator.project import Project
 from annotator.types.errors import FrameError
-from annotator.workflows.exporting.choose import Chosen, ExportFilter, choose_frames, waiting_note
-from annotator.workflows.exporting.choose_pictures import ChosenPictures, choose_pictures
+from annotator.workflows.exporting.choose import (
+    Chosen,
+    ChosenPictures,
+    ExportFilter,
+    Split,
+    choose_frames,
+    choose_pictures,
+    waiting_note,
+)
 from annotator.workflows.exporting.job import ExportJob, ExportOptions, ExportReport
-from annotator.workflows.exporting.split import Split
 from annotator.workflows.exporting.table import WRITERS, ExportFormat
 from annotator.workflows.frame_source import FrameSource
 

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 from annotator import __version__
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.frame_class_names import six_digit_ids
-from annotator.formats.kitti.label_files import KittiLabel
-from annotator.formats.kitti.object_folder import write_kitti
-from annotator.formats.kitti.tracking_folder import sequence_ids, write_kitti_tracking
+from annotator.formats.frame_names import six_digit_ids
+from annotator.formats.kitti_objects import write_kitti
+from annotator.formats.kitti_rows import KittiLabel
+from annotator.formats.kitti_tracking import sequence_ids, write_kitti_tracking
 from annotator.formats.labelcloud import write_labelcloud
-from annotator.formats.nuscenes import write_nuscenes
+from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.formats.openlabel import write_openlabel
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv
-from annotator.formats.sunrgbd.folder import write_sunrgbd
+from annotator.formats.sunrgbd import write_sunrgbd
 from annotator.formats.sustechpoints import write_sustechpoints
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError

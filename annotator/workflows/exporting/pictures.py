@@ -15,7 +15,7 @@ import numpy as np
 
 from annotator.files import new_folder
 from annotator.formats.attributes import NO_VALUES, Values
-from annotator.formats.coco_dataset import CocoWriter, is_coco_dataset
+from annotator.formats.coco import CocoWriter, is_coco_dataset
 from annotator.formats.dataset_writing import (
     DatasetItem,
     FileNames,
@@ -24,13 +24,13 @@ from annotator.formats.dataset_writing import (
     encoded_image,
     writing,
 )
-from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
+from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, dump_frames
 from annotator.formats.losses import Losses, Lost, count_lost
-from annotator.formats.yolo_dataset import YoloWriter, is_yolo_dataset
+from annotator.formats.yolo import YoloWriter, is_yolo_dataset
 from annotator.geometry.image_shares import clip_to_image
 from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
-from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, of_classes
+from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.rigs import Rigs

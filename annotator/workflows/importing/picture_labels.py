@@ -9,9 +9,9 @@ from pathlib import Path
 
 from annotator.file_names import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.formats.attributes import Values
-from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
-from annotator.formats.frames_csv import FrameOrigin, read_frames
-from annotator.formats.yolo_read import YoloPicture, read_yolo
+from annotator.formats.coco import dataset_folder, read_coco_dataset
+from annotator.formats.frame_names import FrameOrigin, read_frames
+from annotator.formats.yolo import YoloPicture, read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.kitti.box_rows import derived_box, heading, observation_angle
-from annotator.formats.kitti.label_files import heading_rotation
+from annotator.formats.kitti_rows import derived_box, heading, heading_rotation, observation_angle
 from annotator.types import Camera, OrientedBox
 
 CAMERA = Camera(200, 100, 100.0, 100.0, 99.5, 49.5)

@@ -14,11 +14,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.frame_class_names import six_digit_ids
-from annotator.formats.kitti.box_rows import kitti_row, rounded_box, upright_row
-from annotator.formats.kitti.label_files import KittiLabel, dump_label_line, label_box, parse_label_line
-from annotator.formats.kitti.label_folders import KittiRows, each_kitti_frame
-from annotator.formats.kitti.object_folder import calibration_text, write_kitti
+from annotator.formats.frame_names import six_digit_ids
+from annotator.formats.kitti_objects import KittiRows, calibration_text, each_kitti_frame, write_kitti
+from annotator.formats.kitti_rows import (
+    KittiLabel,
+    dump_label_line,
+    kitti_row,
+    label_box,
+    parse_label_line,
+    rounded_box,
+    upright_row,
+)
 from annotator.formats.losses import Losses, Lost
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import pixel_rays

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.kitti.label_files import (
+from annotator.formats.kitti_objects import KittiRows, each_kitti_frame, read_kitti_file, read_kitti_shifts
+from annotator.formats.kitti_rows import (
     heading_rotation,
     label_box,
     parse_label_line,
@@ -20,8 +21,7 @@ from annotator.formats.kitti.label_files import (
     read_tracking_areas,
     read_tracking_labels,
 )
-from annotator.formats.kitti.label_folders import KittiRows, each_kitti_frame, read_kitti_file, read_kitti_shifts
-from annotator.formats.kitti.tracking_folder import read_kitti_tracks
+from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.geometry.oriented_box import box_corners
 from annotator.types.errors import FormatError, UnitError
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.formats.kitti.label_folders import read_kitti_folder
+from annotator.formats.kitti_objects import read_kitti_folder
 from annotator.types.errors import FormatError
 
 LABEL = "Car 0.00 0 -1.57 100.00 120.00 200.00 180.00 1.50 1.60 4.00 0.50 1.60 20.00 -1.55"

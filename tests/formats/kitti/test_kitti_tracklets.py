@@ -13,8 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.kitti.label_files import label_box, parse_label_line
-from annotator.formats.kitti.tracklets import read_tracklets
+from annotator.formats.kitti_rows import label_box, parse_label_line
+from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.geometry.oriented_box import box_corners
 from annotator.recordings.kitti.calibration import read_calibration
 from annotator.types.errors import FormatError

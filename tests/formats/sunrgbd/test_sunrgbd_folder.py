@@ -14,14 +14,18 @@ from hypothesis import strategies as st
 from scipy.io import loadmat, savemat
 from scipy.spatial.transform import Rotation
 
+from annotator.formats import sunrgbd_table as sunrgbd_meta
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.frame_class_names import six_digit_ids
+from annotator.formats.frame_names import six_digit_ids
 from annotator.formats.losses import Losses, Lost
-from annotator.formats.sunrgbd import meta_table as sunrgbd_meta
-from annotator.formats.sunrgbd.folder import calibration_text, dump_label_row, write_sunrgbd
-from annotator.formats.sunrgbd.labels import extracted_truth, read_extracted_folder
-from annotator.formats.sunrgbd.meta_table import META, dump_meta, meta_frame, read_meta
-from annotator.formats.sunrgbd.upright_depth import upright_frame
+from annotator.formats.sunrgbd import (
+    calibration_text,
+    dump_label_row,
+    extracted_truth,
+    read_extracted_folder,
+    write_sunrgbd,
+)
+from annotator.formats.sunrgbd_table import META, dump_meta, meta_frame, read_meta, upright_frame
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import Box2D, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError

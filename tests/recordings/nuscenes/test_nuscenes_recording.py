@@ -14,7 +14,8 @@ from nuscenes_samples import CAMERAS, START_US, K, ego_pose, mount, real, scan_p
 
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.losses import Losses
-from annotator.formats.nuscenes import read_sample_boxes, write_nuscenes
+from annotator.formats.nuscenes import read_sample_boxes
+from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.projection import project
 from annotator.recordings import ReaderOptions, open_recording

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.cli.main import main
-from annotator.formats.kitti.box_rows import derived_box, observation_angle
-from annotator.formats.kitti.label_files import KittiLabel, label_box
+from annotator.formats.kitti_rows import KittiLabel, derived_box, label_box, observation_angle
 from annotator.recordings import open_recording
 from annotator.types import Camera
 from annotator.types.errors import RecordingError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from annotator.types.errors import ConfigError
-from annotator.workflows.exporting.split import Split, SplitBy, assign, parse_shares
+from annotator.workflows.exporting.choose import Split, SplitBy, assign, parse_shares
 
 PLACES = [(recording, f"{number:06d}") for recording in ("a", "b", "c", "d") for number in range(25)]
 SHARES = {"train": 0.7, "val": 0.2, "test": 0.1}
@@ -44,7 +44,7 @@ def test_no_part_is_empty() -> None:
 def test_equal_shares_give_the_same_split_in_every_process() -> None:
     """The order of sets of strings differs between processes."""
     program = (
-        "from annotator.workflows.exporting.split import Split, assign\n"
+        "from annotator.workflows.exporting.choose import Split, assign\n"
         "shares = dict.fromkeys(('train', 'val', 'test'), 1 / 3)\n"
         "print(assign(Split(shares), [('a', '1'), ('a', '2'), ('a', '3')]))"
     )

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.kitti.box_rows import is_in_image
+from annotator.formats.kitti_rows import is_in_image
 from annotator.project import Project
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox

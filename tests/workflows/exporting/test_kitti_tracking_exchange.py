@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.kitti.tracking_folder import sequence_ids
+from annotator.formats.kitti_tracking import sequence_ids
 from annotator.project import Project, WriteContext
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.types.errors import ConfigError, FormatError

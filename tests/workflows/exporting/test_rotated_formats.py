@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.labelcloud import write_labelcloud
 from annotator.formats.losses import Losses
-from annotator.formats.nuscenes import write_nuscenes
+from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.formats.openlabel import write_openlabel
 from annotator.formats.sustechpoints import write_sustechpoints
 from annotator.geometry.oriented_box import box_corners

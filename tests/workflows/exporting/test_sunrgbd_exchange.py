@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.formats.sunrgbd.meta_table import META
+from annotator.formats.sunrgbd_table import META
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox, Source

@@ -1,29 +1,173 @@
-"""Reads the boxes of nuScenes tables, camera by camera."""
+"""nuScenes: tables of boxes, scenes and sensors that refer to each other by tokens.
+
+model.py   the tables
+shapes.py  boxes, poses and points in nuScenes' form
+tables.py  builds the rows of a dataset, frame by frame
+write.py   writes a folder that the devkit opens
+read.py    reads the boxes of any nuScenes dataset
+sample_labels.py  reads the boxes of a recording's samples
+results.py  reads the boxes of detectors and trackers, in the form of the benchmarks
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
-from pydantic import RootModel
-from scipy.spatial.transform import RigidTransform
+from jaxtyping import Float32
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, RootModel, ValidationError
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import normal, stem_of
 from annotator.formats.attributes import VISIBILITY, from_dotted
-from annotator.formats.frames_csv import FrameOrigin, read_frames
-from annotator.formats.json_file import read_model
-from annotator.formats.nuscenes.model import Attribute, Category, Instance, SampleAnnotation, Visibility
-from annotator.formats.nuscenes.shapes import box_from
+from annotator.formats.frame_names import FrameOrigin, read_frames
+from annotator.formats.json_file import Bounded3, Bounded4, BoundedPositive, BoundedTrack, read_model, read_pairs
 from annotator.formats.reading import OnFault, raise_fault
+from annotator.formats.units import Lengths
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.quaternion_order import Quaternions
-from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Record, SampleData, Sensor, pose
-from annotator.types import OrientedBox
+from annotator.nuscenes_tables import (
+    CalibratedSensor,
+    EgoPose,
+    Linked,
+    Record,
+    SampleData,
+    Sensor,
+    TableError,
+    Token,
+    find_rows,
+    pose,
+    read_rows,
+)
+from annotator.types import OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
+from annotator.types.validation import first_problem
+
+# TODO-MERGED docstring of model.py:
+# The tables of nuScenes, one JSON list of records each, linked by tokens.
+#
+# Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit): metres, quaternions w x y z, sizes width
+# length height. Other fields are ignored when reading. `annotator.nuscenes_tables` has the tables of the sensors.
+
+
+Vector3 = Bounded3
+Quaternion = Bounded4
+
+
+class Category(Record):
+    """A class."""
+
+    name: Annotated[str, Field(min_length=1)]
+    description: str = ""
+
+
+class Attribute(Record):
+    """A property that an annotation may have."""
+
+    name: str
+    description: str = ""
+
+
+class Visibility(Record):
+    """A level of visibility of an object."""
+
+    level: str
+    description: str = ""
+
+
+class Instance(Record):
+    """An object in all samples of its scene. `track_id` is annotator's extension: the id in the project."""
+
+    category_token: Token
+    nbr_annotations: int
+    first_annotation_token: str
+    last_annotation_token: str
+    track_id: BoundedTrack | None = None
+
+
+class Log(Record):
+    """A drive."""
+
+    logfile: str
+    vehicle: str
+    date_captured: str
+    location: str
+
+
+class SampleAnnotation(Linked):
+    """A box of a sample, global frame; its x axis is the length, y the width."""
+
+    sample_token: Token
+    instance_token: Token
+    visibility_token: str = ""
+    attribute_tokens: tuple[str, ...] = ()
+    translation: Vector3
+    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    rotation: Quaternion
+    num_lidar_pts: int = 0
+    num_radar_pts: int = 0
+
+
+class Map(Record):
+    """A map image of the ground, for a set of drives."""
+
+    log_tokens: tuple[str, ...]
+    category: Literal["semantic_prior"] = "semantic_prior"
+    filename: str
+
+
+# TODO-MERGED docstring of shapes.py:
+# Boxes, poses and points in nuScenes' form.
+#
+# Source: nuscenes-devkit, `utils/data_classes.py`: sizes are width, length, height; a box's x axis points along its
+# length, y along its width, z along its height, as in annotator; quaternions are w x y z; a scan is float32 x y z
+# intensity ring, the intensity in 0..255.
+
+
+MOST_INTENSITY = 255.0
+
+
+def vector(values: np.ndarray) -> Vector3:
+    """Returns three numbers for JSON, without negative zeros."""
+    x, y, z = (values + 0.0).tolist()
+    return (x, y, z)
+
+
+def quaternion(rotation: Rotation) -> Quaternion:
+    """Returns w x y z, w not negative."""
+    w, x, y, z = (rotation.as_quat(canonical=True, scalar_first=True) + 0.0).tolist()
+    return (w, x, y, z)
+
+
+def width_length_height(box: OrientedBox) -> Vector3:
+    """Returns the full sizes in nuScenes' order."""
+    length, width, height = box.size_m.tolist()
+    return (width, length, height)
+
+
+def box_from(translation: Vector3, rotation: Quaternion, size_wlh: Vector3) -> OrientedBox:
+    """Returns the box of an annotation, global frame.
+
+    Raises:
+        ValueError: the rotation is not a unit quaternion.
+    """
+    width, length, height = size_wlh
+    return OrientedBox.at(pose(translation, rotation), np.array([length, width, height]))
+
+
+def scan(cloud: PointCloud, T_level_camera: RigidTransform) -> Float32[np.ndarray, "n 5"]:
+    """Returns the points in the level frame with intensity (0 if unknown) and ring (0)."""
+    intensity = np.zeros(len(cloud)) if cloud.reflectance is None else cloud.reflectance * MOST_INTENSITY
+    return np.column_stack([T_level_camera.apply(cloud.xyz_m), intensity, np.zeros(len(cloud))]).astype("<f4")
+
+
+# TODO-MERGED docstring of read.py:
+# Reads the boxes of nuScenes tables, camera by camera.
+
 
 ANNOTATIONS = "sample_annotation.json"
 # A box is in an image if one of its corners is, and all are in front of the camera (devkit: `BoxVisibility.ANY`).
@@ -246,3 +390,133 @@ def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> b
     px = corners @ K.T
     px = px[:, :2] / px[:, 2:]
     return bool(((px > -0.5) & (px < np.array([width_px, height_px]) - 0.5)).all(axis=1).any())
+
+
+# TODO-MERGED docstring of sample_labels.py:
+# Reads the boxes of some samples, in the global frame.
+
+
+def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScenesBox, ...]]:
+    """Returns the boxes of samples, by the sample's token.
+
+    Args:
+        tables: the folder of the tables.
+
+    Raises:
+        FormatError: a table is missing or damaged, or refers to missing rows.
+        UnitError: the sizes are not in metres, or the quaternions have w last.
+    """
+    annotations = _rows(tables / ANNOTATIONS, SampleAnnotation, samples)
+    # all of them, because a track is the row's number
+    instances = {row.token: (number, row) for number, row in enumerate(_rows(tables / "instance.json", Instance))}
+    Lengths(np.array(row.size) for row in annotations).require(tables / ANNOTATIONS)
+    require_w_first(tables, annotations, {token: row for token, (_, row) in instances.items()})
+    classes = {row.token: row.name for row in _rows(tables / "category.json", Category)}
+    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
+    levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
+    boxes: dict[str, list[NuScenesBox]] = {sample: [] for sample in samples}
+    for row in annotations:
+        if row.instance_token not in instances:
+            problem = f"row {row.token}: refers to the token {row.instance_token}, which is not in instance.json"
+            raise FormatError(tables / ANNOTATIONS, problem)
+        number, instance = instances[row.instance_token]
+        if instance.category_token not in classes:
+            problem = f"row {number}: refers to the token {instance.category_token}, which is not in category.json"
+            raise FormatError(tables / "instance.json", problem)
+        try:
+            box = box_from(row.translation, row.rotation, row.size)
+        except ValueError as error:
+            raise FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}") from error
+        label = classes[instance.category_token]
+        values = values_of(row, instance, names, levels)
+        boxes[row.sample_token].append(NuScenesBox(label, box, track_of(instance, number), values))
+    return {sample: tuple(found) for sample, found in boxes.items()}
+
+
+def _rows_if_any(path: Path, model: type[Row]) -> list[Row]:
+    return _rows(path, model) if path.is_file() else []
+
+
+def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list[Row]:
+    """Returns the rows of a table; with `samples`, those of these samples."""
+    try:
+        return list(read_rows(path, model) if samples is None else find_rows(path, model, "sample_token", samples))
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    except TableError as error:
+        raise FormatError(path, str(error)) from error
+
+
+# TODO-MERGED docstring of results.py:
+# nuScenes' results of detectors and trackers: boxes with scores, by the tokens of their samples.
+#
+#     {"meta": {...}, "results": {"SAMPLE": [{"translation": [x, y, z], "size": [width, length, height],
+#         "rotation": [w, x, y, z], "detection_name": "car", "detection_score": 0.8, "attribute_name": "vehicle.moving"},
+#         ...], ...}}
+#
+# Global frame, metres. Trackers write `tracking_name`, `tracking_score` and `tracking_id`. Other keys, such as
+# `velocity`, are ignored. Sources: "Results format" in the devkit's `eval/detection/README.md` and
+# `eval/tracking/README.md`.
+
+
+RESULTS = "results"
+
+
+class ResultBox(BaseModel):
+    """A box of a detector or tracker."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    translation: Vector3
+    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    rotation: Quaternion
+    label: Annotated[str, Field(min_length=1, validation_alias=AliasChoices("detection_name", "tracking_name"))]
+    score: Annotated[
+        float, Field(allow_inf_nan=False, validation_alias=AliasChoices("detection_score", "tracking_score"))
+    ]
+    attribute_name: str = ""
+    tracking_id: str | int | None = None
+
+
+def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
+    """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file.
+
+    Raises:
+        FormatError: the file cannot be read or is no such JSON, or a box is invalid; names the sample.
+        UnitError: after the last sample: the quaternions have w last.
+    """
+    tracks: dict[str | int, int] = {}
+    quaternions = Quaternions()
+    for sample, boxes in read_pairs(path, RESULTS):
+        if not isinstance(boxes, list):
+            raise FormatError(path, f"results.{sample}: must be a list of boxes")
+        yield (
+            sample,
+            [_truth(path, f"results.{sample}.{n}", each, tracks, quaternions) for n, each in enumerate(boxes)],
+        )
+    quaternions.require(path)
+
+
+def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int], quaternions: Quaternions) -> Truth:
+    try:
+        row = ResultBox.model_validate(value)
+        box = box_from(row.translation, row.rotation, row.size)
+        quaternions.add(row.rotation)
+    except ValidationError as error:
+        raise FormatError(path, first_problem(error, where)) from error
+    except ValueError as error:
+        raise FormatError(path, f"{where}: {error}") from error
+    track = None if row.tracking_id is None else tracks.setdefault(row.tracking_id, len(tracks))
+    attributes = from_dotted([row.attribute_name] if row.attribute_name else [])
+    return Truth(row.label, box, track, row.score, attributes=attributes)
+
+
+__all__ = [
+    "ANNOTATIONS",
+    "NuScenesBox",
+    "is_seen",
+    "read_nuscenes",
+    "read_results",
+    "read_sample_boxes",
+    "read_world_poses",
+]

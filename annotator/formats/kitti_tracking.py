@@ -18,19 +18,29 @@ from jaxtyping import Float64
 from annotator.file_names import spelled
 from annotator.files import new_folder
 from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
-from annotator.formats.frame_class_names import CLASS_NAMES, ClassWords, DatasetNames
-from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
-from annotator.formats.kitti.box_rows import label_frame
-from annotator.formats.kitti.label_files import (
-    DONT_CARE,
-    KittiLabel,
-    dump_tracking_line,
-    parse_tracking_fields,
+from annotator.formats.frame_names import (
+    CLASS_NAMES,
+    FRAMES_CSV,
+    ClassWords,
+    DatasetNames,
+    FrameOrigin,
+    dump_frames,
+    has_frames,
 )
-from annotator.formats.kitti.label_folders import CALIBRATIONS, Frames, KittiRows, read_shift
-from annotator.formats.kitti.object_folder import NOT_HELD, TRAINING, calibration_text, item_rows, lidar_points
+from annotator.formats.kitti_objects import (
+    CALIBRATIONS,
+    NOT_HELD,
+    TRAINING,
+    Frames,
+    KittiRows,
+    calibration_text,
+    item_rows,
+    lidar_points,
+    read_shift,
+)
+from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, dump_tracking_line, label_frame, parse_tracking_fields
 from annotator.formats.losses import Losses, Lost, count_lost
-from annotator.formats.text_folder import text_files
+from annotator.formats.reading import text_files
 from annotator.geometry.projection import straightened
 from annotator.types import Frame, Label, Truth
 from annotator.types.errors import FormatError
