@@ -30,7 +30,7 @@ from annotator.evaluation.kitti import (
     MinOverlap,
     evaluate_kitti,
 )
-from annotator.evaluation.sunrgbd import SunRgbdResult, evaluate_sunrgbd
+from annotator.evaluation.oriented import SunRgbdResult, evaluate_sunrgbd
 from annotator.formats.box_csv import read_box_csv
 from annotator.formats.kitti_objects import read_kitti_folder
 from annotator.geometry.iou import intersection_volume_pairs

@@ -10,8 +10,7 @@ from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, RootModel
 
 from annotator.evaluation.kitti import DIFFICULTIES, SAMPLES, KittiCurve, KittiResult, Metric
-from annotator.evaluation.oriented import OrientedClass, OrientedResult, PrecisionRecall
-from annotator.evaluation.sunrgbd import SunRgbdResult
+from annotator.evaluation.oriented import OrientedClass, OrientedResult, PrecisionRecall, SunRgbdResult
 
 Row = tuple[str | int | float | None, ...]
 

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.evaluation import boxes as boxes_module
 from annotator.evaluation.boxes import BoxTable, overlapping, pairs_within, place_within
-from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, pose_errors
-from annotator.evaluation.sunrgbd import evaluate_sunrgbd
+from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, evaluate_sunrgbd, pose_errors
 from annotator.geometry.iou import iou_3d
 from annotator.types import OrientedBox
 

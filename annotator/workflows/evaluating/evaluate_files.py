@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxTable
 from annotator.evaluation.kitti import NEIGHBOURS, OFFICIAL, RELAXED, KittiRows, evaluate_kitti
-from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.oriented import evaluate_oriented, evaluate_sunrgbd
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
-from annotator.evaluation.sunrgbd import evaluate_sunrgbd
 from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_csv import BoxRow, read_box_csv
