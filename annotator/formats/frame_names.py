@@ -160,13 +160,14 @@ class ClassWords:
         """True if the word differs from the name."""
         return self._words[name] != name
 
-    def dump(self) -> str:
-        """Returns the text of `classes.txt`: one line `WORD NAME` for each changed name."""
-        return "".join(f"{word} {name}\n" for name, word in self._words.items() if word != name)
+    def write(self, folder: Path) -> None:
+        """Writes `classes.txt`, with a line `WORD NAME` for each changed name; nothing if none has changed."""
+        if changed := "".join(f"{word} {name}\n" for name, word in self._words.items() if word != name):
+            (folder / CLASS_NAMES).write_text(changed, encoding="utf-8")
 
 
 def read_class_names(folder: Path) -> dict[str, str]:
-    """Returns the class names in a dataset's `classes.txt` (`ClassWords.dump`), by word; empty without that file.
+    """Returns the class names in a dataset's `classes.txt` (`ClassWords.write`), by word; empty without that file.
 
     Raises:
         FormatError: the file cannot be read, or a line is not a word, a space and a name, or repeats a word.

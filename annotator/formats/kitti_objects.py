@@ -1,9 +1,23 @@
-"""KITTI: object, tracking and raw-drive labels, and detection results."""
+"""KITTI object labels of many frames: `label_2` folders and the datasets around them, tracking files, and results.
+
+    training/image_2/ID.png  velodyne/ID.bin  calib/ID.txt  label_2/ID.txt
+    ImageSets/{train,val,test,trainval}.txt   frames.csv
+
+Boxes are in rectified camera 0, as in `kitti_rows.py`. A `frames.csv` above the label files, as in annotator's
+exports, gives the name of each file's frame in a project; without it the file's stem is the frame's key.
+
+Scans (float32 x y z reflectance; x forward, y left, z up; reflectance 0 if unknown) have their origin at rectified
+camera 0 (x right, y down, z forward). The shift to the colour camera comes from the calibrations: P2 = K [I | t], so a
+point in the frame of camera 0 plus t is the same point in the colour camera's frame; in KITTI t is about 6 cm. In
+exports, `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar` with R0_rect the identity (KITTI object devkit, readme.txt). All
+images are in `training/`, including those of the part `test`, because their labels are known. As in the devkit, results
+need a file for every frame; it is empty for a frame without detections.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,18 +26,9 @@ from jaxtyping import Float32, Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.file_names import spelled
-from annotator.files import new_folder
 from annotator.formats.attributes import TRUNCATION, held_by_kitti
-from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
-from annotator.formats.frame_names import (
-    CLASS_NAMES,
-    FRAMES_CSV,
-    ClassWords,
-    DatasetNames,
-    FrameOrigin,
-    dump_frames,
-    has_frames,
-)
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
 from annotator.formats.json_file import MOST
 from annotator.formats.kitti_rows import (
     DECIMALS,
@@ -31,6 +36,7 @@ from annotator.formats.kitti_rows import (
     FIELDS,
     UNKNOWN_SIZES,
     KittiLabel,
+    dont_care,
     dump_label_line,
     has_solid,
     is_in_image,
@@ -43,7 +49,7 @@ from annotator.formats.kitti_rows import (
     upright_box,
     upright_row,
 )
-from annotator.formats.losses import Losses, Lost, count_lost
+from annotator.formats.losses import Lost
 from annotator.formats.reading import read_text, text_files, text_rows
 from annotator.formats.units import Angles
 from annotator.geometry.occlusion import Sight
@@ -51,17 +57,6 @@ from annotator.geometry.projection import straightened
 from annotator.text import to_number
 from annotator.types import Camera, Frame, Label, PointCloud, Truth
 from annotator.types.errors import ConfigError, FormatError
-
-# TODO-MERGED docstring of label_folders.py:
-# KITTI labels of many frames: `label_2` folders, the datasets around them, tracking files, and detection results.
-#
-# Boxes are in rectified camera 0, as in `label_files.py`. A `frames.csv` above the label files, as in annotator's
-# exports, gives the name of each file's frame in a project; without it the file's stem is the frame's key.
-#
-# The shift to the colour camera comes from the calibrations beside the labels: P2 = K [I | t], so a point in the frame of
-# camera 0 plus t is the same point in the colour camera's frame (KITTI object devkit, readme.txt). In KITTI t is about
-# 6 cm. As in the devkit, results need a file for every frame; it is empty for a frame without detections.
-
 
 PLACES = ("training/label_2", "label_2", "label_02.txt")
 
@@ -247,136 +242,88 @@ def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> Kitt
     return row
 
 
-# TODO-MERGED docstring of object_folder.py:
-# Writes a KITTI object folder for training 3D detectors.
-#
-# training/image_2/ID.png  velodyne/ID.bin  calib/ID.txt  label_2/ID.txt,  ImageSets/{train,val,test,trainval}.txt, and
-# frames.csv with the origin of each frame.
-#
-# Scans (float32 x y z reflectance; x forward, y left, z up; reflectance 0 if unknown) have their origin at rectified
-# camera 0 (x right, y down, z forward), and P2 = K [I | t] shifts that camera to the colour camera:
-# `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar` with R0_rect the identity (KITTI object devkit, readme.txt). All images
-# are in `training/`, including those of the part `test`, because their labels are known.
-
-
 PARTS = ("image_2", "velodyne", "calib", "label_2")
 TRAINING, IMAGE_SETS = "training", "ImageSets"
 # KITTI's names of the parts; trainval.txt lists train and val.
 SPLITS = ("train", "val", "test")
 TEST = SPLITS[-1]
-NOT_HELD = (
-    Lost.SCORE,
-    Lost.TRACK,
-    Lost.STATE,
-    Lost.SAID,
-    Lost.LENS,
-    Lost.DEPTH_COLOR,
-    Lost.TIME,
-    Lost.GRAVITY,
-    Lost.ORIGIN,
-)
 # Rectified camera 0 <- LiDAR: x right = -y left, y down = -z up, z forward = x.
 CAMERA_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
-def write_kitti(
-    out: Path,
-    items: Iterable[DatasetItem],
-    ids: Mapping[tuple[str, str], str],
-    classes: Sequence[str],
-    losses: Losses,
-    *,
-    areas: Callable[[DatasetItem], Sequence[KittiLabel]] = lambda item: (),
-    overwrite: bool = False,
-) -> Counter[str]:
-    """Writes the folder `out` atomically, one frame in memory at a time.
+class KittiWriter(DatasetWriter):
+    """Writes an object folder. KITTI's own recordings keep their DontCare areas."""
 
-    Args:
-        out: a folder that is missing or empty; with `overwrite`, an older export of this format is replaced.
-        items: the frames; if reading one raises, `out` is unchanged.
-        ids: the file name of each (recording, key) (`six_digit_ids`).
-        classes: all class names.
-        losses: counts what the format cannot store.
-        areas: returns the DontCare rows of a frame, which are written after its labels.
+    def begin(self) -> None:
+        self.words = ClassWords(self.info.classes, reserved=(DONT_CARE,))
+        self.ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places])
+        for name in PARTS:
+            (self.folder / TRAINING / name).mkdir(parents=True)
 
-    Returns:
-        The number of boxes written, by class.
+    def frame_id(self, item: DatasetItem) -> str:
+        return self.ids[item.recording, item.frame.key]
 
-    Raises:
-        FormatError: `out` exists, there is no frame, or writing fails.
-        ConfigError: a part that KITTI does not have.
-    """
-    words, counts, origins = ClassWords(classes, reserved=(DONT_CARE,)), Counter[str](), list[FrameOrigin]()
-    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
-        with writing(out):
-            for name in PARTS:
-                (part / TRAINING / name).mkdir(parents=True)
-        for item in items:
-            _check_part(item.split)
-            frame_id = ids[item.recording, item.frame.key]
-            origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
-            rows = _label_text(item, words, counts, losses) + "".join(f"{dump_label_line(x)}\n" for x in areas(item))
-            with writing(out):
-                _write_frame(part / TRAINING, frame_id, item.frame, rows)
-        if not origins:
-            raise FormatError(out, "there is no frame to export; the export was not written")
-        with writing(out):
-            _write_sets(part / IMAGE_SETS, origins)
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
-            if changed := words.dump():
-                (part / CLASS_NAMES).write_text(changed, encoding="utf-8")
-    return counts
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        if item.split is not None and item.split not in SPLITS:
+            # KITTI's tools would ignore another part
+            raise ConfigError(
+                f"KITTI's parts are called {', '.join(SPLITS)}, not {item.split}; split the dataset with "
+                "--split train=0.8,val=0.2"
+            )
+        rows = [dump_label_line(row) for _, row in self.rows(item)]
+        rows += [dump_label_line(dont_care(edges)) for edges in item.unlabelled]
+        training = self.folder / TRAINING
+        (training / "label_2" / f"{frame_id}.txt").write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
+        calibration = self.files(item.frame, training / "image_2" / frame_id, training / "velodyne" / frame_id)
+        (training / "calib" / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
 
+    def files(self, frame: Frame, image: Path, scan: Path) -> str:
+        """Writes the image and the scan of a frame, at paths without suffix; returns the text of its calibration."""
+        camera, rgb = straightened(frame.camera, frame.rgb)
+        T = label_frame(frame)
+        image.with_name(f"{image.name}.png").write_bytes(encoded_image(rgb, "png"))
+        scan.with_name(f"{scan.name}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
+        return calibration_text(camera, T)
 
-def _check_part(name: str | None) -> None:
-    """Raises ConfigError for a part that KITTI does not have, since KITTI's tools would ignore it."""
-    if name is not None and name not in SPLITS:
-        raise ConfigError(
-            f"KITTI's parts are called {', '.join(SPLITS)}, not {name}; split the dataset with "
-            "--split train=0.8,val=0.2"
-        )
+    def finish(self) -> None:
+        """Writes the frame ids of each part, one per line; without parts all are in train and trainval."""
+        parts: dict[str, list[str]] = {}
+        for origin in self.origins:
+            parts.setdefault(origin.split or "train", []).append(origin.id)
+        parts["trainval"] = [origin.id for origin in self.origins if origin.split != TEST]
+        (self.folder / IMAGE_SETS).mkdir()
+        for name, ids in parts.items():
+            (self.folder / IMAGE_SETS / f"{name}.txt").write_text(
+                "".join(f"{each}\n" for each in ids), encoding="utf-8"
+            )
+        self.words.write(self.folder)
 
+    def rows(self, item: DatasetItem, *, levels: bool = False) -> Iterator[tuple[Label, KittiLabel]]:
+        """Yields the labels inside the image with their rows, and counts boxes and losses.
 
-def _is_dataset(folder: Path) -> bool:
-    """True for an export of annotator: KITTI's own folders have no frames.csv."""
-    return has_frames(folder) and (folder / TRAINING / "label_2").is_dir()
+        All fields of a row follow from its rounded 3D box, so the row is consistent when read back; but truncation and
+        occlusion are those of the label's attributes, if it has them.
 
-
-def _label_text(item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses) -> str:
-    """Returns the text of a frame's label file and counts its losses."""
-    count_lost(losses, item, NOT_HELD)
-    return "".join(f"{dump_label_line(row)}\n" for _, row in item_rows(item, words, counts, losses))
-
-
-def item_rows(
-    item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses, *, levels: bool = False
-) -> Iterator[tuple[Label, KittiLabel]]:
-    """Yields the labels inside the image with their rows, and counts boxes and losses.
-
-    All fields of a row follow from its rounded 3D box, so the row is consistent when read back; but truncation and
-    occlusion are those of the label's attributes, if it has them.
-
-    Args:
-        levels: the truncation is going to be written as a level, as in tracking files.
-    """
-    sight = Sight(item.frame.cloud.xyz_m)
-    losses.add_values(item.attributes)
-    for label in item.labels:
-        upright, tilt_rad = upright_box(label.box, item.frame)
-        rounded = rounded_box(upright)
-        row = upright_row(words[label.label], rounded, None, item.frame, sight, label.attributes)
-        if not is_in_image(row):
-            losses.add(Lost.OUTSIDE)
-            continue
-        losses.add_tilt(tilt_rad)
-        losses.add_rounding(upright, rounded)
-        held = held_by_kitti(label.attributes)
-        losses.add_values(label.attributes.keys() - held.keys())
-        losses.add_values(_approximated(held, levels))
-        if words.is_changed(label.label):
-            losses.add(Lost.NAME)
-        counts[label.label] += 1
-        yield label, row
+        Args:
+            levels: the truncation is going to be written as a level, as in tracking files.
+        """
+        sight, losses = Sight(item.frame.cloud.xyz_m), self.losses
+        for label in item.labels:
+            upright, tilt_rad = upright_box(label.box, item.frame)
+            rounded = rounded_box(upright)
+            row = upright_row(self.words[label.label], rounded, None, item.frame, sight, label.attributes)
+            if not is_in_image(row):
+                losses.add(Lost.OUTSIDE)
+                continue
+            losses.add_tilt(tilt_rad)
+            losses.add_rounding(upright, rounded)
+            held = held_by_kitti(label.attributes)
+            losses.add_values(label.attributes.keys() - held.keys())
+            losses.add_values(_approximated(held, levels))
+            if self.words.is_changed(label.label):
+                losses.add(Lost.NAME)
+            self.counts[label.label] += 1
+            yield label, row
 
 
 def _approximated(held: Mapping[str, float], levels: bool) -> Iterator[str]:
@@ -388,16 +335,6 @@ def _approximated(held: Mapping[str, float], levels: bool) -> Iterator[str]:
                 yield f"{name}, as a level"
         elif round(value, DECIMALS) != value:
             yield f"{name}, rounded"
-
-
-def _write_frame(training: Path, frame_id: str, frame: Frame, rows: str) -> None:
-    """Writes the frame's four files."""
-    camera, rgb = straightened(frame.camera, frame.rgb)
-    T = label_frame(frame)
-    (training / "image_2" / f"{frame_id}.png").write_bytes(encoded_image(rgb, "png"))
-    (training / "velodyne" / f"{frame_id}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
-    (training / "calib" / f"{frame_id}.txt").write_text(calibration_text(camera, T), encoding="utf-8")
-    (training / "label_2" / f"{frame_id}.txt").write_text(rows, encoding="utf-8")
 
 
 def lidar_points(cloud: PointCloud, T_camera_label: RigidTransform | None) -> Float32[np.ndarray, "n 4"]:
@@ -432,14 +369,3 @@ def calibration_text(camera: Camera, T_camera_label: RigidTransform | None) -> s
     return "".join(
         f"{name}: {' '.join(f'{value + 0.0:.12e}' for value in matrix.ravel())}\n" for name, matrix in matrices.items()
     )
-
-
-def _write_sets(folder: Path, origins: Sequence[FrameOrigin]) -> None:
-    """Writes the frame ids of each part, one per line; without parts all are in train and trainval."""
-    folder.mkdir()
-    parts: dict[str, list[str]] = {}
-    for origin in origins:
-        parts.setdefault(origin.split or "train", []).append(origin.id)
-    parts["trainval"] = [origin.id for origin in origins if origin.split != TEST]
-    for name, ids in parts.items():
-        (folder / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")

@@ -7,6 +7,15 @@ KITTI object devkit, readme.txt ("Data Format Description"): 15 fields per row, 
 in the frame of rectified camera 0 (x right, y down, z forward); x y z is the middle of the bottom face and rotation_y
 turns about y, 0 if the object faces +x. Tracking files put `frame track_id` before the type. `Truth` objects are
 returned in annotator's convention: x along the heading, y across, z up, in the camera frame.
+
+Rows are written in the frame of rectified camera 0, too. A recording's own label frame is kept if it differs from the
+colour camera's only by a translation, as KITTI's does. Otherwise rows are written in the colour camera's frame. Either
+one is called the labels' frame here.
+
+The 2D box encloses the projected corners and is clipped to the pixel centres 0..width-1 and 0..height-1, as in the
+devkit's drawings (`computeBox3D.m`). Edges that reach behind the camera are cut at `NEAR_M`. The occlusion follows from
+the points measured along the lines of sight to the box (`geometry/occlusion.py`). Its thresholds are those that agree
+best with KITTI's labels (docs/formats.md).
 """
 
 from __future__ import annotations
@@ -102,6 +111,11 @@ def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> K
         FormatError: too few or too many fields, or a field that is not a number.
     """
     return parse_fields(text.split(), path, line)
+
+
+def dont_care(edges: tuple[float, float, float, float]) -> KittiLabel:
+    """Returns the row of an area where objects are not labelled: left top right bottom, pixels."""
+    return KittiLabel(DONT_CARE, -1, -1, -10, *edges, -1, -1, -1, -1000, -1000, -1000, -10)
 
 
 def dump_label_line(row: KittiLabel) -> str:
@@ -281,19 +295,6 @@ def row_truth(
         return Truth(row.label, box, track_id, row.score, image_box, attributes=values)
     except ValueError as error:
         raise FormatError(path, str(error), line) from error
-
-
-# TODO-MERGED docstring of box_rows.py:
-# Converts boxes to KITTI rows: upright, with rotation_y, alpha, 2D box, truncation and occlusion.
-#
-# KITTI's labels are in the frame of rectified camera 0. A recording's own label frame is kept if it differs from the
-# colour camera's only by a translation, as KITTI's does. Otherwise rows are written in the colour camera's frame. Either
-# one is called the labels' frame here.
-#
-# The 2D box encloses the projected corners and is clipped to the pixel centres 0..width-1 and 0..height-1, as in the
-# devkit's drawings (`computeBox3D.m`). Edges that reach behind the camera are cut at `NEAR_M`. The occlusion follows from
-# the points measured along the lines of sight to the box (`geometry/occlusion.py`). Its thresholds are those that agree
-# best with KITTI's labels (docs/formats.md).
 
 
 OUTSIDE_IMAGE = (0.0, 0.0, 0.0, 0.0)

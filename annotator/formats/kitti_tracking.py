@@ -2,13 +2,12 @@
 
 training/image_02/SEQ/FRAME.png  velodyne/SEQ/FRAME.bin  calib/SEQ.txt  label_02/SEQ.txt  and frames.csv with the origin
 of each frame (KITTI tracking devkit, readme.txt). SEQ has four digits and FRAME six. Boxes, scans and calibrations are
-as in `object_folder.py`, but a truncation is one of three levels. Track ids are unique within a sequence.
+as in `kitti_objects.py`, but a truncation is one of three levels. Track ids are unique within a sequence.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,33 +15,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.file_names import spelled
-from annotator.files import new_folder
-from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
-from annotator.formats.frame_names import (
-    CLASS_NAMES,
-    FRAMES_CSV,
-    ClassWords,
-    DatasetNames,
-    FrameOrigin,
-    dump_frames,
-    has_frames,
-)
-from annotator.formats.kitti_objects import (
-    CALIBRATIONS,
-    NOT_HELD,
-    TRAINING,
-    Frames,
-    KittiRows,
-    calibration_text,
-    item_rows,
-    lidar_points,
-    read_shift,
-)
-from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, dump_tracking_line, label_frame, parse_tracking_fields
-from annotator.formats.losses import Losses, Lost, count_lost
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.frame_names import ClassWords, DatasetNames
+from annotator.formats.kitti_objects import CALIBRATIONS, TRAINING, Frames, KittiRows, KittiWriter, read_shift
+from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line, parse_tracking_fields
 from annotator.formats.reading import text_files
-from annotator.geometry.projection import straightened
-from annotator.types import Frame, Label, Truth
+from annotator.types import Label, Truth
+from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
 
 LABELS = "label_02"
@@ -85,97 +64,50 @@ class TrackingSequence:
         return track
 
 
-def write_kitti_tracking(
-    out: Path,
-    items: Iterable[DatasetItem],
-    ids: Mapping[tuple[str, str], tuple[str, int]],
-    first_free: Mapping[str, int],
-    classes: Sequence[str],
-    losses: Losses,
-    *,
-    areas: Callable[[DatasetItem], Sequence[KittiLabel]] = lambda item: (),
-    overwrite: bool = False,
-) -> tuple[Counter[str], int]:
-    """Writes the folder `out` atomically, one frame in memory at a time.
+class KittiTrackingWriter(KittiWriter):
+    """Writes a tracking folder, one sequence per recording. Boxes without a track id get a new one."""
 
-    Args:
-        out: a folder that is missing or empty; with `overwrite`, an older export of this format is replaced.
-        items: the frames, recording by recording in order.
-        ids: sequence and number of each (recording, key) (`sequence_ids`).
-        first_free: for each recording, an id above all its track ids.
-        classes, losses, areas: as in `write_kitti`.
+    def begin(self) -> None:
+        self.words = ClassWords(self.info.classes, reserved=(DONT_CARE,))
+        self.places = sequence_ids(self.info.places)
+        self.sequences: dict[str, TrackingSequence] = {}
 
-    Returns:
-        The number of boxes written, by class, and the number of boxes that got a new track id.
+    def frame_id(self, item: DatasetItem) -> str:
+        name, number = self.places[item.recording, item.frame.key]
+        return f"{name}/{number:06d}"
 
-    Raises:
-        FormatError: `out` exists, there is no frame, a recording has several calibrations, or writing fails.
-    """
-    words, counts, origins = ClassWords(classes, reserved=(DONT_CARE,)), Counter[str](), list[FrameOrigin]()
-    sequences: dict[str, TrackingSequence] = {}
-    not_held = tuple(kind for kind in NOT_HELD if kind is not Lost.TRACK)
-    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
-        root = part / TRAINING
-        for item in items:
-            name, number = ids[item.recording, item.frame.key]
-            if name not in sequences:
-                sequences[name] = TrackingSequence(name, first_free[item.recording])
-                with writing(out):
-                    for folder in (IMAGES, SCANS):
-                        (root / folder / name).mkdir(parents=True)
-            sequence = sequences[name]
-            origins.append(FrameOrigin(f"{name}/{number:06d}", item.recording, item.frame.key, item.split))
-            count_lost(losses, item, not_held)
-            _add_rows(sequence, number, item, words, counts, losses, areas(item))
-            with writing(out):
-                _write_frame(out, root, sequence, number, item.frame)
-        if not origins:
-            raise FormatError(out, "there is no frame to export; the export was not written")
-        with writing(out):
-            for folder in (CALIBRATIONS, LABELS):
-                (root / folder).mkdir()
-            for sequence in sequences.values():
-                (root / LABELS / f"{sequence.name}.txt").write_text("".join(sequence.rows), encoding="utf-8")
-                (root / CALIBRATIONS / f"{sequence.name}.txt").write_text(sequence.calibration or "", encoding="utf-8")
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
-            if changed := words.dump():
-                (part / CLASS_NAMES).write_text(changed, encoding="utf-8")
-    return counts, sum(sequence.untracked for sequence in sequences.values())
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        root = self.folder / TRAINING
+        name, number = self.places[item.recording, item.frame.key]
+        if name not in self.sequences:
+            self.sequences[name] = TrackingSequence(name, self.info.free_tracks[item.recording])
+            for folder in (IMAGES, SCANS):
+                (root / folder / name).mkdir(parents=True)
+        sequence, in_frame = self.sequences[name], set[int]()
+        for label, row in self.rows(item, levels=True):
+            sequence.rows.append(dump_tracking_line(number, sequence.track_of(label, in_frame), row))
+        sequence.rows += [dump_tracking_line(number, NO_TRACK, dont_care(edges)) for edges in item.unlabelled]
+        calibration = self.files(item.frame, root / IMAGES / frame_id, root / SCANS / frame_id)
+        if sequence.calibration not in (None, calibration):
+            raise FormatError(
+                self.out,
+                f"frame {item.frame.key} has a different calibration from earlier frames, but a KITTI sequence has only "
+                "one; export as kitti",
+            )
+        sequence.calibration = calibration
 
-
-def _add_rows(
-    sequence: TrackingSequence,
-    number: int,
-    item: DatasetItem,
-    words: ClassWords,
-    counts: Counter[str],
-    losses: Losses,
-    areas: Sequence[KittiLabel],
-) -> None:
-    in_frame: set[int] = set()
-    for label, row in item_rows(item, words, counts, losses, levels=True):
-        sequence.rows.append(f"{dump_tracking_line(number, sequence.track_of(label, in_frame), row)}\n")
-    sequence.rows += [f"{dump_tracking_line(number, NO_TRACK, row)}\n" for row in areas]
-
-
-def _write_frame(out: Path, root: Path, sequence: TrackingSequence, number: int, frame: Frame) -> None:
-    camera, rgb = straightened(frame.camera, frame.rgb)
-    T = label_frame(frame)
-    calibration = calibration_text(camera, T)
-    if sequence.calibration not in (None, calibration):
-        raise FormatError(
-            out,
-            f"frame {frame.key} has a different calibration from earlier frames, but a KITTI sequence has only one; "
-            "export as kitti",
-        )
-    sequence.calibration = calibration
-    (root / IMAGES / sequence.name / f"{number:06d}.png").write_bytes(encoded_image(rgb, "png"))
-    (root / SCANS / sequence.name / f"{number:06d}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
-
-
-def _is_dataset(folder: Path) -> bool:
-    """True for an export of annotator: KITTI's own folders have no frames.csv."""
-    return has_frames(folder) and (folder / TRAINING / LABELS).is_dir()
+    def finish(self) -> None:
+        root = self.folder / TRAINING
+        for folder in (CALIBRATIONS, LABELS):
+            (root / folder).mkdir()
+        for sequence in self.sequences.values():
+            rows = "".join(f"{row}\n" for row in sequence.rows)
+            (root / LABELS / f"{sequence.name}.txt").write_text(rows, encoding="utf-8")
+            (root / CALIBRATIONS / f"{sequence.name}.txt").write_text(sequence.calibration or "", encoding="utf-8")
+        self.words.write(self.folder)
+        if untracked := sum(sequence.untracked for sequence in self.sequences.values()):
+            note = f"{amount(untracked, 'box')} without a track id got a new one each; `annotator track` links boxes"
+            self.notes = (note,)
 
 
 def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str], tuple[str, int]]:

@@ -1,17 +1,27 @@
 """labelCloud: a folder of coloured clouds, each with a JSON file of fully oriented boxes.
 
-model.py        the JSON files
-boxes.py        boxes as centre, sizes and angles, or as corners
-calibration.py  transform from a cloud's frame to the camera
-write.py        writes a folder that labelCloud opens
-read.py         reads a folder of labelCloud or of write.py
+    [PART/]pointclouds/ID.ply   coloured clouds, z up; ID.png (or .jpg) is beside them, where labelCloud looks for it
+    [PART/]labels/ID.json       the boxes, in the cloud's frame; _classes.json: classes and the form of all labels
+    [PART/]calib/ID.txt         transform from the cloud's frame to the camera
+    frames.csv                  the origin of each frame
+
+labelCloud rotates its viewport, and by default also boxes, about z. Clouds are therefore written in the level frame at
+the camera (x ahead, y left, z against gravity). Start labelCloud in the folder (or in the folder of a part).
+
+Boxes (labelCloud 1.1.1, `model/bbox.py`, `utils/math3d.py` and `io/labels/`): a box is rotated about x, then y, then z
+of the cloud's frame: R = Rz Ry Rx; sizes are full, length along x, width along y, height along z. `centroid_rel` has
+radians in (-pi, pi], `centroid_abs` degrees in 0..360. `vertices` are the corners (-,-,-), (-,+,-), (+,+,-), (+,-,-) in
+signs along the box's x, y, z, then the same four on top. Numbers have eight decimals, as in labelCloud's default
+settings.
+
+Calibrations are in KITTI's form: `px = P2 * R0_rect * Tr_velo_to_cam * X`, matrices row by row (KITTI object devkit,
+readme.txt). P2 may shift rectified camera 0 to the colour camera: P2 = K [I | t].
 """
 
 from __future__ import annotations
 
 import colorsys
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,11 +33,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import normal, spelled
-from annotator.files import new_folder
-from annotator.formats.dataset_writing import DatasetItem, FrameIds, encoded_image, writing
-from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, dump_frames, has_frames, read_frames
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.frame_names import read_frames
 from annotator.formats.json_file import MOST, Bounded, Bounded3, BoundedPositive, read_model
-from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.ply import write_ply
 from annotator.formats.reading import OnFault, raise_fault, text_rows
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
@@ -37,10 +45,6 @@ from annotator.text import to_number
 from annotator.types import Camera, Frame, OrientedBox, PointCloud
 from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, UnitError, UnitKind
-
-# TODO-MERGED docstring of model.py:
-# labelCloud's JSON files: `labels/ID.json` for each cloud and `labels/_classes.json` for a project (version 1.1).
-
 
 CLASSES_FILE = "_classes.json"
 CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
@@ -114,16 +118,6 @@ class ClassesFile(_Record):
     type: Literal["object_detection", "semantic_segmentation"] = "object_detection"
     format: str = CENTROID_REL
     created_with: Creator | None = None
-
-
-# TODO-MERGED docstring of boxes.py:
-# Boxes in labelCloud's form.
-#
-# Source: labelCloud 1.1.1, `model/bbox.py`, `utils/math3d.py` and `io/labels/`. A box is rotated about x, then y, then z
-# of the cloud's frame: R = Rz Ry Rx; sizes are full, length along x, width along y, height along z. `centroid_rel` has
-# radians in (-pi, pi], `centroid_abs` degrees in 0..360. `vertices` are the corners (-,-,-), (-,+,-), (+,+,-), (+,-,-) in
-# signs along the box's x, y, z, then the same four on top. Numbers have eight decimals, as in labelCloud's default
-# settings.
 
 
 DECIMALS = 8
@@ -252,13 +246,6 @@ def _rounded(value: float) -> float:
     return round(value, DECIMALS) + 0.0
 
 
-# TODO-MERGED docstring of calibration.py:
-# `calib/ID.txt`: the transform from a cloud's frame to the camera, in KITTI's form, as labelCloud stores it.
-#
-# `px = P2 * R0_rect * Tr_velo_to_cam * X`, matrices row by row (KITTI object devkit, readme.txt). P2 may shift rectified
-# camera 0 to the colour camera: P2 = K [I | t].
-
-
 SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 # Tolerance for R^T R = identity; matrices in files are rounded.
 MOST_OFF_ROTATION = 1e-2
@@ -310,98 +297,40 @@ def read_calibration_pose(path: Path) -> RigidTransform:
     return RigidTransform.from_components(pose[:, 3] + shift, Rotation.from_matrix(R))
 
 
-# TODO-MERGED docstring of write.py:
-# Writes a folder that labelCloud opens, one frame in memory at a time.
-#
-#     [PART/]pointclouds/ID.ply   coloured clouds, z up; ID.png (or .jpg) is beside them, where labelCloud looks for it
-#     [PART/]labels/ID.json       the boxes, in the cloud's frame; _classes.json: classes and the form of all labels
-#     [PART/]calib/ID.txt         transform from the cloud's frame to the camera
-#     frames.csv                  the origin of each frame
-#
-# labelCloud rotates its viewport, and by default also boxes, about z. Clouds are therefore written in the level frame at
-# the camera (x ahead, y left, z against gravity). Start labelCloud in the folder (or in the folder of a part).
-
-
 CLOUDS, LABELS, CALIBRATIONS = "pointclouds", "labels", "calib"
-NOT_HELD = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.ATTRIBUTE, Lost.SAID, Lost.LENS, Lost.TIME, Lost.ORIGIN)
 LEVEL_FRAME = "level frame at the camera: x ahead, y left, z up, metres"
 # Golden ratio: hues that differ by this fraction of the circle stay distinct for any number of classes.
 GOLDEN = 0.618034
 
 
-def write_labelcloud(
-    out: Path,
-    items: Iterable[DatasetItem],
-    classes: Sequence[str],
-    losses: Losses,
-    version: str,
-    *,
-    vertices: bool = False,
-    image_format: Literal["png", "jpg"] = "png",
-    overwrite: bool = False,
-) -> Mapping[str, int]:
-    """Writes the folder `out` atomically and returns the number of boxes of each class.
+class LabelCloudWriter(DatasetWriter):
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        folder = self.folder / (item.split or "")
+        for name in (CLOUDS, LABELS, CALIBRATIONS):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        T_level_camera = level_pose(item.frame.up)
+        camera, rgb = straightened(item.frame.camera, item.frame.rgb)
+        image = folder / CLOUDS / f"{frame_id}.{self.info.image_format}"
+        image.write_bytes(encoded_image(rgb, self.info.image_format))
+        write_ply(folder / CLOUDS / f"{frame_id}.ply", _level(item.frame, T_level_camera), LEVEL_FRAME)
+        calibration = dump_calibration(camera, T_level_camera.inv())
+        (folder / CALIBRATIONS / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
+        dump = vertices_object if self.info.vertices else centroid_object
+        content = LabelFile(
+            folder=CLOUDS,
+            filename=f"{frame_id}.ply",
+            path=f"{CLOUDS}/{frame_id}.ply",
+            objects=tuple(dump(label.label, label.box.transformed(T_level_camera)) for label in item.labels),
+        )
+        text = content.model_dump_json(indent=1, exclude_none=True) + "\n"
+        (folder / LABELS / f"{frame_id}.json").write_text(text, encoding="utf-8")
+        self.counts.update(label.label for label in item.labels)
 
-    Args:
-        items: the frames, read one by one; if reading one raises, `out` is unchanged.
-        classes: all class names, in order.
-        losses: counts what the format cannot store.
-        version: annotator's version.
-        vertices: write boxes as corners instead of centre, sizes and angles.
-        overwrite: replace an older export of this format.
-
-    Raises:
-        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
-    """
-    ids, origins, counts = FrameIds(), list[FrameOrigin](), Counter[str]()
-    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
-        for item in items:
-            count_lost(losses, item, NOT_HELD)
-            if item.frame.up is None:
-                losses.add(Lost.LEVEL)
-            frame_id = ids.add(out, item)
-            with writing(out):
-                _write_frame(part / (item.split or ""), frame_id, item, vertices, image_format)
-            origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
-            counts.update(label.label for label in item.labels)
-        if not origins:
-            raise FormatError(out, "there is no frame to export; the export was not written")
-        with writing(out):
-            content = _classes(classes, VERTICES if vertices else CENTROID_REL, version)
-            for split in dict.fromkeys(origin.split for origin in origins):
-                (part / (split or "") / LABELS / CLASSES_FILE).write_text(content, encoding="utf-8")
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
-    return counts
-
-
-def _is_dataset(folder: Path) -> bool:
-    """True for an export of annotator: a project created in labelCloud has no frames.csv."""
-    return has_frames(folder) and any(
-        next(folder.glob(pattern), None) for pattern in (f"{LABELS}/{CLASSES_FILE}", f"*/{LABELS}/{CLASSES_FILE}")
-    )
-
-
-def _write_frame(
-    folder: Path, frame_id: str, item: DatasetItem, vertices: bool, image_format: Literal["png", "jpg"]
-) -> None:
-    """Writes the frame's four files."""
-    for name in (CLOUDS, LABELS, CALIBRATIONS):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    T_level_camera = level_pose(item.frame.up)
-    camera, rgb = straightened(item.frame.camera, item.frame.rgb)
-    (folder / CLOUDS / f"{frame_id}.{image_format}").write_bytes(encoded_image(rgb, image_format))
-    write_ply(folder / CLOUDS / f"{frame_id}.ply", _level(item.frame, T_level_camera), LEVEL_FRAME)
-    calibration = dump_calibration(camera, T_level_camera.inv())
-    (folder / CALIBRATIONS / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
-    dump = vertices_object if vertices else centroid_object
-    content = LabelFile(
-        folder=CLOUDS,
-        filename=f"{frame_id}.ply",
-        path=f"{CLOUDS}/{frame_id}.ply",
-        objects=tuple(dump(label.label, label.box.transformed(T_level_camera)) for label in item.labels),
-    )
-    text = content.model_dump_json(indent=1, exclude_none=True) + "\n"
-    (folder / LABELS / f"{frame_id}.json").write_text(text, encoding="utf-8")
+    def finish(self) -> None:
+        version = self.info.generator.removeprefix("annotator ")
+        content = _classes(self.info.classes, VERTICES if self.info.vertices else CENTROID_REL, version)
+        for split in dict.fromkeys(origin.split for origin in self.origins):
+            (self.folder / (split or "") / LABELS / CLASSES_FILE).write_text(content, encoding="utf-8")
 
 
 def _level(frame: Frame, T_level_camera: RigidTransform) -> PointCloud:
@@ -420,10 +349,6 @@ def _classes(names: Sequence[str], form: str, version: str) -> str:
 def _color(number: int) -> str:
     red, green, blue = colorsys.hsv_to_rgb(number * GOLDEN % 1.0, 0.75, 1.0)
     return f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
-
-
-# TODO-MERGED docstring of read.py:
-# Reads the boxes of a labelCloud project, exported by annotator or created in labelCloud.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,13 @@
 """OpenLABEL (ASAM, 1.0.0): objects with fully oriented cuboids over the frames of a recording, as JSON.
 
-model.py        the parts of a document that boxes need
-shapes.py       cuboids, transforms and cameras in the standard's form
-coordinates.py  transforms between the coordinate systems of a document
-scene.py        builds the document of a recording
-write.py        writes a folder of documents
-read.py         reads documents
+    [PART/]RECORDING.json   one document per recording
+    [PART/]images/ID.png    the camera images (or .jpg)
+    [PART/]clouds/ID.ply    the clouds, camera frame
+    frames.csv              the origin of each frame
+
+There is one document per recording because frame numbers and object identities are valid within one document: readers
+treat a file as one scene with one set of sensors. Each part of a divided dataset is a folder of its own.
+`openlabel_document.py` defines the JSON.
 """
 
 from __future__ import annotations
@@ -15,17 +17,15 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import normal, stem_of
-from annotator.files import new_folder, open_file
-from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
-from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, dump_frames, read_frames
+from annotator.files import open_file
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
+from annotator.formats.frame_names import FrameOrigin, has_frames, read_frames
 from annotator.formats.json_file import read_model, unique_keys
-from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.openlabel_document import (
     FRAME_CONTEXT,
     SAID_BY,
@@ -70,10 +70,6 @@ from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.types import Frame as RecordedFrame
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said
-
-# TODO-MERGED docstring of scene.py:
-# Builds the OpenLABEL document of a recording, frame by frame.
-
 
 WORLD, BASE, CAMERA, CLOUD = "world", "base", "camera", "cloud"
 # Axes of the base (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
@@ -275,69 +271,34 @@ def _intervals(numbers: Iterable[int]) -> tuple[FrameInterval, ...]:
     return tuple(FrameInterval(frame_start=first, frame_end=last) for first, last in runs)
 
 
-# TODO-MERGED docstring of write.py:
-# Writes a folder of OpenLABEL documents with their images and clouds, one frame in memory at a time.
-#
-#     [PART/]RECORDING.json   one document per recording
-#     [PART/]images/ID.png    the camera images (or .jpg)
-#     [PART/]clouds/ID.ply    the clouds, camera frame
-#     frames.csv              the origin of each frame
-#
-# There is one document per recording because frame numbers and object identities are valid within one document: readers
-# treat a file as one scene with one set of sensors. Each part of a divided dataset is a folder of its own.
-
-
 # Exported documents have the key "openlabel" within these first bytes.
 _HEAD_BYTES = 64
 
 
-def write_openlabel(
-    out: Path,
-    items: Iterable[DatasetItem],
-    generator: str,
-    image_format: Literal["png", "jpg"] = "png",
-    *,
-    comment: str | None = None,
-    losses: Losses | None = None,
-    overwrite: bool = False,
-) -> Mapping[str, int]:
-    """Writes the folder `out` atomically and returns the number of objects of each class.
+class OpenLabelWriter(DatasetWriter):
+    def begin(self) -> None:
+        self._scenes: dict[tuple[str | None, str], Scene] = {}
+        used = [f"{detector.role}: {detector.name}" for detector in self.info.detectors]
+        self._comment = f"Detectors that proposed boxes: {'; '.join(used)}" if used else None
 
-    Args:
-        items: the frames, read one by one; if reading one raises, `out` is unchanged.
-        generator: program and version.
-        comment: about the boxes, for the metadata of each document.
-        losses: counts what the format cannot store; None: not counted.
-        overwrite: replace an older export of this format.
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        image, cloud = f"images/{frame_id}.{self.info.image_format}", f"clouds/{frame_id}.ply"
+        folder = self.folder / (item.split or "")
+        for name in ("images", "clouds"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / image).write_bytes(encoded_image(item.frame.rgb, self.info.image_format))
+        write_ply(folder / cloud, item.frame.cloud)
+        scene = Scene(item.recording, self.info.generator, self._comment)
+        self._scenes.setdefault((item.split, item.recording), scene).add(item, image, cloud)
+        self.counts.update(label.label for label in item.labels)
 
-    Raises:
-        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
-    """
-    scenes: dict[tuple[str | None, str], Scene] = {}
-    ids, origins, objects = FrameIds(), [], Counter[str]()
-    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
-        for item in items:
-            if losses is not None:
-                count_lost(losses, item, (Lost.GRAVITY,))
-            frame_id = ids.add(out, item)
-            scene = scenes.setdefault((item.split, item.recording), Scene(item.recording, generator, comment))
-            image, cloud = f"images/{frame_id}.{image_format}", f"clouds/{frame_id}.ply"
-            with writing(out):
-                folder = part / (item.split or "")
-                for name in ("images", "clouds"):
-                    (folder / name).mkdir(parents=True, exist_ok=True)
-                (folder / image).write_bytes(encoded_image(item.frame.rgb, image_format))
-                write_ply(folder / cloud, item.frame.cloud)
-            scene.add(item, image, cloud)
-            origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
-            objects.update(label.label for label in item.labels)
-        if not origins:
-            raise FormatError(out, "there is no frame to export; the export was not written")
-        with writing(out):
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
-            for name, scene in _named(scenes).items():
-                (part / name).write_text(dump(scene.document()), encoding="utf-8")
-    return objects
+    def finish(self) -> None:
+        # a recording has the same file name in all parts
+        names = FileNames()
+        stems = {recording: names.add(recording) for recording in dict.fromkeys(each for _, each in self._scenes)}
+        for (split, recording), scene in self._scenes.items():
+            file = self.folder / (split or "") / f"{stems[recording]}.json"
+            file.write_text(dump(scene.document()), encoding="utf-8")
 
 
 def dump(document: Document) -> str:
@@ -345,28 +306,15 @@ def dump(document: Document) -> str:
     return document.model_dump_json(indent=1, exclude_none=True) + "\n"
 
 
-def _named(scenes: Mapping[tuple[str | None, str], Scene]) -> dict[str, Scene]:
-    """Returns the documents by their path within the dataset; a recording has the same file name in all parts."""
-    names = FileNames()
-    stems = {recording: names.add(recording) for recording in dict.fromkeys(recording for _, recording in scenes)}
-    return {f"{split or '.'}/{stems[recording]}.json": scene for (split, recording), scene in scenes.items()}
-
-
-def _is_dataset(folder: Path) -> bool:
+def is_openlabel_export(folder: Path) -> bool:
     """True for an export of annotator; no other folder is overwritten."""
-    if not (folder / FRAMES_CSV).is_file():
-        return False
     documents = [*folder.glob("*.json"), *folder.glob("*/*.json")]
-    return bool(documents) and all(_is_document(path) for path in documents)
+    return has_frames(folder) and bool(documents) and all(map(_is_document, documents))
 
 
 def _is_document(path: Path) -> bool:
     with open_file(path) as stream:
         return b'"openlabel"' in stream.read(_HEAD_BYTES)
-
-
-# TODO-MERGED docstring of read.py:
-# Reads the cuboids of OpenLABEL documents, frame by frame, in the camera's coordinates.
 
 
 @dataclass(frozen=True, eq=False)
@@ -587,6 +535,3 @@ def _track(attribute: float | None, uid: str) -> int | None:
     if abs(number := int(uid)) > MOST_TRACK:
         raise ValueError(f"the object's number is its track id and must be at most {MOST_TRACK}, not {number:.6g}")
     return number
-
-
-__all__ = ["OpenLabelBox", "OpenLabelFrame", "read_openlabel", "write_openlabel"]

@@ -1,22 +1,25 @@
 """The `rcv` dataset: a folder of images, coloured point clouds and oriented boxes, modelled on 3D_HUMAN and 3D_HAND.
 
-readme.py writes the README.md that describes the folder; model.py defines its JSON.
+    dataset.json          classes, cameras, counts, and the ids of all frames in order
+    images/ID.png|jpg     clouds/ID.ply     labels/ID.json     splits/PART.txt     README.md
+
+`rcv_files.py` defines the JSON and the README.md, which describes the folder.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import OutsideError, inside, spelled
-from annotator.files import TABLE_BYTES, new_folder, read_text_file
-from annotator.formats.dataset_writing import DatasetItem, FrameIds, encoded_image, writing
+from annotator.files import TABLE_BYTES, read_text_file
+from annotator.formats.dataset_writing import JPEG_QUALITY, DatasetItem, DatasetWriter, encoded_image
 from annotator.formats.json_file import read_model
 from annotator.formats.ply import read_ply, write_ply
 from annotator.formats.rcv_files import (
@@ -43,47 +46,27 @@ from annotator.geometry.transforms import corners_4x8
 from annotator.image_bytes import read_image
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 from annotator.types.errors import FormatError
-from annotator.types.label import AttributeValue, Said
-
-# TODO-MERGED docstring of convert.py:
-# Converts annotator's types to and from the records of an `rcv` dataset.
-
+from annotator.types.label import Said
 
 # Tolerance between quaternion or corners and the centre, rotation and size; metres for corners.
 AGREEMENT = 1e-6
 
 
 def camera_record(camera: Camera) -> RcvCamera:
-    return RcvCamera(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        distortion=camera.distortion,
-    )
+    return RcvCamera(**asdict(camera))
 
 
 def camera_from(record: RcvCamera) -> Camera:
     """Returns the camera; raises ValueError for a number of distortion coefficients that OpenCV does not support."""
-    size = (record.width_px, record.height_px)
-    return Camera(*size, record.fx, record.fy, record.cx, record.cy, record.distortion)
+    return Camera(**record.model_dump())
 
 
-def labels_record(
-    frame_id: str,
-    recording: str,
-    frame: Frame,
-    labels: Sequence[Label],
-    image: str,
-    cloud: str,
-    attributes: Mapping[str, AttributeValue],
-) -> RcvLabels:
+def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> RcvLabels:
     """Returns the record of one frame; `image` and `cloud` are its files within the dataset."""
+    frame = item.frame
     return RcvLabels(
         id=frame_id,
-        recording=recording,
+        recording=item.recording,
         key=frame.key,
         index=frame.index,
         timestamp_ns=frame.timestamp_ns,
@@ -94,25 +77,26 @@ def labels_record(
         up=None if frame.up is None else _vector(frame.up),
         camera=camera_record(frame.camera),
         world=None if frame.T_world_camera is None else _pose_record(frame.T_world_camera),
-        attributes=dict(attributes),
-        objects=tuple(object_record(label) for label in labels),
+        attributes=dict(item.attributes),
+        objects=tuple(map(object_record, item.labels)),
     )
+
+
+# What labels and their records have in common.
+COMMON = (
+    *("uid", "label", "score", "source", "state", "author", "time_ns", "track_id"),
+    *("expected_iou_loss", "suggestion", "box_kind"),
+)
+
+
+def _common(of: Label | RcvObject) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in COMMON}
 
 
 def object_record(label: Label) -> RcvObject:
     box = label.box
     return RcvObject(
-        uid=label.uid,
-        label=label.label,
-        score=label.score,
-        source=label.source,
-        state=label.state,
-        author=label.author,
-        time_ns=label.time_ns,
-        track_id=label.track_id,
-        expected_iou_loss=label.expected_iou_loss,
-        suggestion=label.suggestion,
-        box_kind=label.box_kind,
+        **_common(label),
         attributes=dict(label.attributes),
         said=tuple(map(_said_record, label.said)),
         center=_vector(box.center_m),
@@ -139,22 +123,7 @@ def label_from(record: RcvObject) -> Label:
     reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
     if np.abs(corners_4x8(box) - np.array(record.corners)).max() > AGREEMENT * reach:
         raise ValueError("corners disagree with center, size and rotation; correct the corners")
-    return Label(
-        uid=record.uid,
-        label=record.label,
-        box=box,
-        score=record.score,
-        source=record.source,
-        state=record.state,
-        author=record.author,
-        time_ns=record.time_ns,
-        track_id=record.track_id,
-        expected_iou_loss=record.expected_iou_loss,
-        suggestion=record.suggestion,
-        box_kind=record.box_kind,
-        attributes=record.attributes,
-        said=tuple(map(_said, record.said)),
-    )
+    return Label(**_common(record), box=box, attributes=record.attributes, said=tuple(map(_said, record.said)))
 
 
 def _said_record(said: Said) -> RcvSaid:
@@ -200,110 +169,38 @@ def _matrix(values: np.ndarray) -> Matrix3:
     return (_vector(values[0]), _vector(values[1]), _vector(values[2]))
 
 
-# TODO-MERGED docstring of export.py:
-# Writes an `rcv` dataset, one frame in memory at a time.
-
-
 MANIFEST = "dataset.json"
 FOLDERS = ("images", "clouds", "labels")
 SPLITS = "splits"
 
 
-@dataclass(frozen=True)
-class RcvInfo:
-    """Data about an export, written to its manifest.
+class RcvWriter(DatasetWriter):
+    """Writes all that labels hold. Every label must have one of `info.classes`."""
 
-    Attributes:
-        classes: all class names of the project, in its order; every label must be one of them.
-        detectors: the detectors that contributed to the boxes.
-        generator: program and version, such as "annotator 0.1.0".
-        options: how images are written.
-    """
+    def begin(self) -> None:
+        self.splits: dict[str, list[str]] = {}
+        self.cameras: dict[RcvCamera, list[str]] = {}
+        self.points = 0
+        self.by_recording, self.objects_by_recording = Counter[str](), Counter[str]()
+        self.by_state, self.by_source = Counter[ReviewState](), Counter[Source]()
+        for name in FOLDERS:
+            (self.folder / name).mkdir()
 
-    classes: tuple[str, ...]
-    detectors: tuple[RcvDetector, ...]
-    generator: str
-    options: RcvOptions = field(default_factory=RcvOptions)
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        classes = self.info.classes
+        for label in item.labels:
+            if label.label not in classes:
+                where = f"{item.recording}, frame {item.frame.key}"
+                problem = f"{where}: label {label.label!r} is not one of the classes {', '.join(classes)}"
+                raise FormatError(self.out, problem)
+        self._count(item, frame_id)
+        image, cloud = f"images/{frame_id}.{self.info.image_format}", f"clouds/{frame_id}.ply"
+        (self.folder / image).write_bytes(encoded_image(item.frame.rgb, self.info.image_format))
+        write_ply(self.folder / cloud, item.frame.cloud)
+        record = labels_record(frame_id, item, image, cloud)
+        (self.folder / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
-
-def export_rcv(out: Path, items: Iterable[DatasetItem], info: RcvInfo, *, overwrite: bool = False) -> RcvManifest:
-    """Writes the dataset folder `out` atomically and returns the content of its `dataset.json`.
-
-    Args:
-        out: a folder that is missing or empty; with `overwrite`, an older rcv dataset is replaced.
-        items: the frames, read one by one; if reading one raises, `out` is unchanged.
-        info: classes, detectors, generator, options.
-
-    Raises:
-        FormatError: `out` exists, there is no frame, a frame occurs twice, a label has an unknown class, or writing
-            fails.
-    """
-    with new_folder(out, lambda folder: overwrite and _is_rcv(folder)) as part:
-        tally = _Tally()
-        with writing(out):
-            for name in FOLDERS:
-                (part / name).mkdir()
-        for item in items:
-            _require_classes(out, item, info.classes)
-            frame_id = tally.add(out, item)
-            with writing(out):
-                _write_frame(part, frame_id, item, info.options)
-        if not tally.ids.ids:
-            raise FormatError(out, "there is no frame to export; the export was not written")
-        manifest = tally.manifest(info)
-        with writing(out):
-            (part / "README.md").write_text(readme_text(manifest), encoding="utf-8")
-            (part / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
-            _write_splits(part, tally.splits)
-    return manifest
-
-
-def _is_rcv(folder: Path) -> bool:
-    """True for an export of annotator; no other folder is overwritten."""
-    manifest = folder / MANIFEST
-    return manifest.is_file() and f'"{FORMAT_NAME}"' in read_text_file(manifest, TABLE_BYTES, errors="replace")
-
-
-def _require_classes(out: Path, item: DatasetItem, classes: tuple[str, ...]) -> None:
-    for label in item.labels:
-        if label.label not in classes:
-            where = f"{item.recording}, frame {item.frame.key}"
-            raise FormatError(out, f"{where}: label {label.label!r} is not one of the classes {', '.join(classes)}")
-
-
-def _write_frame(part: Path, frame_id: str, item: DatasetItem, options: RcvOptions) -> None:
-    """Writes the frame's three files."""
-    image, cloud = f"images/{frame_id}.{options.image_format}", f"clouds/{frame_id}.ply"
-    (part / image).write_bytes(encoded_image(item.frame.rgb, options.image_format, options.jpeg_quality))
-    write_ply(part / cloud, item.frame.cloud)
-    record = labels_record(frame_id, item.recording, item.frame, item.labels, image, cloud, item.attributes)
-    (part / f"labels/{frame_id}.json").write_text(record.model_dump_json(indent=1) + "\n", encoding="utf-8")
-
-
-def _write_splits(part: Path, splits: Mapping[str, Sequence[str]]) -> None:
-    """Writes the ids of each part of a divided dataset, one per line."""
-    for name, ids in splits.items():
-        (part / SPLITS).mkdir(exist_ok=True)
-        (part / SPLITS / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")
-
-
-@dataclass
-class _Tally:
-    """Ids and counts of the frames so far."""
-
-    ids: FrameIds = field(default_factory=FrameIds)
-    splits: dict[str, list[str]] = field(default_factory=dict)
-    cameras: dict[RcvCamera, list[str]] = field(default_factory=dict)
-    points: int = 0
-    by_recording: Counter[str] = field(default_factory=Counter)
-    objects_by_recording: Counter[str] = field(default_factory=Counter)
-    objects_by_class: Counter[str] = field(default_factory=Counter)
-    objects_by_state: Counter[ReviewState] = field(default_factory=Counter)
-    objects_by_source: Counter[Source] = field(default_factory=Counter)
-
-    def add(self, out: Path, item: DatasetItem) -> str:
-        """Counts the frame and returns its id."""
-        frame_id = self.ids.add(out, item)
+    def _count(self, item: DatasetItem, frame_id: str) -> None:
         if item.split is not None:
             self.splits.setdefault(item.split, []).append(frame_id)
         recordings = self.cameras.setdefault(camera_record(item.frame.camera), [])
@@ -312,37 +209,46 @@ class _Tally:
         self.points += len(item.frame.cloud)
         self.by_recording[item.recording] += 1
         self.objects_by_recording[item.recording] += len(item.labels)
-        self.objects_by_class.update(label.label for label in item.labels)
-        self.objects_by_state.update(label.state for label in item.labels)
-        self.objects_by_source.update(label.source for label in item.labels)
-        return frame_id
+        self.counts.update(label.label for label in item.labels)
+        self.by_state.update(label.state for label in item.labels)
+        self.by_source.update(label.source for label in item.labels)
 
-    def manifest(self, info: RcvInfo) -> RcvManifest:
+    def finish(self) -> None:
+        manifest = self.manifest()
+        (self.folder / "README.md").write_text(readme_text(manifest), encoding="utf-8")
+        (self.folder / MANIFEST).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
+        for name, ids in self.splits.items():
+            (self.folder / SPLITS).mkdir(exist_ok=True)
+            (self.folder / SPLITS / f"{name}.txt").write_text("".join(f"{each}\n" for each in ids), encoding="utf-8")
+
+    def manifest(self) -> RcvManifest:
         return RcvManifest(
             format=FORMAT_NAME,
             version=FORMAT_VERSION,
-            generator=info.generator,
-            classes=info.classes,
+            generator=self.info.generator,
+            classes=self.info.classes,
             conventions=RcvConventions(),
-            detectors=info.detectors,
-            options=info.options,
+            detectors=tuple(RcvDetector(**asdict(each)) for each in self.info.detectors),
+            options=RcvOptions(image_format=self.info.image_format, jpeg_quality=JPEG_QUALITY),
             cameras=tuple(RcvCameraUse(camera=c, recordings=tuple(names)) for c, names in self.cameras.items()),
             counts=RcvCounts(
-                frames=len(self.ids.ids),
-                objects=sum(self.objects_by_class.values()),
+                frames=len(self.origins),
+                objects=self.counts.total(),
                 points=self.points,
                 frames_by_recording=dict(self.by_recording),
                 objects_by_recording=dict(self.objects_by_recording),
-                objects_by_class={name: self.objects_by_class[name] for name in info.classes},
-                objects_by_state={state: self.objects_by_state[state] for state in ReviewState},
-                objects_by_source={source: self.objects_by_source[source] for source in Source},
+                objects_by_class={name: self.counts[name] for name in self.info.classes},
+                objects_by_state={state: self.by_state[state] for state in ReviewState},
+                objects_by_source={source: self.by_source[source] for source in Source},
             ),
-            frames=tuple(self.ids.ids.values()),
+            frames=tuple(origin.id for origin in self.origins),
         )
 
 
-# TODO-MERGED docstring of read.py:
-# Reads an `rcv` dataset, one frame at a time.
+def is_rcv_export(folder: Path) -> bool:
+    """True for an export of annotator; no other folder is overwritten."""
+    manifest = folder / MANIFEST
+    return manifest.is_file() and f'"{FORMAT_NAME}"' in read_text_file(manifest, TABLE_BYTES, errors="replace")
 
 
 # Maximum number of characters that a message quotes from an invalid name.
@@ -517,14 +423,3 @@ def _labels(path: Path, record: RcvLabels) -> tuple[Label, ...]:
         except ValueError as error:
             raise FormatError(path, f"objects.{number}: {error}") from error
     return tuple(labels)
-
-
-__all__ = [
-    "RcvDataset",
-    "RcvDetector",
-    "RcvFrame",
-    "RcvInfo",
-    "RcvOptions",
-    "export_rcv",
-    "read_rcv",
-]

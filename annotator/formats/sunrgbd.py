@@ -1,10 +1,24 @@
-"""SUN RGB-D: VoteNet's folder layout and the data set's own label table."""
+"""SUN RGB-D: VoteNet's folder layout with the data set's own label table beside it, and the labels of raw scenes.
+
+    image/ID.jpg  calib/ID.txt  depth/ID.mat  label/ID.txt  PART_data_idx.txt  SUNRGBDMeta3DBB_v2.mat  frames.csv
+
+Clouds (`instance`: n x 6 float32, x y z metres, r g b in 0..1) and labels are in the frame "upright depth": x right, y
+forward, z up, tilt removed (`sunrgbd_table.py`). Boxes of labels are upright. A label row has 13 fields
+(`votenet/sunrgbd/sunrgbd_utils.py`, `SUNObject3d`)
+
+    class xmin ymin width height cx cy cz half_width half_length half_height ox oy
+
+with pixels counted from 1 and the length along the orientation (ox, oy). A calib file has `Rtilt` and `K` on one line
+each, column by column. IDs have six digits; index lists store them as numbers.
+
+Raw scenes (`annotation3Dfinal/index.json`) have a polygon of four corners on the ground, X to the right and Z forward,
+between the heights Ymin and Ymax, which increase downwards; the orientation points from the polygon's middle to the
+middle of its first edge (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -15,19 +29,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform
 
 from annotator.file_names import spelled
-from annotator.files import new_folder
-from annotator.formats.dataset_writing import DatasetItem, encoded_image, writing
-from annotator.formats.frame_names import (
-    CLASS_NAMES,
-    FRAMES_CSV,
-    ClassWords,
-    DatasetNames,
-    FrameOrigin,
-    dump_frames,
-    has_frames,
-)
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
 from annotator.formats.json_file import read_model
-from annotator.formats.losses import Losses, Lost, count_lost
+from annotator.formats.losses import Lost
 from annotator.formats.reading import finite_number, text_files, text_rows
 from annotator.formats.sunrgbd_table import (
     FIRST_PX,
@@ -46,77 +51,69 @@ from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
 from annotator.types.errors import FormatError
 
-# TODO-MERGED docstring of folder.py:
-# Writes SUN RGB-D in the layout of VoteNet's extracted data, with the data set's own label table beside it.
-#
-# image/ID.jpg  calib/ID.txt  depth/ID.mat  label/ID.txt  PART_data_idx.txt, `SUNRGBDMeta3DBB_v2.mat` (`meta_table.py`)
-# and frames.csv with the origin of each frame.
-#
-# Clouds (`instance`: n x 6 float32, x y z metres, r g b in 0..1) and labels are in upright depth (`upright_depth.py`).
-# A label row is (`votenet/sunrgbd/sunrgbd_utils.py`, `SUNObject3d`)
-#
-#     class xmin ymin width height cx cy cz half_width half_length half_height ox oy
-#
-# with pixels counted from 1 and the length along (ox, oy); its box is upright. A calib file has `Rtilt` and `K` on one
-# line each, column by column. IDs have six digits; index lists store them as numbers.
-
-
 PARTS = ("image", "calib", "depth", "label")
 INDEX = "{}_data_idx.txt"
-NOT_HELD = (
-    Lost.SCORE,
-    Lost.TRACK,
-    Lost.STATE,
-    Lost.ATTRIBUTE,
-    Lost.SAID,
-    Lost.LENS,
-    Lost.REFLECTANCE,
-    Lost.TIME,
-    Lost.ORIGIN,
-)
+# The data set numbers its frames from 1.
+FIRST_ID = 1
 UP = np.array([0.0, 0.0, 1.0])
 # Minimum side of a 2D box, pixels; objects that are narrower on the image are left out.
 LEAST_SIDE_PX = 0.01
 LEAST_HALF_M = 1e-6
 
 
-def write_sunrgbd(
-    out: Path,
-    items: Iterable[DatasetItem],
-    ids: Mapping[tuple[str, str], str],
-    classes: Sequence[str],
-    losses: Losses,
-    *,
-    overwrite: bool = False,
-) -> Counter[str]:
-    """Writes the folder `out` atomically, with one frame and the labels of all frames in memory.
+class SunRgbdWriter(DatasetWriter):
+    """Has the labels of all frames in memory. Parts may have any name. Only the table stores tilted boxes."""
 
-    Arguments, result and errors as in `kitti.object_folder.write_kitti`, except that parts may have any name. Only the
-    table stores tilted boxes.
-    """
-    from scipy.io import savemat
+    def begin(self) -> None:
+        self._words = ClassWords(self.info.classes)
+        self._ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places], FIRST_ID)
+        self._table: list[MetaRow] = []
+        for name in PARTS:
+            (self.folder / name).mkdir()
 
-    words, counts, origins = ClassWords(classes), Counter[str](), list[FrameOrigin]()
-    table: list[MetaRow] = []
-    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
-        with writing(out):
-            for name in PARTS:
-                (part / name).mkdir()
-        for item in items:
-            origin = FrameOrigin(ids[item.recording, item.frame.key], item.recording, item.frame.key, item.split)
-            origins.append(origin)
-            count_lost(losses, item, NOT_HELD)
-            with writing(out):
-                table.append(_write_frame(part, origin, item, words, counts, losses))
-        if not origins:
-            raise FormatError(out, "there is no frame to export; the export was not written")
-        with writing(out):
-            savemat(str(part / META), dump_meta(table), do_compression=True)
-            _write_lists(part, origins)
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
-            if changed := words.dump():
-                (part / CLASS_NAMES).write_text(changed, encoding="utf-8")
-    return counts
+    def frame_id(self, item: DatasetItem) -> str:
+        return self._ids[item.recording, item.frame.key]
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        from scipy.io import savemat
+
+        frame, losses = item.frame, self.losses
+        camera, rgb = straightened(frame.camera, frame.rgb)
+        T = upright_frame(frame)
+        (self.folder / "image" / f"{frame_id}.jpg").write_bytes(encoded_image(rgb, "jpg"))
+        (self.folder / "calib" / f"{frame_id}.txt").write_text(calibration_text(camera, T), encoding="utf-8")
+        # compressed as in the data set, which halves the size
+        points = upright_points(frame, T, camera, rgb)
+        savemat(str(self.folder / "depth" / f"{frame_id}.mat"), {"instance": points}, do_compression=True)
+        rows, boxes = [], []
+        for label in item.labels:
+            box = label.box.transformed(T.inv())
+            upright, tilt_rad = nearest_upright(box, UP)
+            on_image = box_on_image(camera, upright.transformed(T), label.label, LEAST_SIDE_PX)
+            if on_image is None:
+                losses.add(Lost.OUTSIDE)
+                continue
+            losses.add_tilt(tilt_rad)
+            if self._words.is_changed(label.label):
+                losses.add(Lost.NAME)
+            self.counts[label.label] += 1
+            rows.append(dump_label_row(self._words[label.label], upright, on_image) + "\n")
+            boxes.append((label.label, box, on_image))
+        (self.folder / "label" / f"{frame_id}.txt").write_text("".join(rows), encoding="utf-8")
+        files = (f"depth/{frame_id}.mat", f"image/{frame_id}.jpg")
+        self._table.append(meta_frame(self.origins[-1].name, files, camera, T, boxes))
+
+    def finish(self) -> None:
+        """Writes the table, and the frame numbers of each part, one per line; without parts all are in train."""
+        from scipy.io import savemat
+
+        savemat(str(self.folder / META), dump_meta(self._table), do_compression=True)
+        parts: dict[str, list[str]] = {}
+        for origin in self.origins:
+            parts.setdefault(origin.split or "train", []).append(f"{int(origin.id)}\n")
+        for name, numbers in parts.items():
+            (self.folder / INDEX.format(name)).write_text("".join(numbers), encoding="utf-8")
+        self._words.write(self.folder)
 
 
 def dump_label_row(label: str, box: OrientedBox, on_image: Box2D) -> str:
@@ -146,45 +143,6 @@ def calibration_text(camera: Camera, T_camera_upright: RigidTransform) -> str:
     return "".join(" ".join(f"{value:.12g}" for value in matrix.T.ravel()) + "\n" for matrix in matrices)
 
 
-def _is_dataset(folder: Path) -> bool:
-    """True for an export of annotator: VoteNet's folders have no frames.csv."""
-    return has_frames(folder) and (folder / META).is_file() and (folder / "label").is_dir()
-
-
-def _write_frame(
-    part: Path, origin: FrameOrigin, item: DatasetItem, words: ClassWords, counts: Counter[str], losses: Losses
-) -> MetaRow:
-    """Writes the frame's four files; returns its element of the table."""
-    from scipy.io import savemat
-
-    frame, stem = item.frame, origin.id
-    camera, rgb = straightened(frame.camera, frame.rgb)
-    T = upright_frame(frame)
-    if frame.up is None:
-        losses.add(Lost.LEVEL)
-    (part / "image" / f"{stem}.jpg").write_bytes(encoded_image(rgb, "jpg"))
-    (part / "calib" / f"{stem}.txt").write_text(calibration_text(camera, T), encoding="utf-8")
-    # compressed as in the data set, which halves the size
-    points = upright_points(frame, T, camera, rgb)
-    savemat(str(part / "depth" / f"{stem}.mat"), {"instance": points}, do_compression=True)
-    rows, boxes = [], []
-    for label in item.labels:
-        box = label.box.transformed(T.inv())
-        upright, tilt_rad = nearest_upright(box, UP)
-        on_image = box_on_image(camera, upright.transformed(T), label.label, LEAST_SIDE_PX)
-        if on_image is None:
-            losses.add(Lost.OUTSIDE)
-            continue
-        losses.add_tilt(tilt_rad)
-        if words.is_changed(label.label):
-            losses.add(Lost.NAME)
-        counts[label.label] += 1
-        rows.append(dump_label_row(words[label.label], upright, on_image) + "\n")
-        boxes.append((label.label, box, on_image))
-    (part / "label" / f"{stem}.txt").write_text("".join(rows), encoding="utf-8")
-    return meta_frame(origin.name, (f"depth/{stem}.mat", f"image/{stem}.jpg"), camera, T, boxes)
-
-
 def upright_points(
     frame: Frame, T_camera_upright: RigidTransform, camera: Camera, rgb: np.ndarray
 ) -> Float32[np.ndarray, "n 6"]:
@@ -204,29 +162,6 @@ def upright_points(
         u, v = px[inside].astype(np.int64).T
         colors[inside] = rgb[v, u]
     return np.column_stack([xyz, colors / 255.0]).astype(np.float32)
-
-
-def _write_lists(part: Path, origins: Sequence[FrameOrigin]) -> None:
-    """Writes the frame numbers of each part, one per line; without parts all are in train."""
-    parts: dict[str, list[str]] = {}
-    for origin in origins:
-        parts.setdefault(origin.split or "train", []).append(f"{int(origin.id)}\n")
-    for name, numbers in parts.items():
-        (part / INDEX.format(name)).write_text("".join(numbers), encoding="utf-8")
-
-
-# TODO-MERGED docstring of labels.py:
-# SUN RGB-D's 3D boxes: VoteNet's `label/KEY.txt`, and a raw scene's `annotation3Dfinal/index.json`.
-#
-# Both are in the frame "upright depth": x right, y forward, z up, tilt removed. Their boxes are upright.
-#
-# VoteNet, 13 fields per row (`votenet/sunrgbd/sunrgbd_utils.py`, `SUNObject3d`):
-#
-#     class xmin ymin width height cx cy cz half_width half_length half_height ox oy
-#
-# with the length along the orientation (ox, oy). Raw scenes have a polygon of four corners on the ground, X to the right
-# and Z forward, between the heights Ymin and Ymax, which increase downwards; the orientation points from the polygon's
-# middle to the middle of its first edge (SUNRGBDtoolbox, `readframeSUNRGBD.m`).
 
 
 FIELDS = 13

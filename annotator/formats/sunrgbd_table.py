@@ -9,8 +9,12 @@ in this order, and in groundtruth3DBB, one element per object,
     basis coeffs centroid classname sequenceName orientation label  gtBb2D
 
 of which the last, the 2D box x y width height, is only in the first version of the labels. Everything is in upright
-depth (`upright_depth.py`), metres, pixels counted from 1. The rows of `basis` are the box's axes and `coeffs` its half
+depth, metres, pixels counted from 1. The rows of `basis` are the box's axes and `coeffs` its half
 sizes along them (`get_corners_of_bb3d.m`): across (to the right), along the heading, and up, as VoteNet reads them.
+
+"Upright depth" is x right, y forward, z up, origin at the camera. Recordings of SUN RGB-D have their own transform. For
+others it follows from gravity: y is the levelled viewing direction. A camera's point is mapped by `Rtilt * [X, Z, -Y]`
+(SUNRGBDtoolbox, `read3dPoints.m`).
 """
 
 from __future__ import annotations
@@ -29,13 +33,6 @@ from annotator.geometry.transforms import level_pose
 from annotator.mat_file import MatFileError, read_mat
 from annotator.types import Box2D, Camera, Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError
-
-# TODO-MERGED docstring of upright_depth.py:
-# The frame "upright depth" of SUN RGB-D's labels, for any frame: x right, y forward, z up, origin at the camera.
-#
-# Recordings of SUN RGB-D have their own transform. For others it follows from gravity: y is the levelled viewing
-# direction. A camera's point is mapped by `Rtilt * [X, Z, -Y]` (SUNRGBDtoolbox, `read3dPoints.m`).
-
 
 # [X, Z, -Y] of a camera's point [X, Y, Z].
 SWAPPED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

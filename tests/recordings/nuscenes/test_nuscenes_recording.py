@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dataset_samples import write
 from nuscenes_samples import CAMERAS, START_US, K, ego_pose, mount, real, scan_points, small
 
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.losses import Losses
 from annotator.formats.nuscenes import read_sample_boxes
-from annotator.formats.nuscenes_tables import write_nuscenes
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.projection import project
 from annotator.recordings import ReaderOptions, open_recording
@@ -316,7 +315,7 @@ def test_our_own_export_opens_with_its_boxes_and_tracks(tmp_path: Path):
         for n in range(3)
     ]
     items = [DatasetItem(name, frame, [label]) for name in ("take", "other") for frame in frames]
-    write_nuscenes(tmp_path / "out", items, ("hand",), Losses())
+    write("nuscenes", tmp_path / "out", items)
     recording = opened(tmp_path / "out", scene="other")
     assert (recording.name, recording.keys) == ("other@CAM_FRONT", ("other-0", "other-1", "other-2"))
     for index, written in enumerate(frames):

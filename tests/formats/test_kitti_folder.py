@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dataset_samples import write
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.frame_names import six_digit_ids
-from annotator.formats.kitti_objects import KittiRows, calibration_text, each_kitti_frame, write_kitti
+from annotator.formats.kitti_objects import KittiRows, calibration_text, each_kitti_frame
 from annotator.formats.kitti_rows import (
     KittiLabel,
     dump_label_line,
@@ -137,9 +137,8 @@ def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:
     here = frame("7", up=np.array([0.0, -0.8, -0.6]), timestamp_ns=1)
     here = replace(here, camera=lens)
     losses, classes = Losses(), ("traffic light", "car", "DontCare")
-    places = [("room", "7"), ("room", "8")]
     items = [DatasetItem("room", here, labels, "val"), DatasetItem("room", frame("8"), [], "test")]
-    counts = write_kitti(tmp_path / "out", items, six_digit_ids(places), classes, losses)
+    counts = write("kitti", tmp_path / "out", items, losses, classes=classes).counts
     assert counts == {"traffic light": 1, "DontCare": 1}
     lost = {loss.kind: loss.count for loss in losses.report()}
     once = (Lost.TILT, Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.LENS, Lost.TIME, Lost.GRAVITY)
@@ -168,28 +167,15 @@ def test_the_calibration_equals_the_one_by_hand() -> None:
     np.testing.assert_array_equal(Tr @ [5, 1, 2, 1], [-1, -2, 5])
 
 
-def test_only_an_older_export_is_replaced(tmp_path: Path) -> None:
-    out, losses = tmp_path / "out", Losses()
-
-    def write(keys: Sequence[str], overwrite: bool) -> None:
-        ids = six_digit_ids([("room", key) for key in keys])
-        items = [DatasetItem("room", frame(key), [label(box(0.0, 5.5))]) for key in keys]
-        write_kitti(out, items, ids, ("car",), losses, overwrite=overwrite)
-
-    (out / "training" / "label_2").mkdir(parents=True)
-    (out / "frames.csv").write_text("id,raw_drive\n000000,2011\n")
+def test_keys_of_six_digits_are_kept_as_ids(tmp_path: Path) -> None:
+    (tmp_path / "out/training/label_2").mkdir(parents=True)
+    (tmp_path / "out/frames.csv").write_text("id,raw_drive\n000000,2011\n")
+    items = [DatasetItem("room", frame(key), [label(box(0.0, 5.5))]) for key in ("000004", "000009")]
     with pytest.raises(FormatError, match="exists and is not empty"):
-        write(["000004"], True)
-    (out / "frames.csv").write_text("id,recording,key,split\n")
-    write(["000004"], True)
-    with pytest.raises(FormatError, match="exists and is not empty"):
-        write(["000004"], False)
-    write(["000004", "000009"], True)
-    # keys of six digits are kept as ids
-    assert (out / "ImageSets" / "train.txt").read_text() == "000004\n000009\n"
-    with pytest.raises(FormatError, match="no frame to export"):
-        write_kitti(tmp_path / "none", [], {}, ("car",), losses)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+        write("kitti", tmp_path / "out", items, classes=("car",), overwrite=True)
+    (tmp_path / "out/frames.csv").write_text("id,recording,key,split\n")
+    write("kitti", tmp_path / "out", items, classes=("car",), overwrite=True)
+    assert (tmp_path / "out/ImageSets/train.txt").read_text() == "000004\n000009\n"
 
 
 ROW = "Car 0.00 0 0.10 10.00 20.00 30.00 40.00 1.50 1.60 4.00 1.00 1.60 20.00 0.20\n"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dataset_samples import write
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import loadmat, savemat
@@ -16,14 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from annotator.formats import sunrgbd_table as sunrgbd_meta
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.frame_names import six_digit_ids
 from annotator.formats.losses import Losses, Lost
 from annotator.formats.sunrgbd import (
     calibration_text,
     dump_label_row,
     extracted_truth,
     read_extracted_folder,
-    write_sunrgbd,
 )
 from annotator.formats.sunrgbd_table import META, dump_meta, meta_frame, read_meta, upright_frame
 from annotator.geometry.oriented_box import box_corners
@@ -169,8 +168,7 @@ def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
         DatasetItem("room", frame("y"), [], "val"),
     ]
     losses, classes, out = Losses(), ("bed", "night stand"), tmp_path / "out"
-    ids = six_digit_ids([("room", "x"), ("room", "y")], 1)
-    assert write_sunrgbd(out, items, ids, classes, losses) == {"night stand": 1, "bed": 1}
+    assert write("sunrgbd", out, items, losses, classes=classes).counts == {"night stand": 1, "bed": 1}
     once = (Lost.TILT, Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.OUTSIDE, Lost.NAME, Lost.TIME, Lost.LEVEL)
     assert {loss.kind: loss.count for loss in losses.report()} == {**dict.fromkeys(once, 1), Lost.REFLECTANCE: 2}
     assert (out / "train_data_idx.txt").read_text() == "1\n"
@@ -189,14 +187,6 @@ def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         first.truths[1].box.transformed(first.T_camera_upright).rotation, leaning.rotation, atol=1e-9
     )
-
-    with pytest.raises(FormatError, match="exists and is not empty"):
-        write_sunrgbd(out, items, ids, classes, losses)
-    write_sunrgbd(out, items[:1], ids, classes, losses, overwrite=True)
-    assert not (out / "val_data_idx.txt").exists()
-    (out / META).unlink()
-    with pytest.raises(FormatError, match="exists and is not empty"):
-        write_sunrgbd(out, items, ids, classes, losses, overwrite=True)
 
 
 ROW = "bed 1 2 30 20 0.4 2.5 -0.3 0.3 0.5 0.4 0.6 0.8\n"
