@@ -115,7 +115,7 @@ def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> K
 
 def dont_care(edges: tuple[float, float, float, float]) -> KittiLabel:
     """Returns the row of an area where objects are not labelled: left top right bottom, pixels."""
-    return KittiLabel(DONT_CARE, -1, -1, -10, *edges, -1, -1, -1, -1000, -1000, -1000, -10)
+    return KittiLabel(DONT_CARE, -1.0, -1, -10.0, *edges, -1.0, -1.0, -1.0, -1000.0, -1000.0, -1000.0, -10.0)
 
 
 def dump_label_line(row: KittiLabel) -> str:

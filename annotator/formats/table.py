@@ -130,7 +130,11 @@ FORMATS: dict[str, Format] = {
     ),
     "boxes": Format("", "any rotation", loses=(Lost.STATE, Lost.SAID, Lost.ORIGIN), marks=boxes_json.PLACES),
     "argoverse2": Format(
-        "", "any rotation", loses=(Lost.SCORE, Lost.STATE, Lost.SAID, Lost.ORIGIN), values=(), marks=(argoverse.ANNOTATIONS,)
+        "",
+        "any rotation",
+        loses=(Lost.SCORE, Lost.STATE, Lost.SAID, Lost.ORIGIN),
+        values=(),
+        marks=(argoverse.ANNOTATIONS,),
     ),
     "box-csv": Format("", "upright", loses=(Lost.TRACK, Lost.STATE, Lost.SAID, Lost.ORIGIN), values=(), angles=True),
 }

@@ -155,6 +155,30 @@ def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:
         }
 
 
+@pytest.mark.parametrize(
+    ("name", "written", "lost"),
+    [
+        ("kitti", ["0.00", "0.50", "0.51", "0.33"], "5 attribute values .* (4 helmet, 1 truncation, rounded)"),
+        ("kitti-tracking", ["0", "0", "1", "0"], "7 attribute values .* (4 helmet, 3 truncation, as a level)"),
+    ],
+)
+def test_an_operators_truncation_and_occlusion_replace_the_measured_ones(
+    tmp_path: Path, name: str, written: list[str], lost: str
+) -> None:
+    values = [
+        {"truncation": share, "occlusion": number, "helmet": True}
+        for number, share in enumerate((0.0, 0.5, 0.51, 0.333))
+    ]
+    labels = [label(box(0.0, 5.5), attributes=each) for each in values]
+    losses = Losses()
+    write(name, tmp_path / "out", [DatasetItem("room", frame("7"), labels)], losses, classes=("car",))
+    (file,) = (tmp_path / "out/training" / ("label_2" if name == "kitti" else "label_02")).iterdir()
+    rows = [row.split()[-15:] for row in file.read_text().splitlines()]
+    assert [row[1] for row in rows] == written and [row[2] for row in rows] == ["0", "1", "2", "3"]
+    (message,) = [each.message for each in losses.report() if each.kind is Lost.ATTRIBUTE]
+    assert message == lost.replace(".*", "cannot be stored in this format")
+
+
 def test_the_calibration_equals_the_one_by_hand() -> None:
     text = calibration_text(CAMERA, RigidTransform.from_translation([0.5, 0.0, 0.01]))
     rows = {

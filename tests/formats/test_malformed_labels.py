@@ -1,4 +1,4 @@
-"""Damaged label files that were once found give an AnnotatorError that names the file; tests/damage searches for more."""
+"""Damaged label files that were once found give an AnnotatorError that names the file; tests/damage searches on."""
 
 from __future__ import annotations
 

@@ -24,9 +24,9 @@ from annotator.types import (
     Source,
     Suggestion,
 )
-from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
+from annotator.types.errors import ConfigError, FrameError, ProjectError
 from annotator.workflows.add_recordings import add_recordings, register_recording
-from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, export_project
+from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 
@@ -150,24 +150,12 @@ def test_only_the_detectors_of_exported_boxes_are_named(people: Project, tmp_pat
     ]
 
 
-def test_boxes_drawn_by_hand_name_no_detector(people: Project, tmp_path: Path) -> None:
-    trained(people, DetectorKind.VIEW, "view-1", "v1")
-    label_all(people, (0,))
-    assert exported(people, tmp_path / "out").detectors == ()
-
-
 def test_the_detector_that_suggested_a_drawn_box_is_named(people: Project, tmp_path: Path) -> None:
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
     drawn = [NewLabel("person", box, origin=Origin.DRAWN, suggestion=Suggestion("base detector", "b1"))]
     people.labels.create(people.frames.of()[0].id, drawn, WriteContext(0, "me"))
     (found,) = exported(people, tmp_path / "out").detectors
     assert (found.role, found.name, found.fingerprint) == ("view", "base detector", "b1")
-
-
-def test_images_can_be_exported_as_jpeg(people: Project, tmp_path: Path) -> None:
-    label_all(people, (0,))
-    exported(people, tmp_path / "out", options=ExportOptions(image_format="jpg"))
-    assert [path.suffix for path in (tmp_path / "out" / "images").iterdir()] == [".jpg"]
 
 
 @pytest.mark.parametrize(
@@ -239,16 +227,6 @@ def test_missing_frames_with_labels_fail_the_export(
     with pytest.raises(FrameError, match="frame 000001 no longer exists; restore it"):
         exported(project, tmp_path / "b")
     assert not (tmp_path / "b").exists()
-
-
-def test_an_older_export_is_replaced_only_on_request(people: Project, tmp_path: Path) -> None:
-    label_all(people, (0,))
-    exported(people, tmp_path / "out")
-    with pytest.raises(FormatError, match="exists and is not empty"):
-        exported(people, tmp_path / "out")
-    label_all(people, (1,))
-    exported(people, tmp_path / "out", overwrite=True)
-    assert len(read_rcv(tmp_path / "out")) == 2
 
 
 def test_frames_with_the_same_key_in_two_recordings_are_exported(

@@ -1,4 +1,4 @@
-"""KITTI: export from a project, import into another one, and opening the export as a recording."""
+"""Real labels are exported as they were; KITTI's unlabelled areas and calibrations go with them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dataset_samples import write
 
-from annotator.formats.kitti_rows import is_in_image
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.geometry.oriented_box import box_corners
 from annotator.project import Project
 from annotator.recordings import open_recording
-from annotator.types import OrientedBox
+from annotator.types import Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import FormatError
-from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
+from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
 from annotator.workflows.recorded.kitti_rows import true_kitti_rows
@@ -33,49 +35,6 @@ ALL = ExportFilter(empty_frames=True)
 
 def boxes(project: Project) -> dict[str, list[tuple[str, OrientedBox]]]:
     return {f.key: [(x.label, x.box) for x in project.labels.of_frame(f.id)] for f in project.frames.of()}
-
-
-def assert_same(found: OrientedBox, expected: OrientedBox, atol: float) -> None:
-    np.testing.assert_allclose(found.pose, expected.pose, atol=atol)
-    np.testing.assert_allclose(found.size_m, expected.size_m, atol=atol)
-
-
-def test_a_kitti_export_can_be_imported_and_opened_as_a_recording(
-    make_project: MakeProject, generated: Path, tmp_path: Path
-) -> None:
-    people = make_project(generated / "people")
-    import_own_labels(people, people.recordings.all()[0].id)
-    out = tmp_path / "out"
-    report = export_project(people, out, ExportFormat.KITTI, choose=ALL, split=Split({"train": 0.6, "val": 0.4}))
-    before = boxes(people)
-    assert (report.frames, report.splits) == (5, {"train": 3, "val": 2})
-    lost = {loss.kind.value: loss.count for loss in report.losses}
-    assert report.objects + lost.get("outside", 0) == sum(map(len, before.values())) > 5
-
-    other = make_project(generated / "people")
-    done = import_labels(other, read_labels(BoxFormat.KITTI, out / "training" / "label_2"))
-    assert (done.frames, done.labels["person"], done.unmatched) == (5, report.objects, ())
-    again = export_project(other, tmp_path / "again", ExportFormat.KITTI, choose=ALL)
-    assert "tilt" not in {loss.kind.value for loss in again.losses}
-    for file in (out / "training" / "label_2").iterdir():
-        assert (tmp_path / "again" / "training" / "label_2" / file.name).read_text() == file.read_text()
-
-    # the folder is a KITTI recording with labels and the same camera
-    opened, known = open_recording(out), open_recording(generated / "people")
-    assert (opened.format, opened.keys) == ("kitti_object", known.keys)
-    frame, original = opened.frame(0), known.frame(0)
-    np.testing.assert_array_equal(frame.rgb, original.rgb)
-    np.testing.assert_allclose(frame.camera.matrix, original.camera.matrix, atol=1e-9)
-    assert len(frame.cloud) == len(original.cloud)
-    np.testing.assert_allclose(frame.cloud.xyz_m, original.cloud.xyz_m, atol=1e-6)
-    for truth, (label, box) in zip(load_truth(opened, 0, frame), boxes(other)[opened.keys[0]], strict=True):
-        assert truth.label == label
-        assert_same(truth.box, box, 1e-9)
-    # people occlude each other; the evaluation computes the same occlusion as the export
-    hidden = [row.occluded for i in range(5) for row in true_kitti_rows(known, i, known.frame(i)) if is_in_image(row)]
-    files = sorted((out / "training" / "label_2").iterdir())
-    assert [int(line.split()[2]) for file in files for line in file.read_text().splitlines()] == hidden
-    assert len(set(hidden)) > 1
 
 
 AREA = "DontCare -1 -1 -10 12.25 20.50 44.75 60.00 -1 -1 -1 -1000 -1000 -1000 -10"
@@ -185,14 +144,14 @@ def derived(row: list[str], P2: np.ndarray, size_px: Sequence[int]) -> np.ndarra
 
 @pytest.mark.shared
 def test_kittis_labels_are_exported_unchanged(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
-    """2D boxes are derived, 3D numbers are identical, and ten round trips do not drift."""
+    """2D boxes are derived, 3D numbers are identical, and round trips do not drift."""
     for entry in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
         expected = derived(entry["label"].split(), np.array(entry["P2"]).reshape(3, 4), entry["image_size"])
         if not np.isnan(expected).any():
             np.testing.assert_allclose(expected, entry["expected"]["box_clipped"], atol=1e-4)
     original = root = shared / "data" / "kitti"
     texts: dict[str, str] = {}
-    for trip in range(10):
+    for trip in range(3):
         project = make_project(root, classes=CLASSES)
         import_labels(project, read_labels(BoxFormat.KITTI, root))
         root = tmp_path / f"trip{trip}"
@@ -229,3 +188,49 @@ def test_kittis_labels_are_exported_unchanged(make_project: MakeProject, shared:
     # people have judged KITTI's occlusion levels, ours are measured; 91 % of them agree (docs/formats.md)
     assert np.mean([theirs == ours for theirs, ours in known]) > 0.8
     assert max(abs(theirs - ours) for theirs, ours in known) == 1
+
+
+@pytest.mark.shared
+def test_labels_of_sun_rgbd_are_exported_unchanged(make_project: MakeProject, shared: Path, tmp_path: Path) -> None:
+    """VoteNet's numbers of a real frame: the 3D values are unchanged up to the last digit."""
+    root = shared / "data" / "sunrgbd" / "sunrgbd_trainval"
+    original = (root / "label" / "000001.txt").read_text().splitlines()
+    classes = sorted({line.split()[0] for line in original})
+    project = make_project(root, classes=classes)
+    labels: Path = root
+    for trip in range(2):
+        import_labels(project, read_labels(BoxFormat.SUNRGBD, labels))
+        labels = tmp_path / f"trip{trip}"
+        report = export_project(project, labels, ExportFormat.SUNRGBD)
+        assert {loss.kind.value for loss in report.losses} == set()
+        for mine, theirs in zip((labels / "label" / "000001.txt").read_text().splitlines(), original, strict=True):
+            ours, known = mine.split(), theirs.split()
+            assert ours[0] == known[0]
+            np.testing.assert_allclose(np.array(ours[5:], float), np.array(known[5:], float), atol=1.01e-6)
+        project = make_project(root, classes=classes)
+
+
+@pytest.mark.shared
+def test_boxes_of_real_frames_are_exported_and_read_unchanged(shared: Path, tmp_path: Path) -> None:
+    """Frames of a LiDAR, of a tilted RGB-D camera, and of freely rotated hands: corners within 2e-8 m."""
+    frames, truths, items = {}, {}, []
+    for number, folder in enumerate(("kitti", "sunrgbd/sunrgbd_trainval", "hand_gesture")):
+        recording = open_recording(shared / "data" / folder)
+        frame = recording.frame(0)
+        name = f"{number}/{frame.key}"
+        frames[name], truths[name] = frame, load_truth(recording, 0, frame)
+        labels = [
+            Label(f"{i}", each.label, each.box, None, Source.IMPORTED, ReviewState.ACCEPTED, "me", 0)
+            for i, each in enumerate(truths[name])
+        ]
+        items.append(DatasetItem(str(number), frame, labels))
+    classes = sorted({each.label for boxes in truths.values() for each in boxes})
+    for format in (BoxFormat.OPENLABEL, BoxFormat.LABELCLOUD, BoxFormat.NUSCENES, BoxFormat.SUSTECHPOINTS):
+        write(format, tmp_path / format, items, classes=classes, image_format="jpg")
+        found = read_labels(format, tmp_path / format)
+        assert set(found.frames) == set(frames)
+        for name, frame in frames.items():
+            pairs = list(zip(found.truths(name, frame), truths[name], strict=True))
+            assert pairs and all(have.label == want.label for have, want in pairs)
+            for have, want in pairs:
+                np.testing.assert_allclose(box_corners(have.box), box_corners(want.box), atol=2e-8)
