@@ -11,9 +11,6 @@ from jaxtyping import Bool, Float64, Int, Int64, Shaped
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.types import OrientedBox
 
-# TODO-MERGED docstring of pairs.py:
-# Pairs of rows of two tables that belong to the same group, for whole datasets at once.
-
 
 def pairs_within(
     groups_a: Int[np.ndarray, "n"], groups_b: Int[np.ndarray, "m"]

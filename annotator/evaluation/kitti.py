@@ -2,6 +2,12 @@
 
 It follows the devkit's program (devkit_object, `cpp/evaluate_object.cpp`) exactly, including the order in which boxes
 are matched, and gives the same numbers.
+
+The greedy assignment of detections to true boxes is done for all frames and all score thresholds at once. In each
+frame, the true boxes are processed in the order of the file. Each takes its preferred detection among the remaining
+ones. The order of preference is independent of earlier assignments and of the score threshold, which only removes
+detections. So each true box has a fixed list of candidates, and all frames and thresholds are processed in parallel:
+the first candidate of each frame's first box, then its second candidate, and so on.
 """
 
 from __future__ import annotations
@@ -15,14 +21,6 @@ from jaxtyping import Bool, Float64, Int, Int64, Shaped
 
 from annotator.evaluation.boxes import pairs_within, place_within
 from annotator.geometry.rectangles import rectangle_intersection_pairs
-
-# TODO-MERGED docstring of matching.py:
-# The devkit's greedy assignment of detections to true boxes, for all frames and all score thresholds at once.
-#
-# In each frame, the true boxes are processed in the order of the file. Each takes its preferred detection among the
-# remaining ones. The order of preference is independent of earlier assignments and of the score threshold, which only
-# removes detections. So each true box has a fixed list of candidates, and all frames and thresholds are processed in
-# parallel: the first candidate of each frame's first box, then its second candidate, and so on.
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +83,6 @@ def _steps(
     return [part for part in np.split(order[by_step], changes) if len(part)]
 
 
-# TODO-MERGED docstring of rows.py:
-# The rows of KITTI's label or result files of all frames, as columns.
-
-
 @dataclass(frozen=True, eq=False)
 class KittiRows:
     """Columns as in the files (KITTI's units and coordinates: pixels, metres, radians, rectified camera 0).
@@ -146,10 +140,6 @@ class KittiRows:
         truncated, occluded, alpha = numbers[:, :3].T
         edges, size, bottom = numbers[:, 3:7], numbers[:, 7:10], numbers[:, 10:13]
         return cls(frame, label, truncated, occluded, alpha, edges, size, bottom, numbers[:, 13], numbers[:, 14])
-
-
-# TODO-MERGED docstring of overlap.py:
-# Overlap of detections with the true rows of their frame: on the image, in bird's-eye view and in 3D.
 
 
 # Detections per pass, so that memory does not grow with the dataset.
@@ -263,10 +253,6 @@ def _ground_intersection(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]
 
 def _ratio(inner: Float64[np.ndarray, "p"], union: Float64[np.ndarray, "p"]) -> Float64[np.ndarray, "p"]:
     return np.divide(inner, union, out=np.zeros(len(inner)), where=inner > 0)
-
-
-# TODO-MERGED docstring of protocol.py:
-# KITTI's evaluation: rows that count, precision at the sampled recalls, average precision.
 
 
 DONT_CARE = "DontCare"

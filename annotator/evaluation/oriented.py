@@ -1,4 +1,10 @@
-"""The protocol for oriented boxes: average precision with exact 3D IoU, mean IoU, pose errors, point masks."""
+"""The protocol for oriented boxes: average precision with exact 3D IoU, mean IoU, pose errors, point masks.
+
+Average precision is the area under the precision envelope (PASCAL VOC since 2010), over all frames together. Detections
+are processed in order of descending score. Each is compared only with the true box of its frame that it overlaps most.
+It is a true positive if the IoU is above the threshold and the box has not been matched before. SUN RGB-D's benchmark
+is the same as in VoteNet (`utils/eval_det.py`, area under the envelope).
+"""
 
 from __future__ import annotations
 
@@ -13,12 +19,6 @@ from scipy.spatial.transform import Rotation
 from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
 from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox, PointCloud
-
-# TODO-MERGED docstring of average_precision.py:
-# Average precision as the area under the precision envelope (PASCAL VOC since 2010), over all frames together.
-#
-# Detections are processed in order of descending score. Each is compared only with the true box of its frame that it
-# overlaps most. It is a true positive if the IoU is above the threshold and the box has not been matched before.
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,6 @@ def precision_recall(
     hits &= target >= 0
     true_positives = np.cumsum(hits)
     return PrecisionRecall(true_positives / counts.sum(), true_positives / np.arange(1, len(hits) + 1))
-
-
-# TODO-MERGED docstring of poses.py:
-# Pose errors of boxes: centre, size, and rotation modulo the symmetries of a box.
 
 
 # Labellings whose size misfit is within this factor of the best one are equivalent: a nearly square footprint looks the
@@ -282,10 +278,6 @@ def mask_agreement(boxes: Sequence[OrientedBox], cloud: PointCloud, of_object: B
         inside |= contains(box, cloud.xyz_m)
     both = int((inside & of_object).sum())
     return MaskAgreement(both / max(int(of_object.sum()), 1), both / max(int(inside.sum()), 1))
-
-
-# TODO-MERGED docstring of sunrgbd.py:
-# SUN RGB-D's 3D detection benchmark as in VoteNet (`utils/eval_det.py`, area under the envelope).
 
 
 SUNRGBD_THRESHOLDS = (0.15, 0.25, 0.5)

@@ -4,6 +4,12 @@ A COCO `bbox` is [x, y, width, height] in edge coordinates: an image covers [0, 
 centre of the first pixel is (0, 0), so 0.5 is subtracted. Source: the COCO data format page ("object detection") and
 `coco.py` of its API. `attributes` of an annotation are an object of values by name, as CVAT writes them; `box_kind` and
 `attributes` of an image are annotator's own.
+
+A dataset is a folder with one image folder and one annotation file for each part, in COCO's own layout
+(`annotations/instances_train2017.json`, `train2017/000000000009.jpg`). Without parts it has the single part `all`.
+
+    annotations/instances_PART.json
+    PART/FILE
 """
 
 from __future__ import annotations
@@ -118,14 +124,6 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
 
     A box that extends beyond its image is clipped to it. A turned box is read as the rectangle around it, and an
     annotation of polygons without a box as the rectangle around these.
-
-    Args:
-        on_fault: called with the fault of an annotation; see `OnFault`.
-
-    Raises:
-        FormatError: malformed JSON, a missing field, an id that is unknown or used twice, a file or category name
-            used twice, the same box twice, a box without positive width and height, a box fully outside its image, or
-            boxes that are corners x1 y1 x2 y2.
     """
     file = read_model(path, _File)
     _require_unique(path, "category id", (category.id for category in file.categories))
@@ -317,9 +315,6 @@ def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] =
         path: the file; its folder must exist.
         images: the images with their boxes.
         classes: categories to list first, in this order, with or without boxes; others follow by name.
-
-    Raises:
-        FormatError: two images have the same name, or the file cannot be written.
     """
     _require_unique(path, "file_name", (image.file_name for image in images))
     others = {box.label for image in images for box in image.boxes} - set(classes)
@@ -358,32 +353,17 @@ def _annotation(number: int, image_id: int, box: Box2D, values: Values, ids: Map
     return entry
 
 
-# TODO-MERGED docstring of coco_dataset.py:
-# A COCO detection dataset as a folder: one image folder and one annotation file for each part.
-#
-#     annotations/instances_PART.json
-#     PART/FILE
-#
-# This is COCO's own layout (`annotations/instances_train2017.json`, `train2017/000000000009.jpg`). A dataset without
-# parts has the single part `all`. Pixels as in `coco.py`.
-
-
 ANNOTATIONS = "annotations"
 WHOLE = "all"
 _FILE = re.compile(r"instances_(.+)\.json")
 
 
 class CocoWriter:
-    """Fills a folder with a dataset.
-
-    Raises:
-        FormatError: a part is called `annotations`.
-    """
+    """Fills a folder with a dataset."""
 
     def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
         """
         Args:
-            folder: an existing, empty folder.
             classes: the categories; ids count from 1 in this order.
             parts: names of all parts, including empty ones; () for a dataset without parts.
         """
@@ -418,9 +398,6 @@ def coco_files(path: Path) -> list[tuple[Path, Path]]:
     Args:
         path: the folder of a dataset, or one annotation file. Images of a file in `annotations` are in the folder
             named after its part; images of any other file are beside it.
-
-    Raises:
-        FormatError: the folder has no `annotations/instances_*.json`.
     """
     if path.is_dir():
         files = sorted(file for file in (path / ANNOTATIONS).glob("*.json") if _FILE.fullmatch(file.name))
@@ -452,12 +429,5 @@ def is_coco_dataset(folder: Path) -> bool:
 
 
 def read_coco_dataset(path: Path, on_fault: OnFault = raise_fault) -> list[tuple[Path, list[CocoImage]]]:
-    """Returns the image folder and the images of each annotation file.
-
-    Args:
-        on_fault: called with the fault of an annotation; see `OnFault`.
-
-    Raises:
-        FormatError: as `coco_files` and `read_coco`.
-    """
+    """Returns the image folder and the images of each annotation file."""
     return [(pictures, read_coco(file, on_fault)) for file, pictures in coco_files(path)]

@@ -198,7 +198,6 @@ def write_dataset(
         items: the frames, each recording in order, read one by one; if reading one raises, `out` is unchanged.
 
     Raises:
-        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
         ConfigError: parts, classes or recordings that the format cannot have.
     """
     losses, known = losses or Losses(), set[tuple[str, str]]()
@@ -310,11 +309,7 @@ JPEG_QUALITY = 95
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """Turns an OSError into a FormatError that names the dataset.
-
-    Raises:
-        FormatError: a file could not be written.
-    """
+    """Turns an OSError into a FormatError that names the dataset."""
     try:
         yield
     except OSError as error:

@@ -3,6 +3,9 @@
 One line per frame under the header `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem
 of its files, or its token), the recording's name, the frame's key in the recording, and its part of the dataset (may be
 empty). A text that a spreadsheet would run as a formula begins with an apostrophe, which the reader removes.
+
+In KITTI's and SUN RGB-D's folders, frames have six-digit names and classes one-word names, because the tools of both
+data sets form file names from numbers (`%06d`) and split label rows at spaces.
 """
 
 from __future__ import annotations
@@ -64,12 +67,7 @@ def _escaped(cell: str) -> str:
 
 
 def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
-    """Returns the lines of the file, by `normal` id; `path` is for error messages.
-
-    Raises:
-        FormatError: a wrong header, a line with too few or too many fields, an empty id or key, or an id that occurs
-            twice; names the line.
-    """
+    """Returns the lines of the file, by `normal` id; `path` is for error messages."""
     origins: dict[str, FrameOrigin] = {}
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
@@ -89,33 +87,19 @@ def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
 
 
 def read_frames(folder: Path) -> dict[str, FrameOrigin]:
-    """Returns the origins of a dataset's frames, by `normal` id; empty if it has no such file or an unrelated one.
-
-    Raises:
-        FormatError: as `parse_frames`, or the file cannot be read.
-    """
+    """Returns the origins of a dataset's frames, by `normal` id; empty if it has no such file or an unrelated one."""
     path = folder / FRAMES_CSV
     return parse_frames(path, read_text(path)) if has_frames(folder) else {}
 
 
 def has_frames(folder: Path) -> bool:
-    """True if a folder has the file; a `frames.csv` with an unrelated header does not count.
-
-    Raises:
-        FormatError: the file cannot be read.
-    """
+    """True if a folder has the file; a `frames.csv` with an unrelated header does not count."""
     path = folder / FRAMES_CSV
     if not path.is_file():
         return False
     head = read_text(path).partition("\n")[0]
     # a damaged header still counts, so that reading the file reports it
     return not head.strip() or "recording" in head.split(",")
-
-
-# TODO-MERGED docstring of frame_class_names.py:
-# Names in KITTI's and SUN RGB-D's folders: six-digit frame names, one-word class names, and the names they stand for.
-#
-# The tools of both data sets form file names from numbers (`%06d`) and split label rows at spaces.
 
 
 CLASS_NAMES = "classes.txt"
@@ -167,11 +151,7 @@ class ClassWords:
 
 
 def read_class_names(folder: Path) -> dict[str, str]:
-    """Returns the class names in a dataset's `classes.txt` (`ClassWords.write`), by word; empty without that file.
-
-    Raises:
-        FormatError: the file cannot be read, or a line is not a word, a space and a name, or repeats a word.
-    """
+    """Returns the class names in a dataset's `classes.txt` (`ClassWords.write`), by word; empty without that file."""
     path = folder / CLASS_NAMES
     if not path.is_file():
         return {}
@@ -203,9 +183,6 @@ class DatasetNames:
         """Reads the names of the dataset that a folder of label files belongs to.
 
         Its frames.csv is in that folder or at most two levels above.
-
-        Raises:
-            FormatError: frames.csv or classes.txt is damaged, or two ids have the same origin.
         """
         above = labels.resolve()
         root = next((folder for folder in (above, *above.parents[:2]) if has_frames(folder)), None)
@@ -220,11 +197,7 @@ class DatasetNames:
         return cls(root, frames, read_class_names(root))
 
     def frame(self, stem: str) -> str:
-        """Returns `RECORDING/KEY` of a label file; its `normal` stem without a frames.csv.
-
-        Raises:
-            FormatError: frames.csv does not list it.
-        """
+        """Returns `RECORDING/KEY` of a label file; its `normal` stem without a frames.csv."""
         stem = normal(stem)
         if self.root is None:
             return stem

@@ -1,6 +1,5 @@
-"""JSON files: reading into pydantic models with errors that name the place, and number fields with limits.
-
-`write_text` writes text files atomically.
+"""JSON files: reading into pydantic models with errors that name the place, number fields with limits, and reading large
+objects pair by pair. `write_text` writes text files atomically.
 """
 
 from __future__ import annotations
@@ -48,10 +47,6 @@ def read_model(path: Path, model: type[Model], pairs_hook: PairsHook | None = No
 
     Args:
         pairs_hook: as in `read_json`.
-
-    Raises:
-        FormatError: the file cannot be read, is not JSON (names the line), or does not fit the model (names the
-            place within the file, such as `annotations.3.bbox`).
     """
     content = read_json(path, pairs_hook)
     try:
@@ -65,9 +60,6 @@ def read_json(path: Path, pairs_hook: PairsHook | None = None) -> object:
 
     Args:
         pairs_hook: builds an object from its pairs, such as `unique_keys`; a KeyError from it names a repeated key.
-
-    Raises:
-        FormatError: the file cannot be read, is longer than `MAX_BYTES`, or is not JSON (names the line).
     """
     try:
         data = read_file(path, MAX_BYTES)
@@ -103,9 +95,6 @@ def require_encodable(path: Path, text: str, content: object) -> None:
 
     Args:
         text: the JSON of `content`.
-
-    Raises:
-        FormatError: there is one.
     """
     if SURROGATE.search(text) is None:
         return
@@ -123,11 +112,7 @@ def _more(error: ValidationError) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text file atomically: a reader sees the old file or the new one.
-
-    Raises:
-        FormatError: the file cannot be written.
-    """
+    """Writes a text file atomically: a reader sees the old file or the new one."""
     try:
         write_atomic(path, text.encode())
     except OSError as error:
@@ -146,10 +131,6 @@ Bounded3 = tuple[Bounded, Bounded, Bounded]
 Bounded4 = tuple[Bounded, Bounded, Bounded, Bounded]
 
 
-# TODO-MERGED docstring of json_stream.py:
-# Reads a large JSON object pair by pair, so that only one of its values is in memory at a time.
-
-
 # The longest value, such as all boxes of a frame, characters.
 MOST_VALUE = 2**26
 BLANKS = re.compile(r"[ \t\r\n]*+")
@@ -164,10 +145,6 @@ def read_pairs(path: Path, inside: str | None = None) -> Iterator[tuple[str, obj
 
     Args:
         inside: the key of the object's pair whose own pairs are wanted, instead of the object's.
-
-    Raises:
-        FormatError: the file cannot be read, is longer than `MAX_BYTES`, is not a JSON object (names the line), lacks
-            `inside`, or has a value longer than `MOST_VALUE`.
     """
     try:
         file = open_file(path, MAX_BYTES)

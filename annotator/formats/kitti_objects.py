@@ -77,11 +77,7 @@ class KittiRows:
     flat: Counter[str] = field(default_factory=Counter)
 
     def truth(self, name: str, row: KittiLabel, track_id: int | None, file: Path, line: int) -> Truth | None:
-        """Returns the object of a row of the frame `name`, in rectified camera 0; None if it has no 3D box.
-
-        Raises:
-            FormatError: as `row_truth`.
-        """
+        """Returns the object of a row of the frame `name`, in rectified camera 0; None if it has no 3D box."""
         self.flat[name] += row.label != DONT_CARE and row.is_flat
         return row_truth(row, track_id, None, file, line, self.angles) if has_solid(row) else None
 
@@ -93,10 +89,6 @@ def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[
         path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
             file `label_02.txt`, where every frame with a row counts as labelled.
         found: collects what the rows show beside that.
-
-    Raises:
-        FormatError: there are no labels, a row is not a valid label (names the line), frames.csv does not list a label
-            file, or, after the last frame, the angles are not in radians.
     """
     place = label_place(path)
     if place.is_file() and place.suffix == ".txt":
@@ -120,9 +112,6 @@ def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
 
     Args:
         path: as in `each_kitti_frame`; archives and tracking files have no calibrations.
-
-    Raises:
-        FormatError: a calibration is damaged, or frames.csv does not list a label file.
     """
     place = label_place(path)
     if not place.is_dir():
@@ -168,11 +157,7 @@ def calibration_beside(label_file: Path) -> Path | None:
 
 
 def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
-    """Returns t of a calibration file, metres.
-
-    Raises:
-        FormatError: the file cannot be read; P2 is missing, damaged or singular; or t is longer than `MOST_SHIFT_M`.
-    """
+    """Returns t of a calibration file, metres."""
     for line, (head, *words) in text_rows(path):
         if head.rstrip(":") != "P2":
             continue
@@ -198,11 +183,6 @@ def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[KittiLabel
     Args:
         path: a folder, or a zip archive, of `KEY.txt` files.
         scored: True for results: every row must have a score.
-
-    Raises:
-        FormatError: as `text_files`; or a row has too few fields, a field that is not a finite number, a 2D box with
-            right < left or bottom < top, a size that is not positive (-1 -1 -1 means an unknown 3D box), or an angle
-            that is not in radians.
     """
     return {key: _rows(text, file, scored) for key, file, text in text_files(path)}
 

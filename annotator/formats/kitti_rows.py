@@ -105,11 +105,7 @@ class KittiLabel:
 
 
 def parse_label_line(text: str, path: Path = Path("<text>"), line: int = 1) -> KittiLabel:
-    """Parses an object row of 15 or 16 fields; `path` and `line` are for the error message.
-
-    Raises:
-        FormatError: too few or too many fields, or a field that is not a number.
-    """
+    """Parses an object row of 15 or 16 fields; `path` and `line` are for the error message."""
     return parse_fields(text.split(), path, line)
 
 
@@ -173,12 +169,7 @@ def read_object_labels(path: Path, T_camera_label: RigidTransform | None) -> lis
     """Returns the 3D boxes of one `label_2/KEY.txt`, in file order; an empty file has none.
 
     Args:
-        path: the file.
         T_camera_label: from rectified camera 0 to the camera frame (`Frame.T_camera_label`); None for identity.
-
-    Raises:
-        FormatError: the file is missing, a row is not a valid label, or an angle is not in radians; names file and
-            line.
     """
     angles = Angles()
     rows = ((line, parse_fields(fields, path, line)) for line, fields in text_rows(path))
@@ -203,11 +194,7 @@ def read_tracking_labels(path: Path, T_camera_label: RigidTransform | None) -> d
 
 
 def read_tracking_areas(path: Path) -> dict[int, list[KittiLabel]]:
-    """Returns the DontCare rows of a `label_02.txt` by frame number, in file order; other frames have no entry.
-
-    Raises:
-        FormatError: the file is missing, or a row is not a valid label; names file and line.
-    """
+    """Returns the DontCare rows of a `label_02.txt` by frame number, in file order; other frames have no entry."""
     frames: dict[int, list[KittiLabel]] = {}
     for line, fields in text_rows(path):
         frame, _, row = parse_tracking_fields(fields, path, line)
@@ -221,9 +208,6 @@ def parse_tracking_fields(fields: list[str], path: Path, line: int) -> tuple[int
 
     KITTI's own tracking files have levels of truncation, the whole numbers 0, 1 and 2, where other files have a
     fraction with decimals (KITTI tracking devkit, readme.txt). The fraction of levels 1 and 2 is unknown.
-
-    Raises:
-        FormatError: as `parse_label_line`.
     """
     frame, track_id = (_integer(field, path, line) for field in _leading(fields, path, line))
     if max(abs(frame), abs(track_id)) > MOST_TRACK:
@@ -279,9 +263,6 @@ def row_truth(
         row: one that has a 3D box.
         T: from rectified camera 0 to the camera frame; None for identity.
         angles: those of all rows that belong together.
-
-    Raises:
-        FormatError: a size that is not positive.
     """
     if (_size_m(row) <= 0).any():
         raise FormatError(

@@ -143,10 +143,6 @@ def read_kitti_tracks(path: Path, found: KittiRows) -> tuple[Frames, dict[str, F
     Returns:
         Both by `RECORDING/KEY` from frames.csv, else by `SEQUENCE/FRAME`. A frame without a row is included only if
         frames.csv lists it. Boxes are in rectified camera 0; see `read_kitti_shifts`.
-
-    Raises:
-        FormatError: there are no labels, a row is not a valid label (names the line), frames.csv does not list a
-            frame, or the angles are not in radians.
     """
     place = next((path / name for name in (f"{TRAINING}/{LABELS}", LABELS) if (path / name).is_dir()), path)
     dataset_names, frames, shifts = (

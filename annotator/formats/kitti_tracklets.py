@@ -47,9 +47,6 @@ def read_tracklets(path: Path) -> dict[int, list[Truth]]:
 
     A frame without objects has no entry. Track ids count the objects of the file from 0. Poses outside the image
     (`truncation`) are left out.
-
-    Raises:
-        FormatError: the file is missing, is not XML, contains a DTD, or has an invalid object; names the line.
     """
     frames: dict[int, list[Truth]] = {}
     angles = Angles()

@@ -266,11 +266,7 @@ def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
 
 
 def read_calibration_pose(path: Path) -> RigidTransform:
-    """Returns T_camera_cloud of a file.
-
-    Raises:
-        FormatError: the file cannot be read, or a matrix is missing, has the wrong number of values or is invalid.
-    """
+    """Returns T_camera_cloud of a file."""
     matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
     for line, (head, *words) in text_rows(path):
         name = head.rstrip(":")
@@ -372,12 +368,7 @@ def read_labelcloud(
     Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file.
 
     Args:
-        on_fault: called with the fault of a label file or a calibration; see `OnFault`.
         angles: their unit; None: as `_classes.json` says, else as their range shows.
-
-    Raises:
-        FormatError: no labels, files that are not labelCloud labels, or angles whose unit cannot be determined.
-        UnitError: the angles cannot be in the unit that `_classes.json` names.
     """
     frames: dict[str, LabelCloudFrame] = {}
     for folder in _label_folders(path):
@@ -391,11 +382,7 @@ def read_labelcloud(
 
 
 def read_labelcloud_file(file: Path) -> LabelCloudFrame:
-    """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file.
-
-    Raises:
-        FormatError: as `read_labelcloud`.
-    """
+    """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file."""
     content = read_model(file, LabelFile)
     degrees = _degrees(file.parent, {file: content})
     try:

@@ -1,12 +1,16 @@
-"""nuScenes: tables of boxes, scenes and sensors that refer to each other by tokens.
+"""Reads nuScenes: tables of boxes, one JSON list of records each, linked by tokens; and results of detectors and trackers.
 
-model.py   the tables
-shapes.py  boxes, poses and points in nuScenes' form
-tables.py  builds the rows of a dataset, frame by frame
-write.py   writes a folder that the devkit opens
-read.py    reads the boxes of any nuScenes dataset
-sample_labels.py  reads the boxes of a recording's samples
-results.py  reads the boxes of detectors and trackers, in the form of the benchmarks
+Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit) and `utils/data_classes.py`: metres, sizes
+are width, length, height; a box's x axis points along its length, y along its width, z along its height, as in
+annotator; quaternions are w x y z; a scan is float32 x y z intensity ring, the intensity in 0..255. Other fields are
+ignored. `annotator.nuscenes_tables` has the tables of the sensors.
+
+Results ("Results format" in the devkit's `eval/detection/README.md` and `eval/tracking/README.md`) are in the global
+frame, by the tokens of their samples. Trackers write `tracking_name`, `tracking_score` and `tracking_id`.
+
+    {"meta": {...}, "results": {"SAMPLE": [{"translation": [x, y, z], "size": [width, length, height],
+        "rotation": [w, x, y, z], "detection_name": "car", "detection_score": 0.8, "attribute_name": "vehicle.moving"},
+        ...], ...}}
 """
 
 from __future__ import annotations
@@ -46,12 +50,6 @@ from annotator.types import OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
 from annotator.types.validation import first_problem
-
-# TODO-MERGED docstring of model.py:
-# The tables of nuScenes, one JSON list of records each, linked by tokens.
-#
-# Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit): metres, quaternions w x y z, sizes width
-# length height. Other fields are ignored when reading. `annotator.nuscenes_tables` has the tables of the sensors.
 
 
 Vector3 = Bounded3
@@ -120,14 +118,6 @@ class Map(Record):
     filename: str
 
 
-# TODO-MERGED docstring of shapes.py:
-# Boxes, poses and points in nuScenes' form.
-#
-# Source: nuscenes-devkit, `utils/data_classes.py`: sizes are width, length, height; a box's x axis points along its
-# length, y along its width, z along its height, as in annotator; quaternions are w x y z; a scan is float32 x y z
-# intensity ring, the intensity in 0..255.
-
-
 MOST_INTENSITY = 255.0
 
 
@@ -165,10 +155,6 @@ def scan(cloud: PointCloud, T_level_camera: RigidTransform) -> Float32[np.ndarra
     return np.column_stack([T_level_camera.apply(cloud.xyz_m), intensity, np.zeros(len(cloud))]).astype("<f4")
 
 
-# TODO-MERGED docstring of read.py:
-# Reads the boxes of nuScenes tables, camera by camera.
-
-
 ANNOTATIONS = "sample_annotation.json"
 # A box is in an image if one of its corners is, and all are in front of the camera (devkit: `BoxVisibility.ANY`).
 NEAREST_M = 0.1
@@ -202,12 +188,6 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
 
     Args:
         path: the dataset's root, or its folder of tables.
-        on_fault: called with the fault of a box's row; see `OnFault`.
-
-    Raises:
-        FormatError: no tables, rows that do not follow the schema or refer to missing rows, or two images with the
-            same name.
-        UnitError: the quaternions have w last.
     """
     folder = _table_folder(path)
     origins = read_frames(folder.parent)
@@ -231,11 +211,7 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
 
 
 def read_world_poses(path: Path) -> dict[str, RigidTransform]:
-    """Returns `T_world_camera` of the frames of an export, by name, if their recordings have map coordinates.
-
-    Raises:
-        FormatError: as `read_nuscenes`.
-    """
+    """Returns `T_world_camera` of the frames of an export, by name, if their recordings have map coordinates."""
     folder = _table_folder(path)
     origins = read_frames(folder.parent)
     if not origins:
@@ -347,11 +323,7 @@ class _Labels:
 
 
 def require_w_first(tables: Path, annotations: Iterable[SampleAnnotation], instances: Mapping[str, Instance]) -> None:
-    """The boxes of nuScenes stand upright in the global frame; those of annotator may be tilted.
-
-    Raises:
-        UnitError: the boxes stand upright only if w is the last number of their quaternions.
-    """
+    """The boxes of nuScenes stand upright in the global frame; those of annotator may be tilted."""
     quaternions = Quaternions()
     for row in annotations:
         if row.instance_token not in instances or not _is_ours(instances[row.instance_token]):
@@ -392,19 +364,11 @@ def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> b
     return bool(((px > -0.5) & (px < np.array([width_px, height_px]) - 0.5)).all(axis=1).any())
 
 
-# TODO-MERGED docstring of sample_labels.py:
-# Reads the boxes of some samples, in the global frame.
-
-
 def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScenesBox, ...]]:
     """Returns the boxes of samples, by the sample's token.
 
     Args:
         tables: the folder of the tables.
-
-    Raises:
-        FormatError: a table is missing or damaged, or refers to missing rows.
-        UnitError: the sizes are not in metres, or the quaternions have w last.
     """
     annotations = _rows(tables / ANNOTATIONS, SampleAnnotation, samples)
     # all of them, because a track is the row's number
@@ -447,18 +411,6 @@ def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list
         raise FormatError(path, str(error)) from error
 
 
-# TODO-MERGED docstring of results.py:
-# nuScenes' results of detectors and trackers: boxes with scores, by the tokens of their samples.
-#
-#     {"meta": {...}, "results": {"SAMPLE": [{"translation": [x, y, z], "size": [width, length, height],
-#         "rotation": [w, x, y, z], "detection_name": "car", "detection_score": 0.8, "attribute_name": "vehicle.moving"},
-#         ...], ...}}
-#
-# Global frame, metres. Trackers write `tracking_name`, `tracking_score` and `tracking_id`. Other keys, such as
-# `velocity`, are ignored. Sources: "Results format" in the devkit's `eval/detection/README.md` and
-# `eval/tracking/README.md`.
-
-
 RESULTS = "results"
 
 
@@ -479,12 +431,7 @@ class ResultBox(BaseModel):
 
 
 def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
-    """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file.
-
-    Raises:
-        FormatError: the file cannot be read or is no such JSON, or a box is invalid; names the sample.
-        UnitError: after the last sample: the quaternions have w last.
-    """
+    """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file."""
     tracks: dict[str | int, int] = {}
     quaternions = Quaternions()
     for sample, boxes in read_pairs(path, RESULTS):

@@ -366,11 +366,6 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Ope
 
     Args:
         angles: unit of the angles of cuboids; None: radians, as the standard says.
-
-    Raises:
-        FormatError: no document, a document that does not follow the standard, a cuboid in a coordinate system that
-            is not connected to the camera's, or two frames with the same name.
-        UnitError: the angles cannot be radians, or the quaternions have w first.
     """
     all_angles, quaternions = Angles(angles), Quaternions(w_first=False)
     frames: dict[str, OpenLabelFrame] = {}
@@ -391,11 +386,7 @@ def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, Ope
 
 
 def _collect(file: Path, content: Content, angles: Angles, quaternions: Quaternions) -> None:
-    """Adds the numbers of all cuboids of a document; quaternions only of those in level frames.
-
-    Raises:
-        FormatError: as `_cuboids`.
-    """
+    """Adds the numbers of all cuboids of a document; quaternions only of those in level frames."""
     cameras = {name for name, stream in (content.streams or {}).items() if stream.type == "camera"}
     for number, frame in (content.frames or {}).items():
         for _, _, each, cuboid in _cuboids(file, content, int(number), frame):
@@ -413,12 +404,8 @@ def parse(
     """Yields the frames of one document, once for each of its cameras.
 
     Args:
-        path: the document, for error messages.
         origins: origins of frames, by the stem of their files.
         degrees: the unit of the cuboids' angles; False: radians.
-
-    Raises:
-        FormatError: as `read_openlabel`.
     """
     content = document.openlabel
     sensors = _sensors(path, content)

@@ -2,6 +2,17 @@
 
 Names and nesting are the standard's. Other parts of a document (other geometry, actions, relations, ontologies) are
 ignored when reading. Optional parts are None and are left out when writing.
+
+The schema does not define the order of a cuboid's Euler angles; it is taken from Vicomtech's VCD library, the
+standard's reference implementation: `rx ry rz` mean R = Rz(rz) Ry(ry) Rx(rx), and `sequence` names intrinsic rotations,
+"ZYX" by default.
+
+What sources of boxes said of an object is the text `said_by` of its cuboid: a JSON list.
+
+    [{"source": "detector", "type": "car", "val": [...], "score": 0.9, "track_id": 3, "box_kind": "silhouette"}, ...]
+
+`type` and `val` are as in OpenLABEL's objects and cuboids, in the cuboid's coordinate system; the last three are left
+out if they are unknown or as usual.
 """
 
 from __future__ import annotations
@@ -232,14 +243,6 @@ class Document(_Record):
     openlabel: Content
 
 
-# TODO-MERGED docstring of shapes.py:
-# Converts cuboids, transforms and cameras to and from OpenLABEL's numbers.
-#
-# Source: ASAM OpenLABEL 1.0.0, JSON schema (`cuboid`, `transform_data`, `stream_properties`). The schema does not define
-# the order of a cuboid's Euler angles; it is taken from Vicomtech's VCD library, the standard's reference implementation:
-# `rx ry rz` mean R = Rz(rz) Ry(ry) Rx(rx), and `sequence` names intrinsic rotations, "ZYX" by default.
-
-
 # Largest deviation of a 4x4 matrix from a rigid motion; files hold rounded numbers.
 RIGID = 1e-3
 
@@ -324,10 +327,6 @@ def pinhole_of(camera: Camera) -> Pinhole:
     )
 
 
-# TODO-MERGED docstring of coordinates.py:
-# Transforms between the coordinate systems of a document, at one frame.
-
-
 class Coordinates:
     """The tree of a document's coordinate systems, with the transforms of one frame.
 
@@ -379,15 +378,6 @@ class Coordinates:
         self._edges.setdefault(dst, {})[src] = T_dst_src.inv()
 
 
-# TODO-MERGED docstring of said_text.py:
-# What sources of boxes said of an object, as the text `said_by` of its cuboid: a JSON list.
-#
-#     [{"source": "detector", "type": "car", "val": [...], "score": 0.9, "track_id": 3, "box_kind": "silhouette"}, ...]
-#
-# `type` and `val` are as in OpenLABEL's objects and cuboids, in the cuboid's coordinate system; the last three are
-# left out if they are unknown or as usual.
-
-
 SAID_BY = "said_by"
 
 
@@ -434,10 +424,6 @@ def said_from(text: str) -> tuple[Said, ...]:
     return tuple(
         Said(each.source, each.type, box_from(each.val), each.score, each.track_id, each.box_kind) for each in entries
     )
-
-
-# TODO-MERGED docstring of named_values.py:
-# Values of attributes as OpenLABEL's named booleans, numbers and texts.
 
 
 # Names that annotator itself gives to data of a cuboid; attributes of these names get a prefix.

@@ -44,11 +44,7 @@ def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> Non
 
 
 def read_ply(path: Path) -> PointCloud:
-    """Reads a file that `write_ply` wrote with the default comment, so in the camera frame.
-
-    Raises:
-        FormatError: the file cannot be read, has a different layout, or is truncated.
-    """
+    """Reads a file that `write_ply` wrote with the default comment, so in the camera frame."""
     try:
         data = read_frame_file(path)
     except OSError as error:

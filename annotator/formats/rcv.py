@@ -282,28 +282,16 @@ class RcvDataset:
         return len(self.manifest.frames)
 
     def labels(self, i: int) -> tuple[Label, ...]:
-        """Returns the labels of frame `i` without reading its image and cloud.
-
-        Raises:
-            FormatError: the label file is missing or does not follow the format.
-        """
+        """Returns the labels of frame `i` without reading its image and cloud."""
         return _labels(*self._record(i))
 
     def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values, RigidTransform | None]:
-        """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`.
-
-        Raises:
-            FormatError: as `labels`.
-        """
+        """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`."""
         path, record = self._record(i)
         return f"{record.recording}/{record.key}", _labels(path, record), record.attributes, _pose(path, record)
 
     def frame(self, i: int) -> RcvFrame:
-        """Reads frame `i` with its labels.
-
-        Raises:
-            FormatError: one of its files is missing or does not follow the format.
-        """
+        """Reads frame `i` with its labels."""
         path, record = self._record(i)
         return RcvFrame(record.id, record.recording, self._frame(path, record), _labels(path, record))
 
@@ -312,11 +300,7 @@ class RcvDataset:
         return self._frame(*self._record(i))
 
     def place(self, i: int) -> tuple[str, int]:
-        """Returns the original recording of frame `i`, and its number there.
-
-        Raises:
-            FormatError: as `labels`.
-        """
+        """Returns the original recording of frame `i`, and its number there."""
         _, record = self._record(i)
         return record.recording, record.index
 
@@ -344,11 +328,7 @@ class RcvDataset:
 
 
 def read_rcv(path: Path) -> RcvDataset:
-    """Opens a dataset; its frames are read on access.
-
-    Raises:
-        FormatError: `path` is not an rcv dataset, or its manifest contradicts itself.
-    """
+    """Opens a dataset; its frames are read on access."""
     if path.exists() and not (path / MANIFEST).exists():
         raise FormatError(path, f"is no dataset in the format rcv, which has a {MANIFEST}")
     manifest = read_model(path / MANIFEST, RcvManifest)

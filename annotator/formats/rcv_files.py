@@ -1,4 +1,4 @@
-"""The JSON of an `rcv` dataset: `labels/ID.json` and `dataset.json`, metres, radians and pixels throughout."""
+"""The JSON of an `rcv` dataset, metres, radians and pixels throughout, and its README.md, which describes the dataset."""
 
 from __future__ import annotations
 
@@ -176,10 +176,6 @@ class RcvManifest(_Record):
     cameras: tuple[RcvCameraUse, ...]
     counts: RcvCounts
     frames: tuple[str, ...]
-
-
-# TODO-MERGED docstring of readme.py:
-# The README.md inside an `rcv` dataset, which describes the dataset without any other document.
 
 
 TEXT = """\

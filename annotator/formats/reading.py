@@ -1,4 +1,4 @@
-"""Shared by the label readers: handling of faults, finite numbers, and image files."""
+"""Shared by the label readers: faults, finite numbers, images, and the text files of a folder or a zip archive."""
 
 from __future__ import annotations
 
@@ -24,11 +24,7 @@ OnFault = Callable[[FormatError], None]
 
 
 def raise_fault(fault: FormatError) -> None:
-    """Stops reading by raising the fault.
-
-    Raises:
-        FormatError: always.
-    """
+    """Stops reading by raising the fault."""
     raise fault
 
 
@@ -41,11 +37,7 @@ def finite_number(text: str, path: Path, line: int, name: str = "") -> float:
     """Returns a text as a finite number.
 
     Args:
-        path, line: for the error message.
         name: the field's name, for the error message.
-
-    Raises:
-        FormatError: the text is not a number, or not finite.
     """
     where = f"{name}: " if name else ""
     try:
@@ -58,11 +50,7 @@ def finite_number(text: str, path: Path, line: int, name: str = "") -> float:
 
 
 def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
-    """Returns the bytes of an image file and its pixels: BGR order, rotated according to the EXIF tag.
-
-    Raises:
-        FormatError: the file cannot be read, is truncated, damaged, not an image or too large.
-    """
+    """Returns the bytes of an image file and its pixels: BGR order, rotated according to the EXIF tag."""
     import cv2
 
     try:
@@ -74,10 +62,6 @@ def read_picture(file: Path) -> tuple[bytes, UInt8[np.ndarray, "h w 3"]]:
         ) from error
     except ValueError as error:
         raise FormatError(file, f"is not a readable image: {error}; restore it, or remove its labels") from error
-
-
-# TODO-MERGED docstring of text_folder.py:
-# Reads the text files of a folder, or of a zip archive without unpacking it.
 
 
 MAX_FILES = 1_000_000
@@ -93,10 +77,6 @@ def text_files(path: Path, suffix: str = ".txt", within: str | None = None) -> I
         path: the folder or the archive.
         suffix: suffix of the files to read.
         within: a folder name; if an archive has matching files in a folder of this name, only those are read.
-
-    Raises:
-        FormatError: there is no such folder or archive, no file has the suffix, two files have the same name, or one
-            cannot be read: damaged, encrypted, not UTF-8, or longer than `DOCUMENT_BYTES`.
     """
     if path.is_dir():
         yield from _of_folder(path, suffix)
@@ -132,11 +112,7 @@ def _is_wanted(file: PurePath, suffix: str) -> bool:
 
 
 def read_text(file: Path) -> str:
-    """Returns the content of a text file.
-
-    Raises:
-        FormatError: the file cannot be read, is not UTF-8 or is longer than `DOCUMENT_BYTES`.
-    """
+    """Returns the content of a text file."""
     try:
         content = read_file(file)
     except OSError as error:
@@ -145,11 +121,7 @@ def read_text(file: Path) -> str:
 
 
 def text_rows(file: Path) -> list[tuple[int, list[str]]]:
-    """Returns the words of each non-blank line of a text file, with its 1-based line number.
-
-    Raises:
-        FormatError: as `read_text`.
-    """
+    """Returns the words of each non-blank line of a text file, with its 1-based line number."""
     return [(line, row.split()) for line, row in enumerate(read_text(file).splitlines(), 1) if row.strip()]
 
 
@@ -209,10 +181,6 @@ def _text(file: Path, content: bytes) -> str:
         raise FormatError(file, f"is {error}") from error
 
 
-# TODO-MERGED docstring of masks.py:
-# Mask images: the object that each pixel belongs to.
-
-
 SINGLE_OBJECT = 255
 
 
@@ -220,9 +188,6 @@ def read_mask(path: Path) -> UInt8[np.ndarray, "h w"]:
     """Returns object numbers from 1, in the order of the frame's boxes; 0 is the background.
 
     A mask of one object may also be stored as 0 and 255; it is returned as 0 and 1.
-
-    Raises:
-        FormatError: the file is missing, truncated, or not an 8-bit image with one channel.
     """
     import cv2
 

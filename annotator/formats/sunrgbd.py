@@ -203,11 +203,7 @@ def read_extracted_labels(path: Path, T_camera_label: RigidTransform | None) -> 
     """Returns the objects of one `label/KEY.txt`, in file order; an empty file has none.
 
     Args:
-        path: the file.
         T_camera_label: from upright depth to the camera frame (`Frame.T_camera_label`); None for identity.
-
-    Raises:
-        FormatError: the file is missing, or a row is not a valid label; names file and line.
     """
     return [extracted_truth(fields, T_camera_label, path, line) for line, fields in text_rows(path)]
 
@@ -293,10 +289,6 @@ def read_extracted_folder(path: Path) -> dict[str, ExtractedFrame]:
 
     Args:
         path: a folder in VoteNet's layout, its folder `label`, or a zip archive of that.
-
-    Raises:
-        FormatError: there are no labels, a row is not a valid label (names the line), or frames.csv does not list a
-            label file.
     """
     place = path / "label" if (path / "label").is_dir() else path
     if place == path and (path / "image").is_dir():

@@ -133,11 +133,7 @@ def dump_meta(frames: Sequence[MetaRow]) -> dict[str, np.ndarray]:
 
 
 def read_meta(path: Path) -> list[MetaFrame]:
-    """Returns the frames of a `SUNRGBDMeta*.mat`.
-
-    Raises:
-        FormatError: it is not such a file, a frame occurs twice, or a box is invalid; names frame and object.
-    """
+    """Returns the frames of a `SUNRGBDMeta*.mat`."""
     try:
         table = read_mat(path, VARIABLE, MAX_BYTES)
     except MatFileError as error:

@@ -151,10 +151,6 @@ def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str,
 
     Args:
         angles: their unit; None: radians, as the format says.
-
-    Raises:
-        FormatError: no labels, a file that does not follow the format, or two scenes with a frame of the same name.
-        UnitError: the angles cannot be radians.
     """
     files: dict[str, _LabelFile] = {}
     for folder in _label_folders(path):

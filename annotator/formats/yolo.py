@@ -10,6 +10,20 @@ index into the dataset's `names`, from 0. Centre, width, height and corners are 
 measured from the image's corner (see `geometry/image_shares.py`). An empty file means an image without objects. A sixth
 field is the score of a detection. Source: Ultralytics' documentation, overviews of datasets for "object detection",
 "oriented bounding box" and "instance segmentation", and the checks in its `data/utils.py`.
+
+A dataset has images, a label file for each, and `data.yaml`, or label files with `classes.txt`:
+
+    images/PART/FILE
+    labels/PART/STEM.txt
+    data.yaml           path, train, val[, test], names, box_kind, other_box_kind
+
+The label file is beside the image, or in the folder that results if the last `images` in the image's path is replaced
+by `labels`. An image without one has no objects. Label files without an image are read, too, since boxes are fractions
+of the image size. Nothing outside the dataset's folder is read, even if `data.yaml` or a link points there. If `path`
+in `data.yaml` is outside, as in a moved dataset, its parts are looked up beside `data.yaml`. An empty `path` is
+written: Ultralytics then uses the folder of `data.yaml`, so the dataset can be moved. `box_kind` is annotator's own:
+what the boxes of the images enclose, except of those that `other_box_kind` lists. Source: `img2label_paths` and
+`check_det_dataset`.
 """
 
 from __future__ import annotations
@@ -102,14 +116,7 @@ def parse_boxes(
     """Returns the boxes of a label file in file order.
 
     Args:
-        path: for error messages.
         names: class names by number.
-        on_fault: called with the fault of a row; see `OnFault`.
-
-    Raises:
-        FormatError: a wrong number of fields, a field that is not a number, a class without a name, a box
-            without extent, a box that extends beyond the image by more than `TOLERANCE`, or the same line twice; names
-            the line.
     """
     boxes: dict[YoloBox, int] = {}
     for line, row in enumerate(text.splitlines(), 1):
@@ -217,18 +224,6 @@ def _are_keypoints(rows: Float64[np.ndarray, "n c"], numbers: int) -> bool:
     return bool(is_far.mean() > 0.5 or (len(rows) >= LEAST_FULL and is_full.mean() > 0.5))
 
 
-# TODO-MERGED docstring of yolo_dataset.py:
-# Writes a YOLO detection dataset: images, a label file for each, and `data.yaml`.
-#
-#     images/PART/FILE
-#     labels/PART/STEM.txt
-#     data.yaml           path, train, val[, test], names, box_kind, other_box_kind
-#
-# `path` is written empty: Ultralytics then uses the folder of `data.yaml`, so the dataset can be moved (a relative path
-# would be resolved against the current directory). `box_kind` is annotator's own: what the boxes of the images enclose,
-# except of those that `other_box_kind` lists. Source: `check_det_dataset` in its `data/utils.py`.
-
-
 PARTS = ("train", "val", "test")
 DATA_YAML = "data.yaml"
 NO_KINDS: Mapping[str, BoxKind] = MappingProxyType({})
@@ -244,7 +239,6 @@ class YoloWriter:
     def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
         """
         Args:
-            folder: an existing, empty folder.
             classes: numbered from 0 in this order.
             parts: names of all parts, including empty ones; () for a dataset without parts.
         """
@@ -300,18 +294,6 @@ def data_yaml(classes: Sequence[str], parts: Sequence[str], kinds: Mapping[str, 
 def is_yolo_dataset(folder: Path) -> bool:
     """True for a folder in `YoloWriter`'s layout."""
     return all((folder / name).is_dir() for name in ("images", "labels")) and (folder / DATA_YAML).is_file()
-
-
-# TODO-MERGED docstring of yolo_read.py:
-# Reads YOLO detection datasets: `data.yaml` with its image folders, or label files with `classes.txt`.
-#
-# The label file of an image has the image's name. It is beside the image, or in the folder that results if the last
-# `images` in the image's path is replaced by `labels`. An image without a label file has no objects. Label files without
-# an image are also read, since boxes are fractions of the image size. Source: `img2label_paths` and `check_det_dataset`
-# in Ultralytics' `data/utils.py`.
-#
-# Nothing outside the dataset's folder is read, even if `data.yaml` or a link points there. If `path` in `data.yaml` is
-# outside, as in a moved dataset, its parts are looked up beside `data.yaml`.
 
 
 CLASSES = "classes.txt"
@@ -372,11 +354,6 @@ def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
 
     Args:
         path: `data.yaml`; its folder; or a folder of label files with `classes.txt` in it or above it.
-        on_fault: called with the fault of a label file or an image of another type; see `OnFault`.
-
-    Raises:
-        FormatError: `path` is not one of these, `data.yaml` is damaged, there are keypoints, a part is missing or is
-            outside the folder, a label file does not follow the format, or an image is neither PNG nor JPEG.
     """
     if path.is_dir() and not (path / DATA_YAML).is_file():
         pictures = list(_with_classes(path, on_fault))
@@ -459,11 +436,7 @@ def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
 
 
 def _inside(path: Path, root: Path) -> Path:
-    """Returns the path unchanged.
-
-    Raises:
-        FormatError: the path is, or is behind, a link that leads out of the dataset's folder.
-    """
+    """Returns the path unchanged; raises FormatError if it is, or is behind, a link that leads out of the folder."""
     if not is_within(root, path):
         raise FormatError(path, "is a link that leads out of the dataset's folder; copy the file itself there")
     return path

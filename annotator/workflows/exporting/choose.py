@@ -1,4 +1,4 @@
-"""Selects the labels of a project to export, and divides their frames into parts."""
+"""Selects the labels of a project to export, or its camera images and pseudo-views, and divides the frames into parts."""
 
 from __future__ import annotations
 
@@ -19,9 +19,6 @@ from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.names import alternatives
 from annotator.workflows.rigs import once
-
-# TODO-MERGED docstring of split.py:
-# Divides frames into the parts of a dataset, deterministically.
 
 
 # Parts become the names of files and folders.
@@ -247,10 +244,6 @@ def _no_labels(project: Project, choose: ExportFilter, states: tuple[ReviewState
         else "run `annotator annotate` first, or choose other states"
     )
     return f"project {project.config.name} has no labels in state {', '.join(states)} to export; {advice}"
-
-
-# TODO-MERGED docstring of choose_pictures.py:
-# Selects the camera images and pseudo-views of a project to export in a format of 2D boxes.
 
 
 Pictures = Literal["images", "views", "both"]
