@@ -1,6 +1,4 @@
-"""JSON files: reading into pydantic models with errors that name the place, number fields with limits, and reading large
-objects pair by pair. `write_text` writes text files atomically.
-"""
+"""JSON files: read into pydantic models, or pair by pair if they are large; and number fields with limits."""
 
 from __future__ import annotations
 

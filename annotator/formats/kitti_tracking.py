@@ -91,8 +91,8 @@ class KittiTrackingWriter(KittiWriter):
         if sequence.calibration not in (None, calibration):
             raise FormatError(
                 self.out,
-                f"frame {item.frame.key} has a different calibration from earlier frames, but a KITTI sequence has only "
-                "one; export as kitti",
+                f"frame {item.frame.key} has a different calibration from earlier frames, but a KITTI sequence has "
+                "only one; export as kitti",
             )
         sequence.calibration = calibration
 

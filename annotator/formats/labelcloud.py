@@ -476,6 +476,3 @@ def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
             f"{AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}",
         )
     return degrees
-
-
-__all__ = ["LabelCloudFrame", "read_labelcloud", "write_labelcloud"]

@@ -1,4 +1,4 @@
-"""Reads nuScenes: tables of boxes, one JSON list of records each, linked by tokens; and results of detectors and trackers.
+"""Reads nuScenes: tables, one JSON list of records each, linked by tokens; and results of detectors and trackers.
 
 Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit) and `utils/data_classes.py`: metres, sizes
 are width, length, height; a box's x axis points along its length, y along its width, z along its height, as in
@@ -50,7 +50,6 @@ from annotator.types import OrientedBox, PointCloud, Truth
 from annotator.types.errors import FormatError
 from annotator.types.label import AttributeValue
 from annotator.types.validation import first_problem
-
 
 Vector3 = Bounded3
 Quaternion = Bounded4

@@ -1,4 +1,4 @@
-"""The JSON of an `rcv` dataset, metres, radians and pixels throughout, and its README.md, which describes the dataset."""
+"""The JSON of an `rcv` dataset, metres, radians and pixels throughout; and its README.md, which describes it."""
 
 from __future__ import annotations
 

@@ -291,18 +291,11 @@ def data_yaml(classes: Sequence[str], parts: Sequence[str], kinds: Mapping[str, 
     return f"# an empty path is the folder of this file\n{text}"
 
 
-def is_yolo_dataset(folder: Path) -> bool:
-    """True for a folder in `YoloWriter`'s layout."""
-    return all((folder / name).is_dir() for name in ("images", "labels")) and (folder / DATA_YAML).is_file()
-
-
 CLASSES = "classes.txt"
 READABLE = (".png", ".jpg", ".jpeg")
 # Image types that Ultralytics also reads; here they are reported as faults.
 OTHERS = (".bmp", ".tif", ".tiff", ".webp")
 SUFFIXES = READABLE + OTHERS
-# Maximum number of characters that a message quotes from an invalid path.
-LONGEST_SHOWN = 60
 
 
 @dataclass(frozen=True)

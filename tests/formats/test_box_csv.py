@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from annotator.formats.box_csv import BoxRow, read_box_csv
 from annotator.types.errors import FormatError
@@ -58,22 +56,3 @@ def test_errors_name_the_file_and_line(tmp_path: Path, lines: list[str], line: i
     with pytest.raises(FormatError, match=problem) as caught:
         read_box_csv(path, scored=True)
     assert (caught.value.path, caught.value.line) == (path, line)
-
-
-def test_missing_and_non_utf_8_files_are_errors(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="cannot be read"):
-        read_box_csv(tmp_path / "missing.csv", scored=True)
-    (tmp_path / "boxes.csv").write_bytes(HEAD.encode() + b"\n\xff\xfe")
-    with pytest.raises(FormatError, match="is not UTF-8"):
-        read_box_csv(tmp_path / "boxes.csv", scored=True)
-
-
-@settings(deadline=None, max_examples=100)
-@given(st.binary(max_size=200))
-def test_any_bytes_are_rows_or_an_error(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
-    path = tmp_path_factory.mktemp("fuzz") / "boxes.csv"
-    path.write_bytes(f"{HEAD}\n{ROW}\n".encode() + content)
-    try:
-        read_box_csv(path, scored=True)
-    except FormatError as error:
-        assert error.path == path

@@ -77,8 +77,3 @@ def test_an_invalid_file_is_an_error(tmp_path: Path, content: object, complaint:
     with pytest.raises(FormatError, match=complaint) as caught:
         read_boxes(path)
     assert str(path) in str(caught.value)
-
-
-def test_a_missing_file_is_an_error(tmp_path: Path):
-    with pytest.raises(FormatError, match="cannot be read"):
-        read_boxes(tmp_path / "boxes.json")

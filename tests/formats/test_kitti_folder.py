@@ -17,7 +17,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.kitti_objects import KittiRows, calibration_text, each_kitti_frame
 from annotator.formats.kitti_rows import (
-    KittiLabel,
     dump_label_line,
     kitti_row,
     label_box,
@@ -112,15 +111,6 @@ def test_repeated_round_trips_of_rows_do_not_drift(
         read = parse_label_line(text)
         assert dump_label_line(read) == text
         now = label_box(read)
-
-
-@settings(deadline=None)
-@given(st.builds(KittiLabel, st.just("Van"), *[st.floats(-99, 999)], st.integers(-1, 3), *[st.floats(-99, 999)] * 12))
-def test_any_row_reads_back_up_to_rounding(row: KittiLabel) -> None:
-    read = parse_label_line(dump_label_line(row))
-    for name, value in vars(row).items():
-        expected = pytest.approx(value, abs=0.00501) if isinstance(value, float) else value
-        assert getattr(read, name) == expected
 
 
 def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:
@@ -236,11 +226,6 @@ def test_broken_labels_are_named_with_their_line(tmp_path: Path, text: str, prob
     (tmp_path / "classes.txt").write_text("traffic_light\n")
     with pytest.raises(FormatError, match=r"classes\.txt:1: a line must be `WORD CLASS_NAME`"):
         dict(each_kitti_frame(folder, KittiRows()))
-
-
-def test_dontcare_rows_are_written_unchanged() -> None:
-    text = "DontCare -1 -1 -10 753.33 164.32 798.00 186.74 -1 -1 -1 -1000 -1000 -1000 -10"
-    assert dump_label_line(parse_label_line(text)) == text
 
 
 def test_a_tracking_file_gives_frames_and_tracks(tmp_path: Path) -> None:

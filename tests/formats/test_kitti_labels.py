@@ -8,14 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.kitti_objects import KittiRows, each_kitti_frame, read_kitti_file, read_kitti_shifts
 from annotator.formats.kitti_rows import (
-    heading_rotation,
-    label_box,
     parse_label_line,
     read_object_labels,
     read_tracking_areas,
@@ -41,10 +37,6 @@ def test_every_field_of_a_row_is_read():
     assert (row.x, row.y, row.z, row.rotation_y, row.score) == (-2.72, 0.82, 48.22, -1.62, None)
 
 
-def test_a_result_row_has_a_score():
-    assert parse_label_line(CAR + " 0.75").image_box.score == 0.75
-
-
 @pytest.mark.shared
 def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path):
     labels = json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]
@@ -63,28 +55,6 @@ def test_corners_are_those_of_the_devkit(shared: Path, tmp_path: Path):
         center = truth.box.center_m - shift
         np.testing.assert_allclose(center - truth.box.rotation[:, 2] * truth.box.size_m[2] / 2, bottom, atol=1e-6)
         np.testing.assert_allclose(center + truth.box.rotation[:, 0] * truth.box.size_m[0] / 2, front, atol=1e-6)
-
-
-@pytest.mark.shared
-def test_projected_corners_are_those_of_the_devkit(shared: Path):
-    for golden in json.loads((shared / "golden" / "kitti_conventions.json").read_text())["labels"]:
-        if golden["expected"].get("corner_behind_camera"):
-            continue
-        P2 = np.array(golden["P2"]).reshape(3, 4)
-        box = label_box(parse_label_line(golden["label"]))
-        uvw = np.c_[box_corners(box), np.ones(8)] @ P2.T
-        uv = uvw[:, :2] / uvw[:, 2:]
-        np.testing.assert_allclose(as_point_set(uv), as_point_set(np.array(golden["expected"]["corner_uv"])), atol=1e-4)
-
-
-@settings(deadline=None)
-@given(st.floats(-np.pi, np.pi))
-def test_heading_rotations_are_about_the_vertical(rotation_y: float):
-    R = heading_rotation(rotation_y)
-    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
-    assert np.linalg.det(R) == pytest.approx(1)
-    np.testing.assert_array_equal(R[:, 2], [0, -1, 0])
-    assert np.arctan2(-R[2, 0], R[0, 0]) == pytest.approx(rotation_y, abs=1e-12)
 
 
 @pytest.mark.parametrize("word", ["DontCare", "dontcare", "DONTCARE"])
@@ -108,13 +78,6 @@ def test_dontcare_rows_and_blank_lines_are_skipped(tmp_path: Path, word: str, si
     assert read_object_labels(path, None) == []
 
 
-def test_tracking_rows_keep_frame_and_track(tmp_path: Path):
-    path = tmp_path / "label_02.txt"
-    path.write_text(f"0 -1 {DONT_CARE}\n0 7 {CAR}\n3 7 {CAR}\n3 8 {CAR}\n")
-    frames = read_tracking_labels(path, None)
-    assert {frame: [truth.track_id for truth in truths] for frame, truths in frames.items()} == {0: [7], 3: [7, 8]}
-
-
 @pytest.mark.parametrize(("written", "read"), [("0", 0.0), ("1", None), ("2", None), ("0.25", 0.25), ("1.00", 1.0)])
 def test_levels_of_truncation_in_tracking_files_are_no_fractions(tmp_path: Path, written: str, read: float | None):
     path = tmp_path / "label_02.txt"
@@ -133,26 +96,6 @@ def test_real_label_files_have_the_object_counts_of_their_readme(shared: Path):
     assert {name: labels.count(name) for name in set(labels)} == {"Van": 35, "Cyclist": 20, "Pedestrian": 6}
 
 
-@pytest.mark.parametrize(
-    ("row", "complaint"),
-    [
-        pytest.param("Car 0 0 1.5", "has 15 fields", id="too-few-fields"),
-        pytest.param(CAR + " 0.5 0.5", "has 15 fields", id="too-many-fields"),
-        pytest.param(CAR.replace("48.22", "48,22"), "'48,22' has a decimal comma; write a point", id="comma"),
-        pytest.param(CAR.replace("48.22", "far"), "'far' is not a number", id="no-number"),
-        pytest.param(CAR.replace("48.22", "nan"), "'nan' is not a finite number", id="nan"),
-        pytest.param(CAR.replace(" 2 ", " 1.5 "), "'1.5' is not a whole number", id="occluded-fraction"),
-        pytest.param(CAR.replace("1.56", "0"), "must be positive", id="no-width"),
-    ],
-)
-def test_a_bad_row_is_named_by_file_and_line(tmp_path: Path, row: str, complaint: str):
-    path = tmp_path / "000001.txt"
-    path.write_text(f"{CAR}\n{row}\n")
-    with pytest.raises(FormatError, match=complaint) as caught:
-        read_object_labels(path, None)
-    assert str(caught.value).startswith(f"{path}:2: ")
-
-
 @pytest.mark.parametrize("row", [CAR, f"0 {CAR}", f"0.5 1 {CAR}", f"x 1 {CAR}", f"0 {10**30} {CAR}", f"-1e16 0 {CAR}"])
 def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
     path = tmp_path / "label_02.txt"
@@ -160,11 +103,6 @@ def test_a_bad_tracking_row_is_named_by_file_and_line(tmp_path: Path, row: str):
     with pytest.raises(FormatError) as caught:
         read_tracking_labels(path, None)
     assert str(caught.value).startswith(f"{path}:2: ")
-
-
-def test_a_missing_label_file_is_an_error(tmp_path: Path):
-    with pytest.raises(FormatError, match=r"000009\.txt"):
-        read_object_labels(tmp_path / "000009.txt", None)
 
 
 @pytest.mark.parametrize(("label", "calibration"), [("NFC", "NFD"), ("NFD", "NFC"), ("NFD", "NFD"), ("NFC", "NFC")])

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.kitti_rows import label_box, parse_label_line
@@ -166,31 +164,3 @@ def test_memory_does_not_grow_with_unused_elements_and_whitespace(tmp_path: Path
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 500_000
-
-
-@st.composite
-def damaged(draw: st.DrawFn) -> bytes:
-    content = bytearray(document(VAN, PEDESTRIAN).encode())
-    for _ in range(draw(st.integers(1, 3))):
-        at = draw(st.integers(0, len(content) - 1))
-        noise = draw(
-            st.one_of(st.binary(max_size=3), st.sampled_from([b"<item>", b"</item>", b"-1", b"1e999", b"&x;"]))
-        )
-        content[at : at + draw(st.integers(0, 8))] = noise
-    return bytes(content)
-
-
-@given(damaged())
-@example(document(VAN, PEDESTRIAN).replace("UTF-8", "TF-8").encode())
-@settings(max_examples=100)
-def test_damaged_files_are_read_or_are_errors_that_name_the_file(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-):
-    path = tmp_path_factory.getbasetemp() / "damaged.xml"
-    path.write_bytes(content)
-    try:
-        frames = read_tracklets(path)
-    except FormatError as error:
-        assert str(error).startswith(str(path))
-    else:
-        assert all(np.isfinite(truth.box.center_m).all() for truths in frames.values() for truth in truths)

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_samples import BOXES, assert_same_box, make_box, make_item, make_label, write
-from hypothesis import example, given, settings
+from dataset_samples import assert_same_box, make_box, make_item, make_label, write
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.labelcloud import (
@@ -88,38 +87,7 @@ def test_clouds_of_a_tilted_camera_are_upright(tmp_path: Path) -> None:
     assert_same_box(frame.boxes[0][1].transformed(frame.T_camera_cloud), UPRIGHT_X, 1e-7)
 
 
-@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), None])
-def test_a_camera_that_looks_straight_up_or_down_has_a_level_frame(up: tuple[float, ...] | None) -> None:
-    R = level_pose(None if up is None else np.array(up)).rotation.as_matrix()
-    np.testing.assert_allclose(R.T[:, 2], (0, -1, 0) if up is None else up, atol=1e-12)
-    assert np.linalg.det(R) == pytest.approx(1)
-
-
 GIMBAL = make_box((1.0, 2.0, 3.0), tuple(Rotation.from_euler("ZYX", [0.7, np.pi / 2, 0.3]).as_rotvec()), (4, 2, 1))
-
-
-@given(BOXES)
-@example(GIMBAL)
-@settings(max_examples=10, deadline=None)
-def test_ten_round_trips_of_boxes_do_not_drift(box: OrientedBox) -> None:
-    reach = 1.0 + np.abs(box.center_m).max() + box.size_m.max()
-    for dump in (centroid_object, vertices_object):
-        have = box
-        for _ in range(10):
-            have = box_of(dump("a", have), degrees=False)
-        thin = float(box.size_m.min()) if dump is vertices_object else 1.0
-        assert np.abs(have.rotation - box.rotation).max() < 1e-7 / min(thin, 1.0)
-        assert np.abs(have.center_m - box.center_m).max() < 2e-8 * reach
-        assert np.abs(have.size_m - box.size_m).max() < 2e-8 * reach
-
-
-@given(BOXES)
-@settings(max_examples=40, deadline=None)
-def test_a_box_that_was_read_is_written_unchanged(box: OrientedBox) -> None:
-    if np.hypot(*box.rotation[:2, 0]) < 0.1:
-        return  # near gimbal lock, the last digits of x and z are not unique
-    once = centroid_object("a", box)
-    assert centroid_object("a", box_of(once, degrees=False)) == once
 
 
 def test_angles_equal_those_of_scipy() -> None:
@@ -215,3 +183,7 @@ def test_a_damaged_calibration_is_an_error(tmp_path: Path, text: str, problem: s
     (tmp_path / "calib/000000.txt").write_text(text)
     with pytest.raises(FormatError, match=problem):
         read_labelcloud(tmp_path)
+
+
+def test_angles_are_exact_also_where_they_are_ambiguous() -> None:
+    assert_same_box(box_of(centroid_object("a", GIMBAL), degrees=False), GIMBAL, 1e-7)

@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_samples import BOXES, assert_same_box, make_box, make_item, make_label, write
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from dataset_samples import assert_same_box, make_box, make_item, make_label, write
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.openlabel import Scene, dump, parse, read_openlabel
-from annotator.formats.openlabel_document import Document
-from annotator.types import BoxKind, Camera, OrientedBox, ReviewState, Suggestion
+from annotator.formats.openlabel import Scene, read_openlabel
+from annotator.types import BoxKind, Camera, OrientedBox, Suggestion
 from annotator.types.errors import FormatError
 
 PLACE_IN_MAP = RigidTransform.from_components([701_378.25, 4_485_513.5, 640.0], Rotation.from_rotvec([1, -0.5, 0.25]))
@@ -81,29 +78,6 @@ def test_the_document_follows_the_schema(tmp_path: Path) -> None:
     result = core.check_file(str(tmp_path / "out" / "rec.json"))
     assert len(result.outcomes) > 5
     assert [issue.message for outcome in result.outcomes for issue in outcome.issues] == []
-
-
-@given(
-    st.lists(
-        st.builds(
-            make_label, BOXES, uid=st.uuids().map(str), label=st.sampled_from(["hand", "Büro | 1"]),
-            score=st.none() | st.floats(0, 1), state=st.sampled_from(ReviewState),
-            track_id=st.none() | st.integers(0, 3) | st.sampled_from([-(2**53), 2**53]),
-        ),
-        max_size=4,
-    )
-)  # fmt: skip
-@settings(deadline=None)
-def test_written_documents_read_back(labels: list[Any]) -> None:
-    scene = Scene("rec", "annotator 1")
-    scene.add(make_item(labels), "images/x.png", "clouds/x.ply")
-    text = dump(scene.document())
-    (frame,) = parse(Path("rec.json"), Document.model_validate_json(text), {})
-    assert (frame.name, frame.of_camera, len(frame.boxes)) == ("x", True, len(labels))
-    for have, want in zip(frame.boxes, labels, strict=True):
-        assert (have.label, have.score, have.state) == (want.label, want.score, want.state)
-        assert have.track_id == want.track_id
-        assert_same_box(have.box, want.box)
 
 
 def test_tracks_keep_their_identity_over_frames() -> None:

@@ -95,27 +95,6 @@ def test_json_has_the_box_as_matrix_quaternion_and_corners(tmp_path: Path) -> No
     assert content["camera"]["distortion"] == [0.1, -0.2, 0.001, 0.002, 0.05]
 
 
-def test_corners_follow_the_order_in_the_manifest(tmp_path: Path) -> None:
-    manifest = export(tmp_path / "out", [DatasetItem("rec", make_frame(), [auto_label()])])
-    entry = json.loads((tmp_path / "out/labels/rec-000001.json").read_text())["objects"][0]
-    signs = np.array([[1 if sign == "+" else -1 for sign in word] for word in manifest.conventions.corner_order])
-    by_hand = np.array(entry["center"]) + (signs * np.array(entry["size"]) / 2) @ np.array(entry["rotation"]).T
-    np.testing.assert_allclose(np.array(entry["corners"])[:3].T, by_hand, atol=1e-12)
-
-
-@pytest.mark.parametrize("reflectance", [True, False])
-def test_open3d_reads_the_cloud(tmp_path: Path, reflectance: bool) -> None:
-    import open3d
-
-    frame = make_frame(reflectance=reflectance)
-    export(tmp_path / "out", [DatasetItem("rec", frame, [])])
-    cloud = open3d.t.io.read_point_cloud(tmp_path / "out/clouds/rec-000001.ply")
-    np.testing.assert_array_equal(cloud.point.positions.numpy(), frame.cloud.xyz_m)
-    np.testing.assert_array_equal(cloud.point.colors.numpy(), frame.cloud.rgb)
-    if frame.cloud.reflectance is not None:
-        np.testing.assert_array_equal(cloud.point.reflectance.numpy()[:, 0], frame.cloud.reflectance)
-
-
 def test_the_manifest_counts_frames_objects_and_points(tmp_path: Path) -> None:
     frames = [make_frame(key) for key in ("000001", "000002")]
     items = [
@@ -149,15 +128,6 @@ def test_readme_describes_every_field_and_its_example_runs(
     monkeypatch.chdir(tmp_path / "out")
     exec(textwrap.dedent(code), {})
     assert capsys.readouterr().out.startswith("hand accepted [")
-
-
-def test_images_can_be_jpegs(tmp_path: Path) -> None:
-    flat = Frame("k", 0, CAMERA, np.full((4, 6, 3), (200, 100, 50), np.uint8), make_frame().cloud)
-    export(tmp_path / "out", [DatasetItem("rec", flat, [])], image_format="jpg")
-    assert (tmp_path / "out/images/rec-k.jpg").is_file()
-    back = read_rcv(tmp_path / "out").frame(0).frame
-    assert np.abs(back.rgb.astype(int) - [200, 100, 50]).max() <= 4
-    assert back.up is None
 
 
 def edit(path: Path, **changes: Any) -> None:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from annotator.formats.yolo import YoloBox, dump_boxes, parse_boxes
 from annotator.types import Box2D
@@ -35,35 +32,6 @@ def test_a_score_is_read_and_boxes_are_clipped_to_the_image() -> None:
     assert (cut.label, cut.score, cut.xyxy) == ("person", 0.25, pytest.approx((89.0, 24.5, 99.5, 74.5)))
 
 
-@st.composite
-def pictures(draw: st.DrawFn) -> tuple[tuple[int, int], list[Box2D]]:
-    """An image's size and different boxes on it, many of which touch an edge."""
-    size = draw(st.integers(2, 5000)), draw(st.integers(2, 5000))
-
-    def span(length: int) -> tuple[float, float]:
-        low = draw(st.one_of(st.just(-0.5), st.floats(-0.5, length - 1.6)))
-        return low, draw(st.one_of(st.just(length - 0.5), st.floats(low + 1, length - 0.5)))
-
-    boxes: dict[str, Box2D] = {}
-    for label in draw(st.lists(st.sampled_from(["person", "hand"]), max_size=4)):
-        (x_min, x_max), (y_min, y_max) = span(size[0]), span(size[1])
-        box = Box2D(label, x_min, y_min, x_max, y_max)
-        boxes[dump_boxes([box], NUMBERS, *size)] = box
-    return size, list(boxes.values())
-
-
-@given(pictures())
-def test_ten_round_trips_round_only_once(picture: tuple[tuple[int, int], list[Box2D]]) -> None:
-    size, boxes = picture
-    back = boxes
-    for _ in range(10):
-        back = [box.on(*size) for box in parse_boxes(FILE, dump_boxes(back, NUMBERS, *size), NAMES)]
-        assert [box.label for box in back] == [box.label for box in boxes]
-        for box, want in zip(back, boxes, strict=True):
-            # seven decimals of a fraction: half of the last digit for the centre, a quarter for half the size
-            np.testing.assert_allclose(box.xyxy, want.xyxy, rtol=0, atol=1.5e-7 * max(size))
-
-
 @pytest.mark.parametrize(
     ("row", "says"),
     [
@@ -88,22 +56,6 @@ def test_ten_round_trips_round_only_once(picture: tuple[tuple[int, int], list[Bo
 def test_errors_name_the_line(row: str, says: str) -> None:
     with pytest.raises(FormatError, match=rf"a\.txt:3: {says}|a\.txt:3: .*{says}"):
         parse_boxes(FILE, f"1 0.5 0.5 0.2 0.2\n\n{row}\n", NAMES)
-
-
-numbers = st.one_of(st.floats(-0.1, 1.1), st.floats(), st.integers(-2, 3), st.sampled_from([1e-9, 1e-300, 1.01, -0.01]))
-rows = st.one_of(st.text(max_size=20), st.lists(numbers.map(repr), min_size=4, max_size=7).map(" ".join))
-
-
-@given(st.lists(rows, max_size=4), st.integers(1, 20000), st.integers(1, 20000))
-def test_any_content_is_boxes_on_the_image_or_an_error(lines: list[str], width_px: int, height_px: int) -> None:
-    try:
-        boxes = parse_boxes(FILE, "\n".join(f"1 {line}" for line in lines), NAMES)
-    except FormatError as error:
-        assert str(error).startswith("labels/a.txt:")
-        return
-    for box in boxes:
-        x_min, y_min, x_max, y_max = box.on(width_px, height_px).xyxy
-        assert -0.5 <= x_min < x_max <= width_px - 0.5 and -0.5 <= y_min < y_max <= height_px - 0.5
 
 
 @pytest.mark.parametrize(

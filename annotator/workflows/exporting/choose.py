@@ -1,4 +1,4 @@
-"""Selects the labels of a project to export, or its camera images and pseudo-views, and divides the frames into parts."""
+"""Selects the labels, or the images and pseudo-views, of a project to export, and divides its frames into parts."""
 
 from __future__ import annotations
 
