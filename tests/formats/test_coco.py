@@ -263,9 +263,3 @@ def test_corners_in_place_of_sizes_are_refused(
         want = np.c_[low, np.minimum(low + size, SHOWN)] - 0.5
         np.testing.assert_allclose(np.array([box.xyxy for box in image.boxes]).reshape(-1, 4), want)
         assert len(faults) == (said == "crowd")
-
-
-@pytest.mark.parametrize("area", ["80", None, True, -1, 10**400, -(10**400), [1]])
-def test_areas_of_any_kind_are_ignored(tmp_path: Path, area: object) -> None:
-    first, _ = read_coco(put(tmp_path, broken("annotations.0.area", area)))
-    assert first.boxes[0] == Box2D("hand", -0.5, -0.5, 9.5, 7.5)

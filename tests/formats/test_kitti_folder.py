@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataset_samples import write
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.formats.dataset_writing import DatasetItem
@@ -19,10 +17,6 @@ from annotator.formats.kitti_objects import KittiRows, calibration_text, each_ki
 from annotator.formats.kitti_rows import (
     dump_label_line,
     kitti_row,
-    label_box,
-    parse_label_line,
-    rounded_box,
-    upright_row,
 )
 from annotator.formats.losses import Losses, Lost
 from annotator.geometry.occlusion import Sight
@@ -79,38 +73,6 @@ def test_occlusion_is_measured(wall_m: float, occluded: int) -> None:
     here = frame(wall_m=wall_m)
     assert kitti_row("car", box(0.0, 6.0), None, here, Sight(here.cloud.xyz_m)).occluded == occluded
     assert kitti_row("car", box(0.0, 6.0), None, here, Sight(here.cloud.xyz_m[:0])).occluded == 3
-
-
-BARE = Frame("a", 0, CAMERA, np.zeros((100, 200, 3), np.uint8), PointCloud(np.zeros((1, 3), np.float32)))
-
-
-@settings(max_examples=20, deadline=None)
-@given(
-    st.tuples(*[st.floats(-60, 60)] * 2, st.floats(0.5, 90)),
-    st.tuples(*[st.floats(0.02, 20)] * 3),
-    st.floats(-math.pi, math.pi),
-    st.tuples(*[st.floats(-1, 1)] * 3),
-)
-def test_repeated_round_trips_of_rows_do_not_drift(
-    center: tuple[float, ...], size: tuple[float, ...], angle: float, shift: tuple[float, ...]
-) -> None:
-    """The first row is the box rounded to its decimals; each later row equals the first."""
-    R = Rotation.from_euler("y", angle).as_matrix() @ RIGHT
-    here = replace(BARE, T_camera_label=RigidTransform.from_translation(shift))
-    given = OrientedBox.from_parts(np.array(center), R, np.array(size))
-    now, first = rounded_box(given), ""
-    np.testing.assert_allclose(now.center_m, given.center_m, atol=0.0101)
-    np.testing.assert_allclose(now.size_m, given.size_m, atol=0.00501)
-    turned = Rotation.from_matrix(now.rotation.T @ given.rotation)
-    assert turned.magnitude() <= 0.00501
-    for _ in range(2):
-        row = upright_row("car", rounded_box(now), None, here)
-        text = dump_label_line(row)
-        assert first in ("", text)
-        first = text
-        read = parse_label_line(text)
-        assert dump_label_line(read) == text
-        now = label_box(read)
 
 
 def test_the_losses_of_a_kitti_folder_are_counted(tmp_path: Path) -> None:

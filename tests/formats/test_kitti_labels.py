@@ -19,7 +19,7 @@ from annotator.formats.kitti_rows import (
 )
 from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.geometry.oriented_box import box_corners
-from annotator.types.errors import FormatError, UnitError
+from annotator.types.errors import FormatError
 
 CAR = "Car 0.25 2 -1.55 548.00 171.33 572.40 194.42 1.48 1.56 3.62 -2.72 0.82 48.22 -1.62"
 DONT_CARE = "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10"
@@ -135,19 +135,3 @@ def test_a_name_in_both_unicode_forms_is_refused(tmp_path: Path):
         (tmp_path / f"{unicodedata.normalize(form, 'Bü')}.txt").write_text(CAR)
     with pytest.raises(FormatError, match=r"has two files called Bü\.txt; keep one"):
         list(each_kitti_frame(tmp_path, KittiRows()))
-
-
-@pytest.mark.parametrize("heading", [0.785, 1.5, 3.14, 4.71, 6.28, 7.06])
-def test_angles_of_openpcdet_are_read(tmp_path: Path, heading: float):
-    """It writes rotation_y = -heading - pi/2 with a heading in pi/4 .. 9/4 pi."""
-    rotation_y = -heading - np.pi / 2
-    path = tmp_path / "000000.txt"
-    path.write_text(f"{CAR.replace('-1.62', f'{rotation_y:.4f}')} 0.9\n")
-    (row,) = read_kitti_file(path, scored=True)
-    (truth,) = read_object_labels(path, None)
-    turn = np.arctan2(-truth.box.rotation[2, 0], truth.box.rotation[0, 0])
-    assert row.rotation_y == pytest.approx(rotation_y, abs=1e-4)
-    assert np.cos(turn - rotation_y) == pytest.approx(1, abs=1e-6)
-    path.write_text(f"{CAR.replace('-1.62', '-92.8')} 0.9\n")
-    with pytest.raises(UnitError, match=r"write radians \(`annotator import` converts degrees with --angles degrees"):
-        read_kitti_file(path, scored=True)

@@ -24,8 +24,8 @@ from annotator.types import (
     Source,
     Suggestion,
 )
-from annotator.types.errors import ConfigError, FrameError, ProjectError
-from annotator.workflows.add_recordings import add_recordings, register_recording
+from annotator.types.errors import ConfigError, FrameError
+from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
@@ -227,16 +227,3 @@ def test_missing_frames_with_labels_fail_the_export(
     with pytest.raises(FrameError, match="frame 000001 no longer exists; restore it"):
         exported(project, tmp_path / "b")
     assert not (tmp_path / "b").exists()
-
-
-def test_frames_with_the_same_key_in_two_recordings_are_exported(
-    people: Project, own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    register_recording(people, open_recording(own_copy("people")))
-    label_all(people, (0,), recording=0)
-    label_all(people, (0,), recording=1)
-    exported(people, tmp_path / "out")
-    dataset = read_rcv(tmp_path / "out")
-    assert [dataset.frame(i).recording for i in range(2)] == ["people", "people-2"]
-    with pytest.raises(ProjectError, match="no recording 'people-3'"):
-        people.recordings.find("people-3")

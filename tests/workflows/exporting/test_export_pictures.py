@@ -216,12 +216,6 @@ def test_the_exported_pictures_depend_on_the_options(people: Project, tmp_path: 
     assert stems("edited", choose=edited) == [f"people-00000{number}.png" for number in (0, 1, 4)]
 
 
-def test_an_export_without_views_is_an_error(hands: Project, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="has no labelled views to export"):
-        exported(hands, tmp_path / "out", ExportFormat.YOLO, options=ExportOptions(pictures="views"))
-    assert list(tmp_path.glob("out*")) == []
-
-
 def test_only_an_older_dataset_of_the_format_is_replaced(people: Project, tmp_path: Path) -> None:
     labelled(people)
     exported(people, tmp_path / "out", ExportFormat.COCO)
