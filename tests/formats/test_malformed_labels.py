@@ -276,3 +276,11 @@ def test_boxes_out_of_range_after_the_transform_to_the_camera_are_errors(tmp_pat
         with pytest.raises(FormatError, match=r"bed: a box must be within 1e\+09 m") as caught:
             read(path, turned)
         assert caught.value.path == path
+
+
+def test_long_files_are_not_read_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("annotator.formats.json_file.MAX_BYTES", 1 << 20)
+    with (tmp_path / "boxes.json").open("wb") as file:
+        file.truncate(4 << 30)  # sparse
+    with pytest.raises(FormatError, match="larger than 1 MiB"):
+        read_boxes(tmp_path / "boxes.json")

@@ -12,9 +12,64 @@ from scipy.spatial.transform import Rotation
 
 from annotator.evaluation import boxes as boxes_module
 from annotator.evaluation.boxes import BoxTable, overlapping
-from annotator.evaluation.oriented import LABELLINGS, evaluate_oriented, evaluate_sunrgbd, pose_errors
+from annotator.evaluation.oriented import (
+    LABELLINGS,
+    FrameResult,
+    average_precision,
+    evaluate_oriented,
+    evaluate_sunrgbd,
+    matched_ious,
+    pose_errors,
+)
 from annotator.geometry.iou import iou_3d
 from annotator.types import OrientedBox
+
+
+def cube(x: float, size: float = 1.0) -> OrientedBox:
+    return OrientedBox.from_parts(np.array([x, 0.0, 5.0]), np.eye(3), np.full(3, size))
+
+
+CASES = [
+    pytest.param([cube(0)], [0.5], [cube(0)], [], 1.0, id="found"),
+    pytest.param([], [], [cube(0)], [], 0.0, id="missed"),
+    pytest.param([cube(9)], [0.5], [cube(0)], [], 0.0, id="beside"),
+    pytest.param([cube(9), cube(0)], [0.9, 0.5], [cube(0)], [], 0.5, id="wrong-one-first"),
+    pytest.param([cube(0), cube(9)], [0.9, 0.5], [cube(0)], [], 1.0, id="wrong-one-last"),
+    pytest.param(
+        [cube(0), cube(0), cube(5)], [0.9, 0.8, 0.7], [cube(0), cube(5)], [], 0.5 + 0.5 * 2 / 3, id="found-twice"
+    ),
+    pytest.param([cube(9), cube(0)], [0.9, 0.5], [cube(0)], [cube(9)], 1.0, id="on-an-ignored"),
+    pytest.param([cube(9), cube(9), cube(0)], [0.9, 0.8, 0.5], [cube(0)], [cube(9)], 1.0, id="twice-on-an-ignored"),
+    pytest.param([cube(9.5), cube(0)], [0.9, 0.5], [cube(0)], [cube(9)], 0.5, id="too-far-from-an-ignored"),
+    pytest.param([cube(0.1), cube(7)], [0.9, 0.5], [cube(0)], [cube(0.4)], 1.0, id="nearer-to-the-one-that-counts"),
+    pytest.param([cube(9)], [0.9], [cube(0)], [cube(9)], 0.0, id="only-an-ignored-found"),
+]
+
+
+@pytest.mark.parametrize(("boxes", "scores", "truth", "ignored", "expected"), CASES)
+def test_average_precision_equals_the_value_computed_by_hand(
+    boxes: list[OrientedBox],
+    scores: list[float],
+    truth: list[OrientedBox],
+    ignored: list[OrientedBox],
+    expected: float,
+) -> None:
+    assert average_precision([FrameResult(boxes, scores, truth, ignored)], 0.5) == pytest.approx(expected)
+
+
+def test_average_precision_without_true_boxes_is_nan() -> None:
+    assert math.isnan(average_precision([FrameResult([cube(0)], [1.0], [], [cube(0)])], 0.5))
+
+
+def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
+    first, second = FrameResult([cube(0)], [0.5], [cube(0)]), FrameResult([cube(0)], [0.9], [cube(5)])
+    # the false positive has the higher score: recall 1/2 at precision 1/2
+    assert average_precision([first, second], 0.5) == pytest.approx(0.25)
+
+
+def test_ignored_boxes_are_not_matched() -> None:
+    np.testing.assert_allclose(matched_ious(FrameResult([cube(9)], [1.0], [cube(0)], [cube(9)])), [0.0])
+
 
 Row = tuple[int, str, OrientedBox, float]
 
