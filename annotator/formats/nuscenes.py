@@ -16,7 +16,6 @@ frame, by the tokens of their samples. Trackers write `tracking_name`, `tracking
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Set
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -161,29 +160,13 @@ NEAREST_M = 0.1
 Row = TypeVar("Row", bound=Record)
 
 
-@dataclass(frozen=True, eq=False)
-class NuScenesBox:
-    """One annotation.
-
-    Attributes:
-        label: the category's name.
-        box: camera frame; from `read_sample_boxes`, global frame.
-        track_id: the instance's id in the project it was exported from; in other datasets the instance's row number
-            if it has more than one annotation, else None.
-        attributes: `vehicle.moving` as vehicle = moving, and the visibility's level as `visibility`.
-    """
-
-    label: str
-    box: OrientedBox
-    track_id: int | None
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-
-
-def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[NuScenesBox, ...]]:
+def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[Truth, ...]]:
     """Returns the boxes of each camera's key frames, by frame name.
 
-    In a dataset with several cameras, each camera gets the boxes that its image shows. Names are "RECORDING/KEY" if the
-    dataset has a frames.csv, else the stem of the image file.
+    With several cameras, each gets the boxes that its image shows. Names are "RECORDING/KEY" if the
+    dataset has a frames.csv, else the stem of the image file. Track ids are those of the project that annotator exported;
+    in other datasets the instance's row number if it has more than one annotation, else None. Attributes are
+    `vehicle.moving` as vehicle = moving, and the visibility's level as `visibility`.
 
     Args:
         path: the dataset's root, or its folder of tables.
@@ -192,7 +175,7 @@ def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tupl
     origins = read_frames(folder.parent)
     labels = _Labels(folder)
     require_w_first(folder, labels.annotations(), labels.instances)
-    frames: dict[str, tuple[NuScenesBox, ...]] = {}
+    frames: dict[str, tuple[Truth, ...]] = {}
     for index, row in enumerate(labels.data.values()):
         if not row.is_key_frame or labels.sensor(index, row).modality != "camera":
             continue
@@ -270,7 +253,7 @@ class _Labels:
 
     def boxes(
         self, index: int, row: SampleData, origins: Mapping[str, FrameOrigin], on_fault: OnFault
-    ) -> Iterator[NuScenesBox]:
+    ) -> Iterator[Truth]:
         """Yields the boxes in a camera's image; with `origins` (an export, one camera) all boxes of the sample."""
         calibrated = self._calibrated[row.calibrated_sensor_token]
         T_camera_global = self.T_global_camera(index, row).inv()
@@ -290,7 +273,7 @@ class _Labels:
                 )
                 track_id = track_of(instance, self._numbers[instance.token])
                 values = values_of(annotation, instance, self._names, self._levels)
-                yield NuScenesBox(category.name, box, track_id, values)
+                yield Truth(category.name, box, track_id, attributes=values)
 
     def _pose(self, table: str, row: EgoPose | CalibratedSensor) -> RigidTransform:
         try:
@@ -333,7 +316,7 @@ def require_w_first(tables: Path, annotations: Iterable[SampleAnnotation], insta
 def values_of(
     annotation: SampleAnnotation, instance: Instance, names: Mapping[str, str], levels: Mapping[str, str]
 ) -> dict[str, AttributeValue]:
-    """Returns the attributes of a box, with names and levels by their tokens; see `NuScenesBox`.
+    """Returns the attributes of a box, with names and levels by their tokens; see `read_nuscenes`.
 
     Levels of visibility in annotator's own exports are measured, unless they are an attribute as well.
     """
@@ -347,7 +330,7 @@ def _is_ours(instance: Instance) -> bool:
 
 
 def track_of(instance: Instance, number: int) -> int | None:
-    """Returns the track of an instance, of which `number` is the row; see `NuScenesBox`."""
+    """Returns the track of an instance, of which `number` is the row; see `read_nuscenes`."""
     if _is_ours(instance):
         return instance.track_id
     return number if instance.nbr_annotations > 1 else None
@@ -363,7 +346,7 @@ def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> b
     return bool(((px > -0.5) & (px < np.array([width_px, height_px]) - 0.5)).all(axis=1).any())
 
 
-def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScenesBox, ...]]:
+def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth, ...]]:
     """Returns the boxes of samples, by the sample's token.
 
     Args:
@@ -377,7 +360,7 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScen
     classes = {row.token: row.name for row in _rows(tables / "category.json", Category)}
     names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
     levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
-    boxes: dict[str, list[NuScenesBox]] = {sample: [] for sample in samples}
+    boxes: dict[str, list[Truth]] = {sample: [] for sample in samples}
     for row in annotations:
         if row.instance_token not in instances:
             problem = f"row {row.token}: refers to the token {row.instance_token}, which is not in instance.json"
@@ -392,7 +375,7 @@ def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[NuScen
             raise FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}") from error
         label = classes[instance.category_token]
         values = values_of(row, instance, names, levels)
-        boxes[row.sample_token].append(NuScenesBox(label, box, track_of(instance, number), values))
+        boxes[row.sample_token].append(Truth(label, box, track_of(instance, number), attributes=values))
     return {sample: tuple(found) for sample, found in boxes.items()}
 
 
@@ -455,14 +438,3 @@ def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int], 
     track = None if row.tracking_id is None else tracks.setdefault(row.tracking_id, len(tracks))
     attributes = from_dotted([row.attribute_name] if row.attribute_name else [])
     return Truth(row.label, box, track, row.score, attributes=attributes)
-
-
-__all__ = [
-    "ANNOTATIONS",
-    "NuScenesBox",
-    "is_seen",
-    "read_nuscenes",
-    "read_results",
-    "read_sample_boxes",
-    "read_world_poses",
-]

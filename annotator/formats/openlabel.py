@@ -66,10 +66,10 @@ from annotator.formats.openlabel_document import (
 from annotator.formats.ply import write_ply
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.quaternion_order import Quaternions
-from annotator.types import BoxKind, Label, OrientedBox, ReviewState
+from annotator.types import BoxKind, Label, ReviewState, Truth
 from annotator.types import Frame as RecordedFrame
 from annotator.types.errors import FormatError
-from annotator.types.label import MOST_TRACK, AttributeValue, Said
+from annotator.types.label import MOST_TRACK, AttributeValue
 
 WORLD, BASE, CAMERA, CLOUD = "world", "base", "camera", "cloud"
 # Axes of the base (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
@@ -318,28 +318,16 @@ def _is_document(path: Path) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class OpenLabelBox:
-    """One cuboid.
+class OpenLabelBox(Truth):
+    """A cuboid, in the coordinates of the frame's camera (or cloud, see `OpenLabelFrame`).
+
+    Its track is the attribute `track_id`, else the object's number; None for UUIDs.
 
     Attributes:
-        label: the object's type.
-        box: in the coordinates of the frame's camera (or cloud, see `OpenLabelFrame`).
-        track_id: the attribute `track_id`, else the object's number; None for UUIDs.
-        score: the attribute `score`, if any.
         state: the review state from the attribute `state`, if any.
-        box_kind: what the box encloses, from the attribute `box_kind`, else the whole object.
-        attributes: values of all other attributes, by name.
-        said: what sources of boxes said of the object, from the attribute `said_by`.
     """
 
-    label: str
-    box: OrientedBox
-    track_id: int | None = None
-    score: float | None = None
     state: ReviewState | None = None
-    box_kind: BoxKind = BoxKind.BOX
-    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
-    said: tuple[Said, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -509,7 +497,8 @@ def _box(
     review = ReviewState(state) if state in set(ReviewState) else None
     box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
     values = values_of(attributes)
-    return OpenLabelBox(each.type, box, track_id, numbers.get("score"), review, box_kind, values, said)
+    score = numbers.get("score")
+    return OpenLabelBox(each.type, box, track_id, score, None, box_kind, values, said, review)
 
 
 def _track(attribute: float | None, uid: str) -> int | None:
