@@ -22,7 +22,7 @@ from annotator.formats.attributes import Values
 from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
 from annotator.formats.losses import LEAST_TILT_RAD, Losses, Lost
 from annotator.geometry.transforms import IMAGE_UP
-from annotator.types import Box2D, BoxKind, Frame, Label, ReviewState
+from annotator.types import Box2D, BoxKind, Frame, Label, PointCloud, ReviewState
 from annotator.types.errors import FormatError
 
 # Bytes of UTF-8. File systems take 255, which must do for a number, a suffix and the name of a temporary file, too.
@@ -332,3 +332,53 @@ def encoded_image(
         height_px, width_px = rgb.shape[:2]
         raise OSError(0, f"an image of {width_px} x {height_px} pixels is too large for {image_format}")
     return bytes(data.tobytes())
+
+
+XYZ = ("x", "y", "z")
+RGB = ("red", "green", "blue")
+CAMERA_FRAME = "camera frame: x right, y down, z forward, metres"
+
+
+def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> None:
+    """Writes points as a PLY file (Greg Turk, "The PLY Polygon File Format", 1994): binary, little-endian.
+
+    The properties of the element `vertex` are float x y z, then uchar red green blue and float reflectance if the cloud
+    has them.
+
+    Args:
+        comment: the points' frame of reference, one line of ASCII.
+    """
+    fields = _fields(cloud.rgb is not None, cloud.reflectance is not None)
+    rows = np.empty(len(cloud), np.dtype(fields))
+    for column, name in enumerate(XYZ):
+        rows[name] = cloud.xyz_m[:, column]
+    if cloud.rgb is not None:
+        for column, name in enumerate(RGB):
+            rows[name] = cloud.rgb[:, column]
+    if cloud.reflectance is not None:
+        rows["reflectance"] = cloud.reflectance
+    with path.open("wb") as file:
+        file.write(_header(fields, len(cloud), comment))
+        file.write(rows.tobytes())
+
+
+def _fields(colour: bool, reflectance: bool) -> list[tuple[str, str]]:
+    """Returns the fields of a row as numpy names them."""
+    return (
+        [(name, "<f4") for name in XYZ]
+        + [(name, "u1") for name in RGB if colour]
+        + ([("reflectance", "<f4")] if reflectance else [])
+    )
+
+
+def _header(fields: list[tuple[str, str]], count: int, comment: str = CAMERA_FRAME) -> bytes:
+    words = {"<f4": "float", "u1": "uchar"}
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {comment}",
+        f"element vertex {count}",
+        *(f"property {words[kind]} {name}" for name, kind in fields),
+        "end_header",
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")

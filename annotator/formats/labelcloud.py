@@ -33,10 +33,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import normal, spelled
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
 from annotator.formats.frame_names import read_frames
 from annotator.formats.json_file import MOST, Bounded, Bounded3, BoundedPositive, read_model
-from annotator.formats.ply import write_ply
 from annotator.formats.reading import OnFault, raise_fault, text_rows
 from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened

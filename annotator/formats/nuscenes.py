@@ -163,10 +163,10 @@ Row = TypeVar("Row", bound=Record)
 def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[Truth, ...]]:
     """Returns the boxes of each camera's key frames, by frame name.
 
-    With several cameras, each gets the boxes that its image shows. Names are "RECORDING/KEY" if the
-    dataset has a frames.csv, else the stem of the image file. Track ids are those of the project that annotator exported;
-    in other datasets the instance's row number if it has more than one annotation, else None. Attributes are
-    `vehicle.moving` as vehicle = moving, and the visibility's level as `visibility`.
+    With several cameras, each gets the boxes that its image shows. Names are "RECORDING/KEY" if the dataset has a
+    frames.csv, else the stem of the image file. Track ids are those of the project that annotator exported; in other
+    datasets the instance's row number if it has more than one annotation, else None. Attributes are `vehicle.moving`
+    as vehicle = moving, and the visibility's level as `visibility`.
 
     Args:
         path: the dataset's root, or its folder of tables.

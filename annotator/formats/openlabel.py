@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import normal, stem_of
 from annotator.files import open_file
-from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image, write_ply
 from annotator.formats.frame_names import FrameOrigin, has_frames, read_frames
 from annotator.formats.json_file import read_model, unique_keys
 from annotator.formats.openlabel_document import (
@@ -63,7 +63,6 @@ from annotator.formats.openlabel_document import (
     transform_values,
     values_of,
 )
-from annotator.formats.ply import write_ply
 from annotator.formats.units import Angles, AngleUnit
 from annotator.geometry.quaternion_order import Quaternions
 from annotator.types import BoxKind, Label, ReviewState, Truth

@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.file_names import OutsideError, inside, spelled
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.formats.dataset_writing import JPEG_QUALITY, DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.dataset_writing import JPEG_QUALITY, DatasetItem, DatasetWriter, encoded_image, write_ply
 from annotator.formats.json_file import read_model
-from annotator.formats.ply import read_ply, write_ply
 from annotator.formats.rcv_files import (
     FORMAT_NAME,
     FORMAT_VERSION,
@@ -43,8 +41,7 @@ from annotator.formats.rcv_files import (
     readme_text,
 )
 from annotator.geometry.transforms import corners_4x8
-from annotator.image_bytes import read_image
-from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.types import Camera, Label, OrientedBox, ReviewState, Source
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
 
@@ -54,11 +51,6 @@ AGREEMENT = 1e-6
 
 def camera_record(camera: Camera) -> RcvCamera:
     return RcvCamera(**asdict(camera))
-
-
-def camera_from(record: RcvCamera) -> Camera:
-    """Returns the camera; raises ValueError for a number of distortion coefficients that OpenCV does not support."""
-    return Camera(**record.model_dump())
 
 
 def labels_record(frame_id: str, item: DatasetItem, image: str, cloud: str) -> RcvLabels:
@@ -253,22 +245,11 @@ def is_rcv_export(folder: Path) -> bool:
 
 # Maximum number of characters that a message quotes from an invalid name.
 SHOWN = 60
-MOST_LENGTH = 1e6
-
-
-@dataclass(frozen=True, eq=False)
-class RcvFrame:
-    """One frame of a dataset with its id, its original recording and its labels."""
-
-    id: str
-    recording: str
-    frame: Frame
-    labels: tuple[Label, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class RcvDataset:
-    """A dataset whose frames are read on access.
+    """The labels of a dataset, read frame by frame on access. As a recording, it is read by `annotator.recordings`.
 
     Attributes:
         path: the folder.
@@ -282,22 +263,13 @@ class RcvDataset:
         return len(self.manifest.frames)
 
     def labels(self, i: int) -> tuple[Label, ...]:
-        """Returns the labels of frame `i` without reading its image and cloud."""
+        """Returns the labels of frame `i`."""
         return _labels(*self._record(i))
 
     def named_labels(self, i: int) -> tuple[str, tuple[Label, ...], Values, RigidTransform | None]:
         """Returns the name `RECORDING/KEY` of frame `i`, its labels, its attributes and `T_world_camera`."""
         path, record = self._record(i)
         return f"{record.recording}/{record.key}", _labels(path, record), record.attributes, _pose(path, record)
-
-    def frame(self, i: int) -> RcvFrame:
-        """Reads frame `i` with its labels."""
-        path, record = self._record(i)
-        return RcvFrame(record.id, record.recording, self._frame(path, record), _labels(path, record))
-
-    def bare_frame(self, i: int) -> Frame:
-        """Reads frame `i` without checking its labels."""
-        return self._frame(*self._record(i))
 
     def place(self, i: int) -> tuple[str, int]:
         """Returns the original recording of frame `i`, and its number there."""
@@ -307,13 +279,6 @@ class RcvDataset:
     def label_path(self, i: int) -> Path:
         """Returns the file with the labels and the camera of frame `i`."""
         return spelled(self.path / "labels", f"{self.manifest.frames[i]}.json")
-
-    def _frame(self, path: Path, record: RcvLabels) -> Frame:
-        rgb, file = _image(_inside(self.path, record.image, path)), _inside(self.path, record.cloud, path)
-        cloud = read_ply(file)
-        if len(cloud) != record.points:
-            raise FormatError(file, f"holds {len(cloud)} points, but {path.name} says {record.points}")
-        return _frame(path, record, rgb, cloud)
 
     def _record(self, i: int) -> tuple[Path, RcvLabels]:
         """Returns the path and the content of frame `i`'s label file."""
@@ -349,50 +314,11 @@ def _inside(folder: Path, name: str, listed_in: Path) -> Path:
         raise FormatError(listed_in, str(error)) from error
 
 
-def _image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Reads the image, RGB order."""
-    import cv2
-
-    try:
-        bgr = read_image(path, cv2.IMREAD_COLOR)
-    except OSError as error:
-        raise FormatError(path, f"the image cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise FormatError(path, f"{error}; export the dataset again") from error
-    return np.ascontiguousarray(bgr[..., ::-1])
-
-
-def _frame(path: Path, record: RcvLabels, rgb: np.ndarray, cloud: PointCloud) -> Frame:
-    try:
-        return Frame(
-            key=record.key,
-            index=record.index,
-            camera=camera_from(record.camera),
-            rgb=rgb,
-            cloud=cloud,
-            up=_direction(record.up),
-            timestamp_ns=record.timestamp_ns,
-            T_world_camera=_pose(path, record),
-        )
-    except ValueError as error:
-        raise FormatError(path, str(error)) from error
-
-
 def _pose(path: Path, record: RcvLabels) -> RigidTransform | None:
     try:
         return None if record.world is None else pose_from(record.world)
     except ValueError as error:
         raise FormatError(path, f"world: {error}") from error
-
-
-def _direction(up: tuple[float, float, float] | None) -> Float64[np.ndarray, "3"] | None:
-    """Returns `up` as a vector; raises ValueError if it is not a direction."""
-    if up is None:
-        return None
-    vector = np.array(up)
-    if not 0 < np.abs(vector).max() < MOST_LENGTH:
-        raise ValueError(f"up must be a direction, not {list(up)}")
-    return vector
 
 
 def _labels(path: Path, record: RcvLabels) -> tuple[Label, ...]:

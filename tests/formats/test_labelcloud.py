@@ -11,6 +11,7 @@ import pytest
 from dataset_samples import assert_same_box, make_box, make_item, make_label, write
 from scipy.spatial.transform import Rotation
 
+from annotator.formats.dataset_writing import XYZ
 from annotator.formats.labelcloud import (
     angles_xyz,
     box_of,
@@ -18,7 +19,6 @@ from annotator.formats.labelcloud import (
     read_labelcloud,
     vertices_object,
 )
-from annotator.formats.ply import XYZ
 from annotator.geometry.transforms import level_pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError

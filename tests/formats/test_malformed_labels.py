@@ -76,7 +76,6 @@ def read_dataset(path: Path) -> None:
     dataset = read_rcv(path if (path / "dataset.json").is_file() else path.parent)
     for i in range(len(dataset)):
         dataset.named_labels(i)
-        dataset.frame(i)
 
 
 Reader = Callable[[Path], object]
@@ -176,8 +175,6 @@ def rcv(value: object, *place: str | int, file: str = RCV_LABELS) -> bytes:
 
 
 LABELS = f"rcv/{RCV_LABELS}"
-CLOUD = next(name for name in READERS if name.startswith("rcv/clouds"))
-PLY = READERS[CLOUD][1]
 # Cases found by hand or by fuzzing, with the expected message. The first one crashed the program.
 FOUND: list[tuple[str, bytes, str]] = [
     ("boxes_json", b'{"0": ' + b"9" * 5000 + b"}", "boxes.json: has a number that cannot be read"),
@@ -199,7 +196,6 @@ FOUND: list[tuple[str, bytes, str]] = [
     (LABELS, rcv("a\0b", "image"), "'a.x00b' leads out of the folder"),
     (LABELS, rcv("../../../etc/passwd", "cloud"), "'../../../etc/passwd' leads out of the folder"),
     (LABELS, rcv("/etc/passwd", "image"), "'/etc/passwd' leads out of the folder"),
-    (LABELS, rcv([0, 0, 0], "up"), r"up must be a direction, not \[0.0, 0.0, 0.0\]"),
     (LABELS, rcv([1e308] * 3, "objects", 0, "size"), "objects.0.size.0: Input should be less than"),
     (
         "rcv/dataset.json",
@@ -207,12 +203,6 @@ FOUND: list[tuple[str, bytes, str]] = [
         "the id '../../x' is not a valid file name",
     ),
     ("rcv/dataset.json", rcv("a\0b", "frames", 0, file="dataset.json"), "leads out of the folder"),
-    (
-        CLOUD,
-        PLY.replace(b"vertex 3", b"vertex 999999999999"),
-        "declares 999999999999 points .14999999999985 bytes.",
-    ),
-    (CLOUD, PLY[:-45] + struct.pack("<f", np.nan) + PLY[-41:], "has a point that is NaN or infinite"),
 ]
 
 

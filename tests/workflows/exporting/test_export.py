@@ -29,7 +29,6 @@ from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.exporting.choose import Split, SplitBy, assign, parse_shares
-from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.reading import load_truth
 
 STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED)
@@ -65,15 +64,12 @@ def test_an_exported_dataset_reads_back_unchanged(people: Project, tmp_path: Pat
     assert manifest.generator.startswith("annotator ")
     dataset = read_rcv(tmp_path / "out")
     assert dataset.manifest == manifest
-    source = FrameSource(people)
     for number, index in enumerate((0, 3)):
         stored = people.frames.of()[index]
-        back, frame = dataset.frame(number), source.read(stored)
-        assert (back.recording, back.frame.key) == ("people", stored.key)
-        np.testing.assert_array_equal(back.frame.rgb, frame.rgb)
-        np.testing.assert_allclose(back.frame.cloud.xyz_m, frame.cloud.xyz_m, atol=1e-6)
+        name, labels, *_ = dataset.named_labels(number)
+        assert name == f"people/{stored.key}"
         kept = [label for label in people.labels.of_frame(stored.id) if label.state is not ReviewState.REJECTED]
-        for a, b in zip(back.labels, kept, strict=True):
+        for a, b in zip(labels, kept, strict=True):
             assert (a.uid, a.label, a.state, a.source, a.track_id) == (b.uid, b.label, b.state, b.source, b.track_id)
             np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
             np.testing.assert_allclose(a.box.size_m, b.box.size_m, atol=1e-9)
