@@ -20,7 +20,6 @@ from annotator.types.errors import ConfigError
 from annotator.types.names import alternatives
 from annotator.workflows.rigs import once
 
-
 # Parts become the names of files and folders.
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
 # Shares may be rounded: 0.33 three times.
