@@ -1,4 +1,7 @@
-"""Reads a YOLO dataset with Ultralytics' check and one pass of its data loader: `read_yolo.py YAML`."""
+"""Reads a YOLO dataset with Ultralytics' check and one pass of its data loader, and KITTI's folder with torchvision.
+
+`read_yolo_and_kitti.py YAML ROOT`, where ROOT/Kitti/raw is the folder. One program: both import torch for seconds.
+"""
 
 import contextlib
 import io
@@ -10,6 +13,7 @@ from pathlib import Path
 os.environ["YOLO_OFFLINE"] = "true"
 os.environ["YOLO_VERBOSE"] = "false"
 
+import torchvision
 import ultralytics
 from torch.utils.data import DataLoader
 from ultralytics.data.dataset import YOLODataset
@@ -31,4 +35,10 @@ with contextlib.redirect_stdout(io.StringIO()):
                 "boxes": [[data["names"][int(number)], *map(float, shares)] for number, shares in rows],
             }
         assert seen == sum(len(label["cls"]) for label in dataset.labels)
-json.dump({"software": f"ultralytics {ultralytics.__version__}", "pictures": pictures}, sys.stdout)
+kitti = torchvision.datasets.Kitti(sys.argv[2])
+frames = {}
+for index in range(len(kitti)):
+    image, objects = kitti[index]
+    frames[Path(kitti.images[index]).stem] = {"size": image.size, "objects": objects}
+software = f"ultralytics {ultralytics.__version__}, torchvision {torchvision.__version__}"
+json.dump({"software": software, "pictures": pictures, "frames": frames}, sys.stdout)
