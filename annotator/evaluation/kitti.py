@@ -163,21 +163,6 @@ class Overlaps:
 Measure = Callable[[KittiRows, KittiRows], Float64[np.ndarray, "p"]]
 
 
-def overlaps_2d(detections: KittiRows, truth: KittiRows) -> Overlaps:
-    """IoU of the 2D boxes; the width of a box is right - left, without an additional pixel."""
-    return _overlaps(detections, truth, _iou_2d)
-
-
-def overlaps_bev(detections: KittiRows, truth: KittiRows) -> Overlaps:
-    """IoU of the ground rectangles: length x width in the x-z plane, rotated by rotation_y."""
-    return _overlaps(detections, truth, _iou_bev)
-
-
-def overlaps_3d(detections: KittiRows, truth: KittiRows) -> Overlaps:
-    """IoU of the 3D boxes: intersection of the rectangles times that of the heights [y - h, y]; y points down."""
-    return _overlaps(detections, truth, _iou_3d)
-
-
 def covered_share(detections: KittiRows, areas: KittiRows) -> Float64[np.ndarray, "n"]:
     """The largest share of each detection's 2D box that one of the areas (DontCare) covers; not an IoU."""
     share = np.zeros(len(detections))
@@ -205,6 +190,7 @@ def _blocks(a: KittiRows, b: KittiRows) -> Iterator[tuple[Int[np.ndarray, "k"], 
 
 
 def _iou_2d(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    """IoU of the 2D boxes; the width of a box is right - left, without an additional pixel."""
     inner = _intersection_2d(a, b)
     return _ratio(inner, _area_2d(a) + _area_2d(b) - inner)
 
@@ -219,11 +205,13 @@ def _area_2d(rows: KittiRows) -> Float64[np.ndarray, "n"]:
 
 
 def _iou_bev(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    """IoU of the ground rectangles: length x width in the x-z plane, rotated by rotation_y."""
     inner = _ground_intersection(a, b)
     return _ratio(inner, _ground(a).prod(axis=1) + _ground(b).prod(axis=1) - inner)
 
 
 def _iou_3d(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    """IoU of the 3D boxes: intersection of the rectangles times that of the heights [y - h, y]; y points down."""
     floor, roof = np.minimum(a.bottom[:, 1], b.bottom[:, 1]), np.maximum(_roof(a), _roof(b))
     inner = _ground_intersection(a, b) * np.maximum(floor - roof, 0.0)
     return _ratio(inner, a.size.prod(axis=1) + b.size.prod(axis=1) - inner)
@@ -350,15 +338,15 @@ def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOver
     """
     detections, truth = detections.by_frame(), truth.by_frame()
     metrics = {
-        Metric.BBOX: (overlaps_2d, min_overlap.bbox, detections.edges[:, 0] >= 0),
-        Metric.BEV: (overlaps_bev, min_overlap.bev, detections.bottom[:, 0] != NO_PLACE_M),
-        Metric.BOX_3D: (overlaps_3d, min_overlap.box_3d, detections.bottom[:, 1] != NO_PLACE_M),
+        Metric.BBOX: (_iou_2d, min_overlap.bbox, detections.edges[:, 0] >= 0),
+        Metric.BEV: (_iou_bev, min_overlap.bev, detections.bottom[:, 0] != NO_PLACE_M),
+        Metric.BOX_3D: (_iou_3d, min_overlap.box_3d, detections.bottom[:, 1] != NO_PLACE_M),
     }
     oriented = bool((detections.alpha != NO_ALPHA).all())
     covered = covered_share(detections, truth.take(truth.is_of(DONT_CARE)))
     curves: dict[str, dict[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]] = {}
     for metric, (measure, needed, has_values) in metrics.items():
-        overlaps = measure(detections, truth)
+        overlaps = _overlaps(detections, truth, measure)
         for label in NEIGHBOURS:
             if not (detections.is_of(label) & has_values).any():
                 continue
@@ -478,15 +466,3 @@ def _samples(values: Float64[np.ndarray, "t"]) -> Float64[np.ndarray, "41"]:
 def _share(part: Shaped[np.ndarray, "t"], whole: Int[np.ndarray, "t"]) -> Float64[np.ndarray, "t"]:
     """part / whole; 0 for an empty whole."""
     return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 0)
-
-
-__all__ = [
-    "OFFICIAL",
-    "RELAXED",
-    "KittiCurve",
-    "KittiResult",
-    "KittiRows",
-    "Metric",
-    "MinOverlap",
-    "evaluate_kitti",
-]

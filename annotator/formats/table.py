@@ -26,7 +26,7 @@ from annotator.formats.attributes import OCCLUSION, TRUNCATION
 from annotator.formats.dataset_writing import Format
 from annotator.formats.losses import Lost
 
-KITTI_LOSES = (*(Lost.SCORE, Lost.STATE, Lost.SAID, Lost.LENS, Lost.DEPTH_COLOR, Lost.TIME, Lost.GRAVITY, Lost.ORIGIN),)
+KITTI_LOSES = (Lost.SCORE, Lost.STATE, Lost.SAID, Lost.LENS, Lost.DEPTH_COLOR, Lost.TIME, Lost.GRAVITY, Lost.ORIGIN)
 FLAT_LOSES = (Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.TIME, Lost.ORIGIN)
 LABELCLOUD = (labelcloud.CLASSES_FILE, f"{labelcloud.LABELS}/{labelcloud.CLASSES_FILE}")
 
