@@ -22,13 +22,20 @@ import numpy as np
 import tyro
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiResult, Metric, MinOverlap, evaluate_kitti
-from annotator.evaluation.kitti.protocol import DIFFICULTIES, NEIGHBOURS
-from annotator.evaluation.sunrgbd import SunRgbdResult, evaluate_sunrgbd
+from annotator.evaluation.kitti import (
+    DIFFICULTIES,
+    NEIGHBOURS,
+    OFFICIAL,
+    RELAXED,
+    KittiResult,
+    Metric,
+    MinOverlap,
+    evaluate_kitti,
+)
+from annotator.evaluation.oriented import SunRgbdResult, evaluate_sunrgbd
 from annotator.formats.box_csv import read_box_csv
-from annotator.formats.kitti.box_rows import derived_box, heading, observation_angle
-from annotator.formats.kitti.label_files import label_box, parse_label_line
-from annotator.formats.kitti.label_folders import read_kitti_folder
+from annotator.formats.kitti_objects import read_kitti_folder
+from annotator.formats.kitti_rows import derived_box, heading, label_box, observation_angle, parse_label_line
 from annotator.geometry.iou import intersection_volume_pairs
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.projection import project

@@ -9,8 +9,7 @@ from enum import StrEnum
 from pydantic import JsonValue
 
 from annotator.detection.config import Augmentation, TrainingConfig
-from annotator.evaluation.kitti import Metric
-from annotator.evaluation.kitti.protocol import DIFFICULTIES
+from annotator.evaluation.kitti import DIFFICULTIES, Metric
 from annotator.rcv.config import Strategy, ViewConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS
 from benchmarks.report import Table

@@ -15,9 +15,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from annotator.files import open_text_file, read_text_file
-from annotator.formats.rcv.read import _inside as of_rcv
-from annotator.formats.text_folder import read_text
-from annotator.formats.yolo_read import read_yolo
+from annotator.formats.rcv import _inside as of_rcv
+from annotator.formats.reading import read_text
+from annotator.formats.yolo import read_yolo
 from annotator.recordings.tum_rgbd import TumRgbd
 from annotator.text import NotTextError, OutsideError, decoded, inside, is_within, normal, spelled, stem_of, to_number
 from annotator.types.errors import AnnotatorError, FormatError

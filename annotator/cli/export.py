@@ -9,6 +9,7 @@ from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames,
 from annotator.cli.output import print_json, print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
+from annotator.formats.table import with_option
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.exporting import (
@@ -73,8 +74,8 @@ def run(
         split: parts of the dataset and their shares of the frames, such as train=0.8,val=0.2; default: no split.
         split_by: frames = assign each frame to a part; recordings = keep the frames of a recording in one part.
         images: file format of the images; png is lossless.
-        boxes_on: with coco and yolo: 2D boxes on camera images, on pseudo-views, or on both.
-        vertices: with labelcloud: write the 8 corners of each box instead of centre, size and angles.
+        boxes_on: with {boxes-on}: 2D boxes on camera images, on pseudo-views, or on both.
+        vertices: with {vertices}: write the 8 corners of each box instead of centre, size and angles.
         overwrite: replace an existing dataset at OUT.
     """
     parts = None if split is None else Split(parse_shares(split), split_by, seed)
@@ -114,6 +115,7 @@ def _print_report(report: ExportReport) -> None:
         print_line(note)
 
 
-run.__doc__ = (run.__doc__ or "").replace(
-    "{formats}", "; ".join(f"{name} = {writer.summary.replace(';', ',')}" for name, writer in WRITERS.items())
-)
+_SUMMARIES = "; ".join(f"{name} = {writer.summary.replace(';', ',')}" for name, writer in WRITERS.items())
+run.__doc__ = (run.__doc__ or "").replace("{formats}", _SUMMARIES)
+for _option in ("boxes-on", "vertices"):
+    run.__doc__ = run.__doc__.replace(f"{{{_option}}}", with_option(_option))

@@ -1,4 +1,10 @@
-"""The protocol for oriented boxes: average precision with exact 3D IoU, mean IoU, pose errors, point masks."""
+"""The protocol for oriented boxes: average precision with exact 3D IoU, mean IoU, pose errors, point masks.
+
+Average precision is the area under the precision envelope (PASCAL VOC since 2010), over all frames together. Detections
+are processed in order of descending score. Each is compared only with the true box of its frame that it overlaps most.
+It is a true positive if the IoU is above the threshold and the box has not been matched before. SUN RGB-D's benchmark
+is the same as in VoteNet (`utils/eval_det.py`, area under the envelope).
+"""
 
 from __future__ import annotations
 
@@ -8,12 +14,108 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
 
-from annotator.evaluation.average_precision import PrecisionRecall, precision_recall
 from annotator.evaluation.boxes import BoxPairs, BoxTable, overlapping
-from annotator.evaluation.poses import pose_errors
 from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox, PointCloud
+
+
+@dataclass(frozen=True, eq=False)
+class PrecisionRecall:
+    """Precision and recall after each detection, in order of descending score; both 0..1."""
+
+    recall: Float64[np.ndarray, "n"]
+    precision: Float64[np.ndarray, "n"]
+
+    @property
+    def area(self) -> float:
+        """Average precision, 0..1: the area under the envelope, the best precision at this or any higher recall."""
+        recall = np.concatenate([[0.0], self.recall, [1.0]])
+        precision = np.concatenate([[0.0], self.precision, [0.0]])
+        envelope = np.maximum.accumulate(precision[::-1])[::-1]
+        return float(np.sum(np.diff(recall) * envelope[1:]))
+
+    @property
+    def final_recall(self) -> float:
+        """The share of the true boxes that were detected."""
+        return float(self.recall[-1]) if len(self.recall) else 0.0
+
+
+def precision_recall(
+    score: Float64[np.ndarray, "d"], pairs: BoxPairs, counts: Bool[np.ndarray, "g"], iou_threshold: float
+) -> PrecisionRecall:
+    """The curve of one class.
+
+    Args:
+        score: of each detection; equal scores are processed in the order of the rows.
+        pairs: the overlapping pairs of detections and true boxes.
+        counts: whether each true box counts; at least one must. Detections of the others are neither true nor false
+            positives.
+        iou_threshold: a match needs a larger IoU.
+    """
+    best = pairs.best()
+    best = best.take(best.iou > iou_threshold)
+    target = np.full(len(score), -1)
+    target[best.detection] = best.truth
+    order = np.argsort(-score, kind="stable")
+    target = target[order]
+    target = target[(target < 0) | counts[target]]
+    hits = np.zeros(len(target), bool)
+    hits[np.unique(target, return_index=True)[1]] = True
+    hits &= target >= 0
+    true_positives = np.cumsum(hits)
+    return PrecisionRecall(true_positives / counts.sum(), true_positives / np.arange(1, len(hits) + 1))
+
+
+# Labellings whose size misfit is within this factor of the best one are equivalent: a nearly square footprint looks the
+# same after a quarter turn.
+SAME_LENGTHS = 1.1
+
+# The 24 labellings of a box's axes: which axis, with which sign, becomes x, y, z.
+LABELLINGS = np.rint(Rotation.create_group("O").as_matrix())
+LABELLINGS.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """The errors of n pairs of a detection and a true box.
+
+    Attributes:
+        center_m: distance of the centres.
+        rotation_rad: the smallest rotation that aligns the axes, 0..pi.
+        size: mean of |length - true length| / true length over the three axes.
+    """
+
+    center_m: Float64[np.ndarray, "n"]
+    rotation_rad: Float64[np.ndarray, "n"]
+    size: Float64[np.ndarray, "n"]
+
+
+def pose_errors(boxes: BoxTable, truth: BoxTable) -> PoseErrors:
+    """Compares the i-th box with the i-th true box.
+
+    24 labellings of the axes describe the same box. Among the labellings whose sizes fit the true ones best
+    (within `SAME_LENGTHS`), the one with the smallest rotation counts. So front and back are equivalent, and length and
+    width are equivalent if they are similar.
+    """
+    every = np.arange(len(boxes))
+    sizes = np.abs(LABELLINGS).transpose(0, 2, 1)[:, None] @ boxes.size[None, :, :, None]
+    share = sizes[..., 0] / truth.size
+    misfit = np.abs(np.log(share)).max(axis=2)
+    allowed = misfit <= misfit.min(axis=0) + np.log(SAME_LENGTHS)
+    turned = np.swapaxes(truth.rotation, 1, 2) @ boxes.rotation @ LABELLINGS[:, None]
+    # precise near 0, unlike the arc cosine of the trace
+    chord = np.linalg.norm(turned - np.eye(3), axis=(2, 3)) / np.sqrt(8.0)
+    angle = np.where(allowed, 2.0 * np.arcsin(np.minimum(chord, 1.0)), np.inf)
+    # for equal rotations, the best sizes
+    best = np.lexsort((misfit, np.round(angle, 9)), axis=0)[0]
+    return PoseErrors(
+        np.linalg.norm(boxes.center - truth.center, axis=1),
+        angle[best, every],
+        np.abs(share[best, every] - 1.0).mean(axis=1),
+    )
+
 
 THRESHOLDS = (0.25, 0.5, 0.7)
 # Minimum IoU of pairs whose poses are compared; below it, angles are meaningless.
@@ -115,7 +217,7 @@ def matched_ious(result: FrameResult) -> Float64[np.ndarray, "t"]:
 
 
 def average_precision(results: Sequence[FrameResult], iou_threshold: float) -> float:
-    """Average precision of one class with exact oriented 3D IoU, as in `annotator.evaluation.average_precision`.
+    """Average precision of one class with exact oriented 3D IoU, as in `annotator.evaluation.oriented`.
 
     Returns:
         0..1; NaN without true boxes.
@@ -176,3 +278,47 @@ def mask_agreement(boxes: Sequence[OrientedBox], cloud: PointCloud, of_object: B
         inside |= contains(box, cloud.xyz_m)
     both = int((inside & of_object).sum())
     return MaskAgreement(both / max(int(of_object.sum()), 1), both / max(int(inside.sum()), 1))
+
+
+SUNRGBD_THRESHOLDS = (0.15, 0.25, 0.5)
+
+
+@dataclass(frozen=True)
+class SunRgbdResult:
+    """The curves by IoU threshold and class; classes without a true box are not evaluated.
+
+    Attributes:
+        objects, detections: number of true boxes and of detections, by class.
+    """
+
+    curves: Mapping[float, Mapping[str, PrecisionRecall]]
+    objects: Mapping[str, int]
+    detections: Mapping[str, int]
+
+    def mean(self, threshold: float) -> float:
+        """Mean average precision over the classes, 0..1; NaN without classes."""
+        areas = [curve.area for curve in self.curves[threshold].values()]
+        return float(np.mean(areas)) if areas else float("nan")
+
+
+def evaluate_sunrgbd(
+    detections: BoxTable, truth: BoxTable, thresholds: Sequence[float] = SUNRGBD_THRESHOLDS
+) -> SunRgbdResult:
+    """Evaluates the detections of all frames, class by class.
+
+    VoteNet intersects upright boxes. The exact intersection used here gives the same result for them, and is also
+    defined for tilted boxes.
+
+    Args:
+        detections: with scores; those in frames without a true box count as false positives.
+        truth: true boxes.
+    """
+    curves: dict[float, dict[str, PrecisionRecall]] = {threshold: {} for threshold in thresholds}
+    objects, numbers = {}, {}
+    for label in np.unique(truth.label).tolist():
+        detected, true = detections.of_class(label), truth.of_class(label)
+        objects[label], numbers[label] = len(true), len(detected)
+        pairs, counts = overlapping(detected, true), np.ones(len(true), bool)
+        for threshold in thresholds:
+            curves[threshold][label] = precision_recall(detected.score, pairs, counts, threshold)
+    return SunRgbdResult(curves, objects, numbers)

@@ -9,11 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, RootModel
 
-from annotator.evaluation.average_precision import PrecisionRecall
-from annotator.evaluation.kitti import KittiCurve, KittiResult, Metric
-from annotator.evaluation.kitti.protocol import DIFFICULTIES, SAMPLES
-from annotator.evaluation.oriented import OrientedClass, OrientedResult
-from annotator.evaluation.sunrgbd import SunRgbdResult
+from annotator.evaluation.kitti import DIFFICULTIES, SAMPLES, KittiCurve, KittiResult, Metric
+from annotator.evaluation.oriented import OrientedClass, OrientedResult, PrecisionRecall, SunRgbdResult
 
 Row = tuple[str | int | float | None, ...]
 

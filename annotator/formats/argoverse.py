@@ -50,8 +50,6 @@ def read_argoverse(path: Path) -> dict[int, list[ArgoverseBox]]:
 
     Raises:
         MissingExtraError: pyarrow is not installed.
-        FormatError: the file is damaged, or a box is impossible.
-        UnitError: the quaternions have w last.
     """
     try:
         table = read_feather(path, COLUMNS)

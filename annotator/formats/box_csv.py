@@ -3,7 +3,7 @@
     image,class,cx,cy,cz,l,w,h,yaw[,score]
 
 z up, metres, radians: centre, full sizes, and the direction of the length, counter-clockwise from +x seen from above.
-The frame is SUN RGB-D's "upright depth" (`sunrgbd/upright_depth.py`).
+The frame is SUN RGB-D's "upright depth" (`sunrgbd_table.py`).
 """
 
 from __future__ import annotations
@@ -49,11 +49,6 @@ def read_box_csv(path: Path, *, scored: bool, angles: AngleUnit | None = None) -
     Args:
         scored: True for detections: the column `score` is required.
         angles: their unit; None: radians, as the format says.
-
-    Raises:
-        FormatError: the file cannot be read; its header lacks a column or has an unknown one; or a row has the wrong
-            number of fields, a field that is not a finite number, an empty name or a size that is not positive.
-        UnitError: the angles cannot be radians.
     """
     read = Angles(angles)
     try:
@@ -80,9 +75,6 @@ def read_upright_boxes(path: Path, angles: AngleUnit | None = None) -> dict[str,
 
     Args:
         angles: their unit; None: radians, as the format says.
-
-    Raises:
-        FormatError: as `read_box_csv`, or a box is out of range.
     """
     images: dict[str, list[Truth]] = {}
     for row in read_box_csv(path, scored=False, angles=angles):

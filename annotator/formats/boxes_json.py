@@ -18,8 +18,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from annotator.formats.json_file import BoundedTrack, write_text
-from annotator.formats.json_stream import read_pairs
+from annotator.formats.json_file import BoundedTrack, read_pairs, write_text
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox, Truth
 from annotator.types.boxes import FARTHEST_M
@@ -48,11 +47,7 @@ class BoxEntry(BaseModel):
 
 
 def read_boxes(path: Path) -> dict[str, list[Truth]]:
-    """Returns the ground-truth objects of every frame in the file, by frame key; a frame may have none.
-
-    Raises:
-        FormatError: the file is missing or not JSON, or an entry is not a valid box; names the frame.
-    """
+    """Returns the ground-truth objects of every frame in the file, by frame key; a frame may have none."""
     return dict(each_frame(path))
 
 
@@ -62,11 +57,7 @@ PLACES = (f"truth/{NAME}", NAME)
 
 
 def boxes_file(path: Path) -> Path:
-    """The file of boxes at `path`, which may also be the folder of a recording.
-
-    Raises:
-        FormatError: a folder without one.
-    """
+    """The file of boxes at `path`, which may also be the folder of a recording."""
     if not path.is_dir():
         return path
     found = next((path / place for place in PLACES if (path / place).is_file()), None)
@@ -82,11 +73,7 @@ def each_frame(path: Path) -> Iterator[tuple[str, list[Truth]]]:
 
 
 def write_boxes(path: Path, frames: Mapping[str, Sequence[Truth]]) -> None:
-    """Writes the boxes of every frame, by frame key; `read_boxes` returns the same boxes. Scores are not written.
-
-    Raises:
-        FormatError: the file cannot be written.
-    """
+    """Writes the boxes of every frame, by frame key; `read_boxes` returns the same boxes. Scores are not written."""
     content = {key: [_entry(truth) for truth in truths] for key, truths in frames.items()}
     write_text(path, json.dumps(content, indent=1) + "\n")
 
@@ -103,21 +90,13 @@ def _entry(truth: Truth) -> dict[str, object]:
 
 
 def each_entries(path: Path) -> Iterator[tuple[str, list[object]]]:
-    """Yields each frame's key and entries, unchecked; `entry_truth` checks one.
-
-    Raises:
-        FormatError: the file is missing, or is not a JSON object.
-    """
+    """Yields each frame's key and entries, unchecked; `entry_truth` checks one."""
     for key, value in read_pairs(path):
         yield key, value if isinstance(value, list) else [value]
 
 
 def entry_truth(value: object, path: Path, key: str, number: int) -> Truth:
-    """Returns the object of one entry; `number` counts the frame's entries from 0.
-
-    Raises:
-        FormatError: the entry is not a valid box; names the frame.
-    """
+    """Returns the object of one entry; `number` counts the frame's entries from 0."""
     try:
         return _truth(BoxEntry.model_validate(value), path, key)
     except ValidationError as error:

@@ -4,12 +4,19 @@ A COCO `bbox` is [x, y, width, height] in edge coordinates: an image covers [0, 
 centre of the first pixel is (0, 0), so 0.5 is subtracted. Source: the COCO data format page ("object detection") and
 `coco.py` of its API. `attributes` of an annotation are an object of values by name, as CVAT writes them; `box_kind` and
 `attributes` of an image are annotator's own.
+
+A dataset is a folder with one image folder and one annotation file for each part, in COCO's own layout
+(`annotations/instances_train2017.json`, `train2017/000000000009.jpg`). Without parts it has the single part `all`.
+
+    annotations/instances_PART.json
+    PART/FILE
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,6 +29,7 @@ from jaxtyping import Bool, Float64
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from annotator.formats.attributes import NO_VALUES, Values, from_dotted
+from annotator.formats.dataset_writing import LabelledPicture
 from annotator.formats.json_file import read_model, write_text
 from annotator.formats.reading import OnFault, known_kind, raise_fault
 from annotator.types import Box2D, BoxKind
@@ -116,14 +124,6 @@ def read_coco(path: Path, on_fault: OnFault = raise_fault) -> list[CocoImage]:
 
     A box that extends beyond its image is clipped to it. A turned box is read as the rectangle around it, and an
     annotation of polygons without a box as the rectangle around these.
-
-    Args:
-        on_fault: called with the fault of an annotation; see `OnFault`.
-
-    Raises:
-        FormatError: malformed JSON, a missing field, an id that is unknown or used twice, a file or category name
-            used twice, the same box twice, a box without positive width and height, a box fully outside its image, or
-            boxes that are corners x1 y1 x2 y2.
     """
     file = read_model(path, _File)
     _require_unique(path, "category id", (category.id for category in file.categories))
@@ -315,9 +315,6 @@ def write_coco(path: Path, images: Sequence[CocoImage], classes: Sequence[str] =
         path: the file; its folder must exist.
         images: the images with their boxes.
         classes: categories to list first, in this order, with or without boxes; others follow by name.
-
-    Raises:
-        FormatError: two images have the same name, or the file cannot be written.
     """
     _require_unique(path, "file_name", (image.file_name for image in images))
     others = {box.label for image in images for box in image.boxes} - set(classes)
@@ -354,3 +351,83 @@ def _annotation(number: int, image_id: int, box: Box2D, values: Values, ids: Map
     if values:
         entry["attributes"] = dict(values)
     return entry
+
+
+ANNOTATIONS = "annotations"
+WHOLE = "all"
+_FILE = re.compile(r"instances_(.+)\.json")
+
+
+class CocoWriter:
+    """Fills a folder with a dataset."""
+
+    def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
+        """
+        Args:
+            classes: the categories; ids count from 1 in this order.
+            parts: names of all parts, including empty ones; () for a dataset without parts.
+        """
+        if ANNOTATIONS in parts:
+            raise FormatError(
+                folder,
+                f"a part cannot be called {ANNOTATIONS}: COCO stores the boxes in a folder of this name",
+            )
+        self._folder, self._classes = folder, classes
+        self._images: dict[str, list[CocoImage]] = {part: [] for part in parts or (WHOLE,)}
+        for part in self._images:
+            (folder / part).mkdir()
+
+    def add(self, picture: LabelledPicture) -> None:
+        part = picture.part or WHOLE
+        (self._folder / part / picture.file_name).write_bytes(picture.content)
+        size = (picture.width_px, picture.height_px)
+        self._images[part].append(
+            CocoImage(picture.file_name, *size, picture.boxes, picture.box_kind, picture.values, picture.attributes)
+        )
+
+    def finish(self) -> Mapping[str, Path]:
+        (self._folder / ANNOTATIONS).mkdir()
+        for part, images in self._images.items():
+            write_coco(self._folder / ANNOTATIONS / f"instances_{part}.json", images, self._classes)
+        return {part: self._folder / part for part in self._images}
+
+
+def coco_files(path: Path) -> list[tuple[Path, Path]]:
+    """Returns each annotation file with the folder of its images.
+
+    Args:
+        path: the folder of a dataset, or one annotation file. Images of a file in `annotations` are in the folder
+            named after its part; images of any other file are beside it.
+    """
+    if path.is_dir():
+        files = sorted(file for file in (path / ANNOTATIONS).glob("*.json") if _FILE.fullmatch(file.name))
+        if not files:
+            raise FormatError(path, f"has no {ANNOTATIONS}/instances_*.json; pass the path of the COCO file instead")
+    else:
+        files = [path]
+    return [(file, _pictures(file)) for file in files]
+
+
+def _pictures(file: Path) -> Path:
+    match = _FILE.fullmatch(file.name)
+    if match is None or file.parent.name != ANNOTATIONS:
+        return file.parent
+    folder = file.parent.parent / match[1]
+    return folder if folder.is_dir() else file.parent.parent
+
+
+def dataset_folder(path: Path) -> Path:
+    """Returns the dataset folder of a path that `coco_files` accepts."""
+    if path.is_dir():
+        return path
+    return path.parent.parent if path.parent.name == ANNOTATIONS else path.parent
+
+
+def is_coco_dataset(folder: Path) -> bool:
+    """True for a folder with COCO annotations in `CocoWriter`'s layout."""
+    return any(_FILE.fullmatch(file.name) for file in (folder / ANNOTATIONS).glob("*.json"))
+
+
+def read_coco_dataset(path: Path, on_fault: OnFault = raise_fault) -> list[tuple[Path, list[CocoImage]]]:
+    """Returns the image folder and the images of each annotation file."""
+    return [(pictures, read_coco(file, on_fault)) for file, pictures in coco_files(path)]

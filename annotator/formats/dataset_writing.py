@@ -1,12 +1,14 @@
-"""Shared by the dataset writers: items to write, unique file names, encoded images, and disk errors.
+"""The skeleton of a label format: its row in the table, the frames to write, and how a dataset is written.
 
-3D formats take `DatasetItem`s, 2D formats `LabelledPicture`s.
+A format of 3D boxes is a `DatasetWriter`, which takes `DatasetItem`s; one of 2D boxes is a `PictureWriter`, which takes
+`LabelledPicture`s. `table.py` has a row for each format.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +17,12 @@ from typing import Literal, Protocol
 import numpy as np
 from jaxtyping import UInt8
 
+from annotator.files import new_folder
 from annotator.formats.attributes import Values
-from annotator.types import Box2D, BoxKind, Frame, Label
+from annotator.formats.frame_names import FRAMES_CSV, FrameOrigin, dump_frames, has_frames
+from annotator.formats.losses import LEAST_TILT_RAD, Losses, Lost
+from annotator.geometry.transforms import IMAGE_UP
+from annotator.types import Box2D, BoxKind, Frame, Label, PointCloud, ReviewState
 from annotator.types.errors import FormatError
 
 # Bytes of UTF-8. File systems take 255, which must do for a number, a suffix and the name of a temporary file, too.
@@ -33,6 +39,7 @@ class DatasetItem:
         labels: the labels to export; boxes in the camera frame.
         split: the frame's part of the dataset, such as "train"; None for a dataset without parts.
         attributes: values of the frame's attributes.
+        unlabelled: areas of the image where objects are not labelled (KITTI's DontCare): left top right bottom, pixels.
     """
 
     recording: str
@@ -40,6 +47,215 @@ class DatasetItem:
     labels: Sequence[Label]
     split: str | None = None
     attributes: Values = field(default_factory=dict)
+    unlabelled: Sequence[tuple[float, float, float, float]] = ()
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A 2D detector that contributed to the boxes; `role` is its input, such as image or view."""
+
+    role: str
+    name: str
+    fingerprint: str
+
+
+@dataclass(frozen=True)
+class DatasetInfo:
+    """What a writer knows of the whole dataset before its first frame.
+
+    Attributes:
+        classes: all class names, in order, with or without boxes.
+        generator: program and version, such as "annotator 0.1.0".
+        image_format: of camera images, in formats that leave the choice.
+        vertices: labelCloud: boxes as 8 corners instead of centre, size and angles.
+        detectors: those that contributed to the boxes.
+        places: recording, key and place in the recording of all frames, in order; for formats that number frames.
+        free_tracks: for each recording, an id above all its track ids; for formats in which every box has one.
+    """
+
+    classes: tuple[str, ...] = ()
+    generator: str = "annotator"
+    image_format: Literal["png", "jpg"] = "png"
+    vertices: bool = False
+    detectors: tuple[Detector, ...] = ()
+    places: Sequence[tuple[str, str, int]] = ()
+    free_tracks: Mapping[str, int] = field(default_factory=dict)
+
+
+class DatasetWriter:
+    """Fills a folder with a dataset of 3D boxes, one frame in memory at a time; each format has a subclass.
+
+    The methods raise OSError if a file cannot be written, FormatError or ConfigError for what the format cannot have.
+
+    Attributes:
+        folder: a new folder, which becomes `out` when the dataset is complete.
+        out: for error messages.
+        losses: a writer counts what depends on its own rules; `write_dataset` what follows from the format's row.
+        counts: number of boxes written, by class.
+        origins: the frames so far, this one included.
+        notes: remarks for the report of the export.
+    """
+
+    def __init__(self, folder: Path, out: Path, info: DatasetInfo, losses: Losses) -> None:
+        self.folder, self.out, self.info, self.losses = folder, out, info, losses
+        self.counts: Counter[str] = Counter()
+        self.origins: list[FrameOrigin] = []
+        self.notes: tuple[str, ...] = ()
+        self._names = FileNames()
+
+    def begin(self) -> None:
+        """Makes the folders."""
+
+    def frame_id(self, item: DatasetItem) -> str:
+        """Returns the frame's id, unique in the dataset: by default a file name of recording and key."""
+        return self._names.add(item.recording, item.frame.key)
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        """Writes a frame."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Writes what describes the whole dataset."""
+
+
+class PictureWriter(Protocol):
+    """Fills a folder with a dataset of 2D boxes, image by image; constructed as `Format.pictures` says."""
+
+    def add(self, picture: LabelledPicture) -> None:
+        """Writes one image; OSError if it cannot be written."""
+
+    def finish(self) -> Mapping[str, Path]:
+        """Writes the files that describe the dataset; returns the image folder of each part."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A label format: what it can hold, how it is recognised, and its options.
+
+    Attributes:
+        summary: what an export is, to display; "" for a format that is only read.
+        boxes: "any rotation", "upright" (rotated about the vertical only) or "2D".
+        loses: what it cannot hold of frames and labels in any case (`count_lost`).
+        values: the attributes of boxes that it holds; None: all.
+        of_frames: it holds attributes of frames.
+        marks: patterns of files that tell its folders; () if only the content of files does.
+        is_ours: True for a folder that annotator has exported, which may be replaced; None: one with `marks` and
+            frames.csv, which other programs do not write.
+        writer: of 3D boxes.
+        pictures: makes the writer of 2D boxes from a folder, the classes and the names of the parts.
+        areas: it holds areas of images where objects are not labelled.
+        frames_csv: its exports have a `frames.csv`, because the format cannot say where frames come from.
+        options: the options of an export that it has, as the command line calls them.
+        angles: it has angles, so an import can be told their unit.
+    """
+
+    summary: str
+    boxes: Literal["any rotation", "upright", "2D"]
+    loses: tuple[Lost, ...] = ()
+    values: tuple[str, ...] | None = None
+    of_frames: bool = False
+    marks: tuple[str, ...] = ()
+    is_ours: Callable[[Path], bool] | None = None
+    writer: type[DatasetWriter] | None = None
+    pictures: Callable[[Path, Sequence[str], Sequence[str]], PictureWriter] | None = None
+    areas: bool = False
+    frames_csv: bool = True
+    options: tuple[Literal["images", "boxes-on", "vertices"], ...] = ()
+    angles: bool = False
+
+    @property
+    def flat(self) -> bool:
+        """True for a format of 2D boxes on images."""
+        return self.boxes == "2D"
+
+    @property
+    def states(self) -> tuple[ReviewState, ...]:
+        """The review states that are exported by default: the reviewed ones, and if it holds states, proposed ones."""
+        is_held = Lost.STATE not in self.loses
+        return (*((ReviewState.PROPOSED,) if is_held else ()), ReviewState.ACCEPTED, ReviewState.EDITED)
+
+    def may_replace(self, folder: Path) -> bool:
+        """True for a folder that annotator has exported in this format."""
+        if self.is_ours is not None:
+            return self.is_ours(folder)
+        return has_frames(folder) and any(next(folder.glob(mark), None) is not None for mark in self.marks)
+
+
+def write_dataset(
+    format: Format,
+    out: Path,
+    items: Iterable[DatasetItem],
+    info: DatasetInfo,
+    losses: Losses | None = None,
+    *,
+    overwrite: bool = False,
+) -> DatasetWriter:
+    """Writes the folder `out` atomically, one frame in memory at a time.
+
+    Args:
+        format: one of 3D boxes.
+        out: a folder that is missing or empty; with `overwrite`, an older export of this format is replaced.
+        items: the frames, each recording in order, read one by one; if reading one raises, `out` is unchanged.
+
+    Raises:
+        ConfigError: parts, classes or recordings that the format cannot have.
+    """
+    losses, known = losses or Losses(), set[tuple[str, str]]()
+    assert format.writer is not None
+    with new_folder(out, lambda old: overwrite and format.may_replace(old)) as folder:
+        writer = format.writer(folder, out, info, losses)
+        with writing(out):
+            writer.begin()
+        for item in items:
+            place = (item.recording, item.frame.key)
+            if place in known:
+                raise FormatError(out, f"{item.recording}, frame {item.frame.key}: the frame is exported twice")
+            known.add(place)
+            count_lost(losses, item, format.loses)
+            _count_values(losses, item, format)
+            writer.origins.append(FrameOrigin(writer.frame_id(item), *place, item.split))
+            with writing(out):
+                writer.frame(item, writer.origins[-1].id)
+        if not writer.origins:
+            raise FormatError(out, "there is no frame to export; the export was not written")
+        with writing(out):
+            writer.finish()
+            if format.frames_csv:
+                write_frames(folder, writer.origins)
+    return writer
+
+
+def write_frames(folder: Path, origins: Iterable[FrameOrigin]) -> None:
+    """Writes `frames.csv`."""
+    (folder / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
+
+
+def count_lost(losses: Losses, item: DatasetItem, kinds: Iterable[Lost]) -> None:
+    """Counts what a format that cannot hold these kinds (keys of `counts`) loses of a frame and its labels."""
+    frame = item.frame
+    counts = {
+        Lost.LENS: not frame.camera.is_ideal,
+        Lost.DEPTH_COLOR: frame.cloud.rgb is not None,
+        Lost.REFLECTANCE: frame.cloud.reflectance is not None,
+        Lost.TIME: frame.timestamp_ns is not None,
+        Lost.ORIGIN: frame.T_world_camera is not None,
+        Lost.GRAVITY: frame.up is not None and float(np.linalg.norm(frame.up - IMAGE_UP)) > LEAST_TILT_RAD,
+        Lost.LEVEL: frame.up is None,
+        Lost.SCORE: sum(label.score is not None for label in item.labels),
+        Lost.TRACK: sum(label.track_id is not None for label in item.labels),
+        Lost.SAID: sum(bool(label.said) for label in item.labels),
+        Lost.STATE: sum(label.state is not ReviewState.ACCEPTED for label in item.labels),
+    }
+    for kind in kinds:
+        losses.add(kind, int(counts[kind]))
+
+
+def _count_values(losses: Losses, item: DatasetItem, format: Format) -> None:
+    if not format.of_frames:
+        losses.add_values(item.attributes)
+    # a format that holds some values counts the others itself
+    if format.values == ():
+        losses.add_values(name for label in item.labels for name in label.attributes)
 
 
 @dataclass
@@ -60,29 +276,6 @@ class FileNames:
             candidate = f"{stem}-{number}"
         self._taken.add(candidate.casefold())
         return candidate
-
-
-@dataclass
-class FrameIds:
-    """Unique frame ids that are valid file names: `recording-key`, in the order of the frames."""
-
-    ids: dict[tuple[str, str], str] = field(default_factory=dict)
-    _names: FileNames = field(default_factory=FileNames)
-
-    def add(self, out: Path, item: DatasetItem) -> str:
-        """Adds a frame and returns its id.
-
-        Args:
-            out: the dataset, for the error message.
-
-        Raises:
-            FormatError: the frame was added before.
-        """
-        origin = (item.recording, item.frame.key)
-        if origin in self.ids:
-            raise FormatError(out, f"{item.recording}, frame {item.frame.key}: the frame is exported twice")
-        self.ids[origin] = self._names.add(*origin)
-        return self.ids[origin]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,30 +304,12 @@ class LabelledPicture:
     attributes: Values = field(default_factory=dict)
 
 
-class PictureWriter(Protocol):
-    """Fills a folder with a dataset, image by image."""
-
-    def add(self, picture: LabelledPicture) -> None:
-        """Writes one image.
-
-        Raises:
-            OSError: it cannot be written.
-        """
-
-    def finish(self) -> Mapping[str, Path]:
-        """Writes the files that describe the dataset; returns the image folder of each part."""
-
-
 JPEG_QUALITY = 95
 
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """Turns an OSError into a FormatError that names the dataset.
-
-    Raises:
-        FormatError: a file could not be written.
-    """
+    """Turns an OSError into a FormatError that names the dataset."""
     try:
         yield
     except OSError as error:
@@ -157,3 +332,53 @@ def encoded_image(
         height_px, width_px = rgb.shape[:2]
         raise OSError(0, f"an image of {width_px} x {height_px} pixels is too large for {image_format}")
     return bytes(data.tobytes())
+
+
+XYZ = ("x", "y", "z")
+RGB = ("red", "green", "blue")
+CAMERA_FRAME = "camera frame: x right, y down, z forward, metres"
+
+
+def write_ply(path: Path, cloud: PointCloud, comment: str = CAMERA_FRAME) -> None:
+    """Writes points as a PLY file (Greg Turk, "The PLY Polygon File Format", 1994): binary, little-endian.
+
+    The properties of the element `vertex` are float x y z, then uchar red green blue and float reflectance if the cloud
+    has them.
+
+    Args:
+        comment: the points' frame of reference, one line of ASCII.
+    """
+    fields = _fields(cloud.rgb is not None, cloud.reflectance is not None)
+    rows = np.empty(len(cloud), np.dtype(fields))
+    for column, name in enumerate(XYZ):
+        rows[name] = cloud.xyz_m[:, column]
+    if cloud.rgb is not None:
+        for column, name in enumerate(RGB):
+            rows[name] = cloud.rgb[:, column]
+    if cloud.reflectance is not None:
+        rows["reflectance"] = cloud.reflectance
+    with path.open("wb") as file:
+        file.write(_header(fields, len(cloud), comment))
+        file.write(rows.tobytes())
+
+
+def _fields(colour: bool, reflectance: bool) -> list[tuple[str, str]]:
+    """Returns the fields of a row as numpy names them."""
+    return (
+        [(name, "<f4") for name in XYZ]
+        + [(name, "u1") for name in RGB if colour]
+        + ([("reflectance", "<f4")] if reflectance else [])
+    )
+
+
+def _header(fields: list[tuple[str, str]], count: int, comment: str = CAMERA_FRAME) -> bytes:
+    words = {"<f4": "float", "u1": "uchar"}
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {comment}",
+        f"element vertex {count}",
+        *(f"property {words[kind]} {name}" for name, kind in fields),
+        "end_header",
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from enum import StrEnum
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.formats.dataset_writing import DatasetItem
 from annotator.geometry.oriented_box import box_corners
-from annotator.geometry.transforms import IMAGE_UP
-from annotator.types import OrientedBox, ReviewState
+from annotator.types import OrientedBox
 from annotator.types.amounts import amount
 
 
@@ -183,29 +181,3 @@ class Losses:
             return Loss(kind=kind, count=count, message=message)
         most = f" (by up to {np.rad2deg(self._tilt_rad):.1f} degrees)"
         return Loss(kind=kind, count=count, message=message + most, most=self._tilt_rad)
-
-
-def count_lost(losses: Losses, item: DatasetItem, kinds: Collection[Lost]) -> None:
-    """Counts the losses of one frame and its labels.
-
-    Args:
-        kinds: what the format cannot store; only kinds that follow from the frame itself, see `counts` below.
-    """
-    frame = item.frame
-    counts = {
-        Lost.LENS: not frame.camera.is_ideal,
-        Lost.DEPTH_COLOR: frame.cloud.rgb is not None,
-        Lost.REFLECTANCE: frame.cloud.reflectance is not None,
-        Lost.TIME: frame.timestamp_ns is not None,
-        Lost.ORIGIN: frame.T_world_camera is not None,
-        Lost.GRAVITY: frame.up is not None and float(np.linalg.norm(frame.up - IMAGE_UP)) > LEAST_TILT_RAD,
-        Lost.SCORE: sum(label.score is not None for label in item.labels),
-        Lost.TRACK: sum(label.track_id is not None for label in item.labels),
-        Lost.SAID: sum(bool(label.said) for label in item.labels),
-        Lost.STATE: sum(label.state is not ReviewState.ACCEPTED for label in item.labels),
-    }
-    if Lost.ATTRIBUTE in kinds:
-        losses.add_values([*item.attributes, *(name for label in item.labels for name in label.attributes)])
-    for kind in kinds:
-        if kind is not Lost.ATTRIBUTE and counts[kind]:
-            losses.add(kind, int(counts[kind]))

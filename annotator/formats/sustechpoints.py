@@ -22,24 +22,21 @@ gravity), and a recording whose camera changes becomes several scenes.
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, Field, RootModel, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.files import new_folder
 from annotator.formats.attributes import from_joined, joined
-from annotator.formats.dataset_writing import DatasetItem, FileNames, FrameIds, encoded_image, writing
-from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, has_frames, read_frames
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image
+from annotator.formats.frame_names import read_frames
 from annotator.formats.json_file import Bounded, BoundedPositive, read_model
-from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.units import Angles, AngleUnit, rotation_problem
 from annotator.geometry.projection import straightened
 from annotator.geometry.transforms import level_pose
@@ -52,7 +49,6 @@ CLOUDS, LABELS, IMAGES, CALIBRATIONS = "lidar", "label", "camera/front", "calib/
 CAMERA, POSES = "front.json", "ego_pose"
 # The ego frame has x right and y ahead; its origin is below the LiDAR, which looks back.
 EGO_CLOUD = RigidTransform.from_components([0.0, 0.0, 0.4], Rotation.from_euler("z", np.pi))
-NOT_HELD = (Lost.SCORE, Lost.STATE, Lost.SAID, Lost.LENS, Lost.TIME)
 # Tolerance for R^T R = identity; matrices in files are rounded.
 MOST_OFF_ROTATION = 1e-2
 
@@ -155,10 +151,6 @@ def read_sustechpoints(path: Path, angles: AngleUnit | None = None) -> dict[str,
 
     Args:
         angles: their unit; None: radians, as the format says.
-
-    Raises:
-        FormatError: no labels, a file that does not follow the format, or two scenes with a frame of the same name.
-        UnitError: the angles cannot be radians.
     """
     files: dict[str, _LabelFile] = {}
     for folder in _label_folders(path):
@@ -256,64 +248,20 @@ def _place(label_file: Path) -> RigidTransform | None:
     return RigidTransform.from_components([pose.x, pose.y, pose.z], turn) * EGO_CLOUD
 
 
-def write_sustechpoints(
-    out: Path,
-    items: Iterable[DatasetItem],
-    losses: Losses,
-    *,
-    image_format: Literal["png", "jpg"] = "png",
-    overwrite: bool = False,
-) -> Mapping[str, int]:
-    """Writes the folder `out` atomically, one frame in memory at a time; returns the number of boxes of each class.
-
-    Args:
-        items: the frames, read one by one; if reading one raises, `out` is unchanged.
-        losses: counts what the format cannot store.
-        overwrite: replace an older export of this format.
-
-    Raises:
-        FormatError: `out` exists, there is no frame, a frame occurs twice, or writing fails.
-    """
-    ids, origins, counts, scenes = FrameIds(), list[FrameOrigin](), Counter[str](), _Scenes()
-    with new_folder(out, lambda folder: overwrite and _is_dataset(folder)) as part:
-        for item in items:
-            count_lost(losses, item, NOT_HELD)
-            losses.add_values(item.attributes)
-            if item.frame.up is None:
-                losses.add(Lost.LEVEL)
-            frame_id = ids.add(out, item)
-            with writing(out):
-                scenes.write(part, item, frame_id, image_format)
-            origins.append(FrameOrigin(frame_id, item.recording, item.frame.key, item.split))
-            counts.update(label.label for label in item.labels)
-        if not origins:
-            raise FormatError(out, "there is no frame to export; the export was not written")
-        with writing(out):
-            (part / FRAMES_CSV).write_text(dump_frames(origins), encoding="utf-8", newline="")
-    return counts
-
-
-def _is_dataset(folder: Path) -> bool:
-    patterns = (f"*/{LABELS}/*.json", f"*/*/{LABELS}/*.json")
-    return has_frames(folder) and any(next(folder.glob(pattern), None) for pattern in patterns)
-
-
-class _Scenes:
-    """The scenes that have been begun."""
-
-    def __init__(self) -> None:
-        self._names = FileNames()
+class SustechWriter(DatasetWriter):
+    def begin(self) -> None:
+        self._scenes = FileNames()
         self._begun: dict[tuple[str | None, str, bytes], tuple[str, RigidTransform]] = {}
 
-    def write(self, folder: Path, item: DatasetItem, frame_id: str, image_format: Literal["png", "jpg"]) -> None:
-        """Writes the four files of a frame, and the calibration of a new scene."""
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        """Writes the files of a frame, and the calibration of a new scene."""
         camera, rgb = straightened(item.frame.camera, item.frame.rgb)
         key = (item.split, item.recording, camera.matrix.tobytes())
         is_new = key not in self._begun
         if is_new:
-            self._begun[key] = (self._names.add(item.recording), level_pose(item.frame.up))
+            self._begun[key] = (self._scenes.add(item.recording), level_pose(item.frame.up))
         name, T_scene_camera = self._begun[key]
-        scene = folder / (item.split or "") / name
+        scene = self.folder / (item.split or "") / name
         if is_new:
             for place in (CLOUDS, LABELS, IMAGES, CALIBRATIONS):
                 (scene / place).mkdir(parents=True)
@@ -322,7 +270,8 @@ class _Scenes:
                 "intrinsic": camera.matrix.ravel().tolist(),
             }
             (scene / CALIBRATIONS / CAMERA).write_text(json.dumps(calibration) + "\n", encoding="utf-8")
-        (scene / IMAGES / f"{frame_id}.{image_format}").write_bytes(encoded_image(rgb, image_format))
+        image = scene / IMAGES / f"{frame_id}.{self.info.image_format}"
+        image.write_bytes(encoded_image(rgb, self.info.image_format))
         (scene / CLOUDS / f"{frame_id}.pcd").write_bytes(_pcd(item.frame.cloud, T_scene_camera))
         if item.frame.T_world_camera is not None:
             (scene / POSES).mkdir(exist_ok=True)
@@ -330,6 +279,7 @@ class _Scenes:
             (scene / POSES / f"{frame_id}.json").write_text(pose + "\n", encoding="utf-8")
         boxes = [_entry(label, label.box.transformed(T_scene_camera)) for label in item.labels]
         (scene / LABELS / f"{frame_id}.json").write_text(json.dumps(boxes, indent=1) + "\n", encoding="utf-8")
+        self.counts.update(label.label for label in item.labels)
 
 
 def _ego_pose(T_world_cloud: RigidTransform) -> dict[str, float]:

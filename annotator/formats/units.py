@@ -48,11 +48,7 @@ class Angles:
         self._worst: tuple[float, Path, int | None] | None = None
 
     def radians(self, value: float, file: Path, line: int | None = None) -> float:
-        """Returns an angle of a file in radians.
-
-        Args:
-            file, line: where it is, for the message.
-        """
+        """Returns an angle of a file in radians."""
         if self._given is AngleUnit.DEGREES:
             return math.radians(value)
         self._count += value != 0
@@ -74,10 +70,7 @@ class Angles:
         )
 
     def require(self) -> None:
-        """
-        Raises:
-            UnitError: the angles are not in radians; names the file and line of the largest one.
-        """
+        """Raises UnitError if the angles are not in radians; it names the file and line of the largest one."""
         problem = self.problem()
         if problem is not None and self._worst is not None:
             _, file, line = self._worst
@@ -113,10 +106,7 @@ class Lengths:
         return f"{boxes} {what}; write centres and sizes in metres"
 
     def require(self, path: Path) -> None:
-        """
-        Raises:
-            UnitError: the sizes cannot be in metres.
-        """
+        """Raises UnitError if the sizes cannot be in metres."""
         if (problem := self.problem()) is not None and not SHORTEST_M <= self._median_m <= LONGEST_M:
             raise UnitError(UnitKind.LENGTH, path, problem)
 

@@ -10,23 +10,45 @@ index into the dataset's `names`, from 0. Centre, width, height and corners are 
 measured from the image's corner (see `geometry/image_shares.py`). An empty file means an image without objects. A sixth
 field is the score of a detection. Source: Ultralytics' documentation, overviews of datasets for "object detection",
 "oriented bounding box" and "instance segmentation", and the checks in its `data/utils.py`.
+
+A dataset has images, a label file for each, and `data.yaml`, or label files with `classes.txt`:
+
+    images/PART/FILE
+    labels/PART/STEM.txt
+    data.yaml           path, train, val[, test], names, box_kind, other_box_kind
+
+The label file is beside the image, or in the folder that results if the last `images` in the image's path is replaced
+by `labels`. An image without one has no objects. Label files without an image are read, too, since boxes are fractions
+of the image size. Nothing outside the dataset's folder is read, even if `data.yaml` or a link points there. If `path`
+in `data.yaml` is outside, as in a moved dataset, its parts are looked up beside `data.yaml`. An empty `path` is
+written: Ultralytics then uses the folder of `data.yaml`, so the dataset can be moved. `box_kind` is annotator's own:
+what the boxes of the images enclose, except of those that `other_box_kind` lists. Source: `img2label_paths` and
+`check_det_dataset`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.formats.reading import OnFault, raise_fault
+from annotator.files import why_missing
+from annotator.formats.dataset_writing import LabelledPicture
+from annotator.formats.reading import OnFault, known_kind, raise_fault, read_text
 from annotator.geometry.image_shares import clip_to_image, edges_of, shares_of
-from annotator.text import SHOWN, to_number
-from annotator.types import Box2D
-from annotator.types.errors import FormatError
+from annotator.text import SHOWN, OutsideError, inside, is_within, posix_path, spelled, to_number
+from annotator.types import Box2D, BoxKind
+from annotator.types.amounts import amount
+from annotator.types.errors import ConfigError, FormatError
+from annotator.types.validation import first_problem
 
 # Ultralytics accepts boxes that extend beyond the image by this fraction of its size.
 TOLERANCE = 0.01
@@ -93,14 +115,7 @@ def parse_boxes(
     """Returns the boxes of a label file in file order.
 
     Args:
-        path: for error messages.
         names: class names by number.
-        on_fault: called with the fault of a row; see `OnFault`.
-
-    Raises:
-        FormatError: a wrong number of fields, a field that is not a number, a class without a name, a box
-            without extent, a box that extends beyond the image by more than `TOLERANCE`, or the same line twice; names
-            the line.
     """
     boxes: dict[YoloBox, int] = {}
     for line, row in enumerate(text.splitlines(), 1):
@@ -206,3 +221,313 @@ def _are_keypoints(rows: Float64[np.ndarray, "n c"], numbers: int) -> bool:
     is_inner = (inner > xy.min(axis=1) + INNER * sides) & (inner < xy.max(axis=1) - INNER * sides)
     is_full = (is_inner & (sides >= FULL * sizes[:, 0])).all(axis=1)
     return bool(is_far.mean() > 0.5 or (len(rows) >= LEAST_FULL and is_full.mean() > 0.5))
+
+
+PARTS = ("train", "val", "test")
+DATA_YAML = "data.yaml"
+NO_KINDS: Mapping[str, BoxKind] = MappingProxyType({})
+
+
+class YoloWriter:
+    """Fills a folder with a dataset; without parts, all images are used for training and for validation.
+
+    Raises:
+        ConfigError: a part other than train, val and test, or train or val is missing.
+    """
+
+    def __init__(self, folder: Path, classes: Sequence[str], parts: Sequence[str] = ()) -> None:
+        """
+        Args:
+            classes: numbered from 0 in this order.
+            parts: names of all parts, including empty ones; () for a dataset without parts.
+        """
+        if parts and (not set(parts) <= set(PARTS) or not {"train", "val"} <= set(parts)):
+            raise ConfigError(
+                f"YOLO's parts are called train, val and (optionally) test, not {', '.join(parts)}; "
+                "split the dataset with --split train=0.8,val=0.2"
+            )
+        self._folder, self._classes = folder, tuple(classes)
+        self._numbers = {name: number for number, name in enumerate(classes)}
+        self._parts = tuple(part for part in PARTS if part in parts) or ("train",)
+        self._kinds: dict[str, BoxKind] = {}
+        for part in self._parts:
+            for kind in ("images", "labels"):
+                (folder / kind / part).mkdir(parents=True)
+
+    def add(self, picture: LabelledPicture) -> None:
+        part = picture.part or "train"
+        text = dump_boxes(picture.boxes, self._numbers, picture.width_px, picture.height_px)
+        (self._folder / "images" / part / picture.file_name).write_bytes(picture.content)
+        label = (self._folder / "labels" / part / picture.file_name).with_suffix(".txt")
+        label.write_text(text, encoding="ascii")
+        self._kinds[picture.file_name] = picture.box_kind
+
+    def finish(self) -> Mapping[str, Path]:
+        (self._folder / DATA_YAML).write_text(data_yaml(self._classes, self._parts, self._kinds), encoding="utf-8")
+        return {part: self._folder / "images" / part for part in self._parts}
+
+
+def data_yaml(classes: Sequence[str], parts: Sequence[str], kinds: Mapping[str, BoxKind] = NO_KINDS) -> str:
+    """Returns the text of `data.yaml`; without a part `val`, the training images are also used for validation.
+
+    Args:
+        kinds: what the boxes of each image enclose.
+    """
+    import yaml
+
+    folders = {part: part for part in parts} | {"val": "val" if "val" in parts else "train"}
+    content = {
+        "path": "",
+        **{part: f"images/{folders[part]}" for part in PARTS if part in folders},
+        "names": dict(enumerate(classes)),
+    }
+    if kinds:
+        ((most, _),) = Counter(kinds.values()).most_common(1)
+        content["box_kind"] = most.value
+        if others := [name for name, kind in kinds.items() if kind is not most]:
+            content["other_box_kind"] = others
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    return f"# an empty path is the folder of this file\n{text}"
+
+
+CLASSES = "classes.txt"
+READABLE = (".png", ".jpg", ".jpeg")
+# Image types that Ultralytics also reads; here they are reported as faults.
+OTHERS = (".bmp", ".tif", ".tiff", ".webp")
+SUFFIXES = READABLE + OTHERS
+
+
+@dataclass(frozen=True)
+class YoloPicture:
+    """One image of a dataset.
+
+    Attributes:
+        file_name: the image's file name without its folder; the label file's if there is no image.
+        folder: the folder where the image is or would be.
+        picture: the image file; None if only its labels exist.
+        label_file: may be missing.
+        boxes: in the order of the label file.
+        box_kind: what they enclose, if known.
+    """
+
+    file_name: str
+    folder: Path
+    picture: Path | None
+    label_file: Path
+    boxes: tuple[YoloBox, ...]
+    box_kind: BoxKind | None = None
+
+
+class _DataYaml(BaseModel):
+    # other fields (nc, download, ...) are ignored
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    path: str | None = None
+    train: str | list[str] | None = None
+    val: str | list[str] | None = None
+    test: str | list[str] | None = None
+    names: dict[int, str] | list[str]
+    box_kind: object = None
+    other_box_kind: object = None
+    kpt_shape: object = None
+
+    def with_kinds(self, pictures: Iterable[YoloPicture]) -> list[YoloPicture]:
+        """Returns the images with what their boxes enclose, if annotator has written it."""
+        kind, listed = known_kind(self.box_kind), self.other_box_kind if isinstance(self.other_box_kind, list) else []
+        if kind is None:
+            return list(pictures)
+        other = BoxKind.BOX if kind is BoxKind.SILHOUETTE else BoxKind.SILHOUETTE
+        names = {name for name in listed if isinstance(name, str)}
+        return [replace(each, box_kind=other if each.file_name in names else kind) for each in pictures]
+
+
+def read_yolo(path: Path, on_fault: OnFault = raise_fault) -> list[YoloPicture]:
+    """Returns all images of a dataset, each once, including those without a box.
+
+    Args:
+        path: `data.yaml`; its folder; or a folder of label files with `classes.txt` in it or above it.
+    """
+    if path.is_dir() and not (path / DATA_YAML).is_file():
+        pictures = list(_with_classes(path, on_fault))
+        _refuse_keypoints(path, pictures, is_said=False)
+        return pictures
+    file = _inside(path / DATA_YAML, path) if path.is_dir() else path
+    data = _read_yaml(file)
+    names = data.names if isinstance(data.names, dict) else dict(enumerate(data.names))
+    _require_different(file, names)
+    root = file.parent
+    by_label_file: dict[Path, YoloPicture] = {}
+    for part in PARTS:
+        value = getattr(data, part)
+        for entry in [value] if isinstance(value, str) else value or []:
+            for picture in _of_part(_part_path(file, part, data.path, entry), root, names, on_fault):
+                by_label_file.setdefault(picture.label_file, picture)
+    if not by_label_file:
+        raise FormatError(file, "names no image: train, val and test are empty")
+    _refuse_keypoints(file, by_label_file.values(), is_said=data.kpt_shape is not None)
+    return data.with_kinds(by_label_file.values())
+
+
+def _refuse_keypoints(path: Path, pictures: Iterable[YoloPicture], *, is_said: bool) -> None:
+    around = [box for each in pictures for box in each.boxes if box.is_around]
+    if around and (is_said or are_keypoints(around)):
+        shown = "kpt_shape" if is_said else f"{amount(len(around), 'row')} with points inside the box"
+        raise FormatError(path, KEYPOINTS.format(shown))
+
+
+def _read_yaml(file: Path) -> _DataYaml:
+    import yaml
+
+    try:
+        return _DataYaml.model_validate(yaml.safe_load(read_text(file)))
+    except yaml.MarkedYAMLError as error:
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise FormatError(file, f"is not valid YAML: {error.problem}", line) from error
+    except ValidationError as error:
+        raise FormatError(
+            file,
+            f"{first_problem(error)}; write class names and paths as text, in quotes if YAML reads them as numbers",
+        ) from error
+    # a wrong type tag (`!!int x`) makes PyYAML raise errors that it does not document
+    except (
+        yaml.YAMLError,
+        RecursionError,
+        ValueError,
+        LookupError,
+        AttributeError,
+        TypeError,
+        ArithmeticError,
+    ) as error:
+        raise FormatError(file, f"is not valid YAML ({error})") from error
+
+
+def _require_different(file: Path, names: Mapping[int, str]) -> None:
+    if not names or len(set(names.values())) != len(names) or not all(names.values()) or min(names) < 0:
+        raise FormatError(file, f"names must be unique and not empty, numbered from 0, not {dict(names)}"[:200])
+
+
+def _part_path(file: Path, part: str, base: str | None, entry: str) -> Path:
+    """Returns the image folder or image list that a part's entry names."""
+    root = file.parent
+    name = posix_path(entry)
+    outside: OutsideError | None = None
+    is_inside = False
+    # some services export ../train/images where train/images is right
+    for candidate in (str(PurePosixPath(posix_path(base or "")) / name), entry, name.removeprefix("../")):
+        try:
+            place = inside(root, candidate)
+        except OutsideError as error:
+            outside = outside or error
+            continue
+        is_inside = True
+        if place.exists() or _inside(_labels_of(place, root), root).is_dir():
+            return place
+    if is_inside:
+        raise FormatError(file, f"{part}: there is no {entry[:SHOWN]!r} in the dataset's folder")
+    raise FormatError(file, f"{part}: {outside}")
+
+
+def _inside(path: Path, root: Path) -> Path:
+    """Returns the path unchanged; raises FormatError if it is, or is behind, a link that leads out of the folder."""
+    if not is_within(root, path):
+        raise FormatError(path, "is a link that leads out of the dataset's folder; copy the file itself there")
+    return path
+
+
+def _labels_of(path: Path, root: Path) -> Path:
+    """Returns the label path of an image, or the label folder of an image folder."""
+    parts = list(path.resolve().relative_to(root.resolve()).parts)
+    if "images" in parts:
+        parts[len(parts) - 1 - parts[::-1].index("images")] = "labels"
+    return root.resolve().joinpath(*parts)
+
+
+def _label_file(picture: Path, root: Path) -> Path:
+    """Returns the label file of an image, in the Unicode form in which its name exists."""
+    path = _labels_of(picture, root).with_suffix(".txt")
+    return spelled(path.parent, path.name)
+
+
+def _of_part(place: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> Iterator[YoloPicture]:
+    if place.is_file():
+        yield from (_read(picture, root, names, on_fault) for picture in _listed(place, root))
+        return
+    pictures = sorted(each for each in place.rglob("*") if each.suffix.lower() in SUFFIXES)
+    for picture in pictures:
+        yield _read(_inside(picture, root), root, names, on_fault)
+    seen = {_label_file(picture, root) for picture in pictures}
+    labels = _inside(_labels_of(place, root), root)
+    for label_file in sorted(labels.rglob("*.txt")) if labels.is_dir() else []:
+        if label_file not in seen and label_file.name != CLASSES:
+            yield _labels_without_image(_inside(label_file, root), place, names, on_fault)
+
+
+def _listed(file: Path, root: Path) -> Iterator[Path]:
+    """Yields the images that a text file lists, one per line."""
+    for line, text in enumerate(read_text(file).splitlines(), 1):
+        if not (name := text.strip()):
+            continue
+        # a name that begins with a point is relative to the list
+        below = os.path.relpath(file.parent, root) + "/" if posix_path(name).startswith("./") else ""
+        try:
+            yield inside(root, below + name)
+        except OutsideError as error:
+            raise FormatError(file, str(error), line) from error
+
+
+def _read(picture: Path, root: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
+    if picture.is_file():
+        _require_readable(picture, on_fault)
+    label_file = _inside(_label_file(picture, root), root)
+    boxes = _boxes(label_file, names, on_fault) if label_file.is_file() else ()
+    return YoloPicture(picture.name, picture.parent, picture if picture.is_file() else None, label_file, boxes)
+
+
+def _require_readable(picture: Path, on_fault: OnFault) -> None:
+    if picture.suffix.lower() in OTHERS:
+        on_fault(
+            FormatError(picture, "only PNG and JPEG images are supported; save it as PNG or JPEG under the same name")
+        )
+
+
+def _boxes(label_file: Path, names: Mapping[int, str], on_fault: OnFault) -> tuple[YoloBox, ...]:
+    try:
+        text = read_text(label_file)
+    except FormatError as fault:
+        on_fault(fault)
+        return ()
+    return parse_boxes(label_file, text, names, on_fault)
+
+
+def _labels_without_image(label_file: Path, folder: Path, names: Mapping[int, str], on_fault: OnFault) -> YoloPicture:
+    return YoloPicture(label_file.name, folder, None, label_file, _boxes(label_file, names, on_fault))
+
+
+def _with_classes(folder: Path, on_fault: OnFault) -> Iterator[YoloPicture]:
+    """Yields the images of a folder of label files with `classes.txt`, one class name per line."""
+    # the given folder itself may be a link; links inside it are checked
+    folder = folder.resolve()
+    file = next((each / CLASSES for each in (folder, folder.parent) if (each / CLASSES).is_file()), None)
+    if file is None:
+        raise FormatError(folder, f"is not a YOLO dataset: it has no {DATA_YAML}, and no {CLASSES} beside label files")
+    _inside(file, file.parent)
+    names = {number: name.strip() for number, name in enumerate(read_text(file).rstrip().splitlines())}
+    _require_different(file, names)
+    labels = folder / "labels" if (folder / "labels").is_dir() else folder
+    root = labels.parent if labels.name == "labels" else labels
+    # images are beside the labels, or in `images` beside `labels`
+    image_roots = [labels, *([labels.with_name("images")] if labels.name == "labels" else [])]
+    label_files = sorted(each for each in _inside(labels, root).rglob("*.txt") if each.name != CLASSES)
+    if not label_files:
+        raise FormatError(labels, "has no label file (*.txt)")
+    for label_file in label_files:
+        folders = [each / label_file.parent.relative_to(labels) for each in image_roots]
+        candidates = [spelled(each, f"{label_file.stem}{suffix}") for each in folders for suffix in SUFFIXES]
+        picture = next(
+            (_inside(each, root) for each in candidates if why_missing(each) is None and each.is_file()), None
+        )
+        if picture is not None:
+            _require_readable(picture, on_fault)
+        boxes = _boxes(_inside(label_file, root), names, on_fault)
+        place = folders[-1] if picture is None else picture.parent
+        yield YoloPicture((picture or label_file).name, place, picture, label_file, boxes)

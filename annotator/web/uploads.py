@@ -19,9 +19,8 @@ from pathlib import Path, PurePosixPath
 
 from annotator.files import ARCHIVE_ERRORS, open_archive, private_folder
 from annotator.formats.box_csv import is_box_csv
-from annotator.formats.coco_dataset import ANNOTATIONS
-from annotator.formats.yolo_dataset import DATA_YAML
-from annotator.formats.yolo_read import CLASSES
+from annotator.formats.coco import ANNOTATIONS
+from annotator.formats.yolo import CLASSES, DATA_YAML
 from annotator.project import Project
 from annotator.text import is_within
 from annotator.types.errors import FormatError, NotFoundError

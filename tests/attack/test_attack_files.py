@@ -17,7 +17,7 @@ import pytest
 from attacks import MOST_GROWTH_MB, memory_mb
 
 from annotator.cli.main import main
-from annotator.formats.kitti.tracklets import read_tracklets
+from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.recordings import open_recording
 from annotator.types.errors import AnnotatorError
 

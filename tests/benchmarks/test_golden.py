@@ -52,9 +52,8 @@ def test_every_number_is_compared(shared: Path, measured: dict[str, object]) -> 
 @pytest.mark.shared
 def test_curve_counts_equal_those_of_the_devkit(shared: Path) -> None:
     """Compares the number of objects, first matches and samples of every curve, not only the area."""
-    from annotator.evaluation.kitti import evaluate_kitti
-    from annotator.evaluation.kitti.protocol import DIFFICULTIES
-    from annotator.formats.kitti.label_folders import read_kitti_folder
+    from annotator.evaluation.kitti import DIFFICULTIES, evaluate_kitti
+    from annotator.formats.kitti_objects import read_kitti_folder
     from annotator.workflows.evaluating.evaluate_files import kitti_rows
 
     folder = shared / "golden"

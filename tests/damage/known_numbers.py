@@ -24,7 +24,6 @@ from dataset_samples import make_item, make_label
 from ros_takes import MS, SIZE, START_NS, K
 from scipy.spatial.transform import Rotation
 
-from annotator.formats.losses import Losses
 from annotator.geometry.oriented_box import box_corners
 from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
@@ -373,10 +372,10 @@ def cloud(name: str, content: Callable[[Numbers], bytes], *ways: str) -> Target:
     return Target(f"cloud_{name}", partial(write_scan, suffix, content), partial(read_scan, suffix), known, ways, edits)
 
 
-def dataset(name: str, write: Callable[..., object], *edits: str, places: int = 0) -> Target:
+def dataset(name: str, *edits: str) -> Target:
     def build(folder: Path, n: Numbers) -> None:
         (folder / "out").mkdir()
-        small.written_by(write, places=places, items=n.items())(folder / "out")
+        small.exported(name, n.items())(folder / "out")
 
     return Target(f"labels_{name}", build, partial(read_boxes, BoxFormat(name)), ("corners",), (), edits)
 
@@ -400,7 +399,7 @@ def read_bag(folder: Path) -> Reading:
 FLOATS, COLOURS, MAP = ("nan", "inf"), ("words", "floats", "float_bytes"), ("map", "map_zero")
 OF_CAMERA, IMAGES = ("image", "depth"), ("grey_8", "grey_10", "grey_12", "grey_16", "hole_65535")
 HOLES = ("hole_nan", "hole_inf", "hole_-inf", "hole_-1", "hole_65504")
-NAMES, GIVEN = small.CLASSES, (small.CLASSES, Losses())
+NAMES = small.CLASSES
 TARGETS: list[Target] = [
     cloud("ply", partial(ply, False), *FLOATS, *COLOURS, *MAP, "share_bytes"),
     cloud("ply_ascii", partial(ply, True), *FLOATS, *COLOURS, *MAP, "share_words"),
@@ -419,13 +418,9 @@ TARGETS: list[Target] = [
     Target("bag_32FC1", partial(write_bag, "32FC1"), read_bag, OF_CAMERA, HOLES),
     *map(sample, ("kitti_object", "kitti_raw", "sunrgbd_extracted", "argoverse2", "cloud_folder")),
     sample("nuscenes", "quaternion", "backslash"),
-    dataset("rcv", lambda out, items: small.export_rcv(out, items, small.RcvInfo(NAMES, (), "1"))),
-    dataset("kitti", lambda *a: small.write_kitti(*a, *GIVEN), "degrees", places=2),
-    dataset("kitti-tracking", lambda *a: small.write_kitti_tracking(*a, *GIVEN), "degrees", places=3),
-    dataset("sunrgbd", lambda *a: small.write_sunrgbd(*a, *GIVEN), places=2),
-    dataset("labelcloud", lambda *a: small.write_labelcloud(*a, *GIVEN, "1")),
-    dataset("openlabel", lambda *a: small.write_openlabel(*a, "1"), "quaternion"),
-    dataset("nuscenes", lambda *a: small.write_nuscenes(*a, *GIVEN), "quaternion"),
+    *map(dataset, ("rcv", "sunrgbd", "labelcloud")),
+    *(dataset(name, "degrees") for name in ("kitti", "kitti-tracking")),
+    *(dataset(name, "quaternion") for name in ("openlabel", "nuscenes")),
     Target("labels_boxes", write_json, partial(read_boxes, BoxFormat.BOXES), ("corners",)),
     Target("labels_box_csv", write_csv, partial(read_boxes, BoxFormat.BOX_CSV), ("corners",), (), ("degrees",)),
     Target("coco", write_coco, partial(read_flat, FlatFormat.COCO), ("pixels",), (), ("nfd", "backslash")),

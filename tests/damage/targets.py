@@ -24,14 +24,14 @@ import numpy as np
 
 TESTS = Path(__file__).resolve().parent.parent
 ROOMS = (
-    "damage", "formats", "formats/kitti", "recordings", "recordings/ros", "recordings/kinect", "recordings/clouds"
+    "damage", "formats", "recordings", "recordings/ros", "recordings/kinect", "recordings/clouds"
 )  # fmt: skip
 for place in (*(str(TESTS / room) for room in ROOMS), str(TESTS.parent)):
     if place not in sys.path:
         sys.path.append(place)
 
 import small_recordings as small  # noqa: E402
-from dataset_samples import make_item, make_label  # noqa: E402
+from dataset_samples import make_item, make_label, write  # noqa: E402
 from foxglove_takes import picture_take, write_mcap  # noqa: E402
 from kinect_recording import write_recording  # noqa: E402
 from ros_takes import IMAGE, MS, SIZE, START_NS, write_camera, write_take  # noqa: E402
@@ -42,21 +42,12 @@ from test_malformed_labels import READERS as LABEL_FILES  # noqa: E402
 from test_ros_messages import rvl  # noqa: E402
 
 from annotator.formats.boxes_json import write_boxes  # noqa: E402
-from annotator.formats.coco_dataset import CocoWriter  # noqa: E402
+from annotator.formats.coco import CocoWriter  # noqa: E402
 from annotator.formats.dataset_writing import LabelledPicture  # noqa: E402
-from annotator.formats.frame_class_names import six_digit_ids  # noqa: E402
-from annotator.formats.kitti.object_folder import write_kitti  # noqa: E402
-from annotator.formats.kitti.tracking_folder import sequence_ids, write_kitti_tracking  # noqa: E402
-from annotator.formats.kitti.tracklets import read_tracklets  # noqa: E402
-from annotator.formats.labelcloud import read_labelcloud, write_labelcloud  # noqa: E402
-from annotator.formats.losses import Losses  # noqa: E402
-from annotator.formats.nuscenes import write_nuscenes  # noqa: E402
-from annotator.formats.nuscenes.results import read_results  # noqa: E402
-from annotator.formats.openlabel import write_openlabel  # noqa: E402
-from annotator.formats.rcv import RcvInfo, export_rcv  # noqa: E402
-from annotator.formats.sunrgbd.folder import write_sunrgbd  # noqa: E402
-from annotator.formats.sustechpoints import write_sustechpoints  # noqa: E402
-from annotator.formats.yolo_dataset import YoloWriter  # noqa: E402
+from annotator.formats.kitti_tracklets import read_tracklets  # noqa: E402
+from annotator.formats.nuscenes import read_results  # noqa: E402
+from annotator.formats.table import FORMATS  # noqa: E402
+from annotator.formats.yolo import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
 from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
 from annotator.types import Box2D, Frame, Label, Truth  # noqa: E402
@@ -207,23 +198,18 @@ def truths(labels: list[Label]) -> list[Truth]:
     return [Truth(each.label, each.box, each.track_id) for each in labels]
 
 
-def written_by(
-    write: Callable[..., object], *, places: int = 0, items: list[Any] | None = None
-) -> Callable[[Path], object]:
-    """Builds an export; with `places`, its names are of sequences (3) or six digits (2)."""
-    items = items or labelled()
+def exported(name: str, items: list[Any] | None = None, **options: Any) -> Callable[[Path], object]:
+    """Builds an export in the format of that name."""
 
     def build(folder: Path) -> None:
-        given: list[Any] = []
-        if places == 2:
-            given = [six_digit_ids([(item.recording, item.frame.key) for item in items])]
-        if places == 3:
-            ids = sequence_ids([(item.recording, item.frame.key, n) for n, item in enumerate(items)])
-            given = [ids, {item.recording: 5 for item in items}]
         folder.rmdir()
-        write(folder, items, *given)
+        write(name, folder, items or labelled(), classes=CLASSES, **options)
 
     return build
+
+
+def read_export(name: str, folder: Path) -> None:
+    read_labels(BoxFormat(name), folder)
 
 
 def pictures(writer: Callable[[Path], Any]) -> Callable[[Path], object]:
@@ -293,28 +279,11 @@ TARGETS: list[Target] = [
     *(Target(f"compressed_depth_{how}", depth_bag(f"16UC1; compressedDepth {how}"), lambda f: read_frame(bags(f)))
       for how in ("png", "rvl")),
     *(kinect(fourcc) for fourcc in ("NV12", "MJPG")),
-    Target("export_rcv", written_by(lambda out, items: export_rcv(out, items, RcvInfo(CLASSES, (), "1"))),
-           lambda folder: read_labels(BoxFormat.RCV, folder) and None),
-    Target("export_kitti", written_by(lambda *given: write_kitti(*given, CLASSES, Losses()), places=2),
-           lambda folder: read_labels(BoxFormat.KITTI, folder) and None),
-    Target("export_kitti_tracking",
-           written_by(lambda *given: write_kitti_tracking(*given, CLASSES, Losses()), places=3),
-           lambda folder: read_labels(BoxFormat.KITTI_TRACKING, folder) and None),
-    Target("export_sunrgbd", written_by(lambda *given: write_sunrgbd(*given, CLASSES, Losses()), places=2),
-           lambda folder: read_labels(BoxFormat.SUNRGBD, folder) and None),
-    Target("export_openlabel", written_by(lambda out, items: write_openlabel(out, items, "1")),
-           lambda folder: read_labels(BoxFormat.OPENLABEL, folder) and None),
-    Target("export_labelcloud", written_by(lambda out, items: write_labelcloud(out, items, CLASSES, Losses(), "1")),
-           lambda folder: read_labels(BoxFormat.LABELCLOUD, folder) and None),
-    Target("labelcloud_vertices",
-           written_by(lambda out, items: write_labelcloud(out, items, CLASSES, Losses(), "1", vertices=True)),
-           lambda folder: read_labelcloud(folder) and None),
-    Target("export_nuscenes", written_by(lambda out, items: write_nuscenes(out, items, CLASSES, Losses())),
-           lambda folder: read_labels(BoxFormat.NUSCENES, folder) and None),
+    *(Target(f"export_{name.replace('-', '_')}", exported(name), partial(read_export, name))
+      for name, format in FORMATS.items() if format.writer),
+    Target("labelcloud_vertices", exported("labelcloud", vertices=True), partial(read_export, "labelcloud")),
     Target("nuscenes_results", lambda folder: (folder / "results.json").write_text(json.dumps(RESULTS)),
            lambda folder: list(read_results(folder / "results.json")) and None),
-    Target("export_sustechpoints", written_by(lambda out, items: write_sustechpoints(out, items, Losses())),
-           lambda folder: read_labels(BoxFormat.SUSTECHPOINTS, folder) and None),
     Target("export_boxes",
            lambda folder: write_boxes(folder / "b.json", {item.frame.key: truths(item.labels) for item in labelled()}),
            lambda folder: read_labels(BoxFormat.BOXES, folder / "b.json") and None),

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.dataset_writing import DatasetInfo, DatasetItem, DatasetWriter, write_dataset
+from annotator.formats.losses import Losses
+from annotator.formats.table import FORMATS
 from annotator.types import Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
 
 CAMERA = Camera(6, 4, 5.0, 5.5, 2.5, 1.5)
@@ -46,16 +49,35 @@ def make_item(
     camera: Camera = CAMERA,
     timestamp_ns: int | None = 1_700_000_000_123_456_789,
     T_world_camera: RigidTransform | None = None,
+    attributes: dict[str, Any] | None = None,
 ) -> DatasetItem:
-    """A frame of 6 x 4 pixels and five coloured points."""
+    """A frame of five coloured points, by default of 6 x 4 pixels."""
     rng = np.random.default_rng(index)
     cloud = PointCloud(rng.normal(size=(5, 3)).astype(np.float32), rng.integers(0, 256, (5, 3), np.uint8))
-    rgb = rng.integers(0, 256, (4, 6, 3), np.uint8)
+    rgb = rng.integers(0, 256, (camera.height_px, camera.width_px, 3), np.uint8)
     against = None if up is None else np.array(up)
     frame = Frame(
         key, index, camera, rgb, cloud, up=against, timestamp_ns=timestamp_ns, T_world_camera=T_world_camera
     )  # fmt: skip
-    return DatasetItem(recording, frame, labels, split)
+    return DatasetItem(recording, frame, labels, split, attributes or {})
+
+
+def write(
+    name: str,
+    out: Path,
+    items: Iterable[DatasetItem],
+    losses: Losses | None = None,
+    *,
+    overwrite: bool = False,
+    classes: Sequence[str] = ("hand", "night stand"),
+    **info: Any,
+) -> DatasetWriter:
+    """Writes a dataset in the format of that name."""
+    if isinstance(items, Sequence):
+        info["places"] = [(item.recording, item.frame.key, item.frame.index) for item in items]
+        info["free_tracks"] = {item.recording: 100 for item in items}
+    given = DatasetInfo(tuple(classes), "annotator 0.1.0", **info)
+    return write_dataset(FORMATS[name], out, items, given, losses, overwrite=overwrite)
 
 
 def assert_same_box(have: OrientedBox, want: OrientedBox, atol: float = 1e-9) -> None:

@@ -9,21 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_samples import BOXES, assert_same_box, make_item, make_label
-from hypothesis import given, settings
+from dataset_samples import assert_same_box, make_item, make_label, write
 from scipy.spatial.transform import Rotation
 
-from annotator.formats.losses import Losses
-from annotator.formats.nuscenes import read_nuscenes, write_nuscenes
-from annotator.formats.nuscenes.shapes import box_from, quaternion, vector, width_length_height
-from annotator.types import Camera, OrientedBox, ReviewState
+from annotator.formats.nuscenes import read_nuscenes
+from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
-
-
-def write(out: Path, items: list[Any], **options: Any) -> Losses:
-    losses = Losses()
-    write_nuscenes(out, items, ("hand", "Büro"), losses, **options)
-    return losses
 
 
 def tables(out: Path) -> dict[str, list[dict[str, Any]]]:
@@ -36,7 +27,7 @@ def test_tables_equal_those_by_hand(tmp_path: Path) -> None:
     turned = R_camera_global @ Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
     box = OrientedBox.from_parts(np.array([0.5, 0.25, 0.125]), turned, np.array([4.0, 2.0, 3.0]))
     item = make_item([make_label(box, track_id=7)])
-    write(tmp_path / "out", [item])
+    write("nuscenes", tmp_path / "out", [item])
     found = tables(tmp_path / "out")
     (annotation,) = found["sample_annotation"]
     np.testing.assert_allclose(annotation["translation"], [0.125, -0.5, -0.25], atol=1e-12)
@@ -62,8 +53,8 @@ def test_tokens_and_chains_are_consistent(tmp_path: Path) -> None:
         make_item([make_label(uid=f"{n}", track_id=1), make_label(uid=f"{n}b", track_id=1)], key=f"{n}", index=n)
         for n in range(3)
     ]
-    items += [make_item([make_label(uid="x", label="Büro")], recording="other", timestamp_ns=None)]
-    write(tmp_path / "out", items)
+    items += [make_item([make_label(uid="x", label="night stand")], recording="other", timestamp_ns=None)]
+    write("nuscenes", tmp_path / "out", items)
     found = tables(tmp_path / "out")
     rows = {name: {row["token"]: row for row in table} for name, table in found.items()}
     for table in found.values():
@@ -91,7 +82,7 @@ def test_scenes_with_equal_start_times_are_shifted_apart(tmp_path: Path) -> None
     items = [
         make_item(recording=name, key=f"{n}", timestamp_ns=at_ns + n * 500_000_000) for n in range(2) for name in names
     ]
-    write(tmp_path / "out", items)
+    write("nuscenes", tmp_path / "out", items)
     found = tables(tmp_path / "out")
     time = {sample["token"]: sample["timestamp"] for sample in found["sample"]}
     first, last = ([time[scene[f"{end}_sample_token"]] for scene in found["scene"]] for end in ("first", "last"))
@@ -101,40 +92,17 @@ def test_scenes_with_equal_start_times_are_shifted_apart(tmp_path: Path) -> None
         assert row["timestamp"] in time.values()
 
 
-@given(BOXES)
-@settings(max_examples=60, deadline=None)
-def test_written_boxes_read_back(box: OrientedBox) -> None:
-    pose = box.T_camera_box
-    assert_same_box(box_from(vector(pose.translation), quaternion(pose.rotation), width_length_height(box)), box)
-
-
 def test_splits_are_lists_of_scenes(tmp_path: Path) -> None:
     out = tmp_path / "out"
     items = [make_item([make_label()], split="train"), make_item(split="val", key="b", index=4)]
-    write(out, [*items, make_item(recording="other", split="val")])
+    write("nuscenes", out, [*items, make_item(recording="other", split="val")])
     assert json.loads((out / "v1.0-annotator/splits.json").read_text()) == {
         "train": ["rec-train"],
         "val": ["rec-val", "other"],
     }
     assert list(read_nuscenes(out)) == ["rec/000003", "rec/b", "other/000003"]
-    write(out, [make_item()], overwrite=True)
-    assert not (out / "v1.0-annotator/splits.json").exists()
-    (out / "frames.csv").unlink()
-    with pytest.raises(FormatError, match="exists and is not empty"):
-        write(out, [make_item()], overwrite=True)
-    with pytest.raises(FormatError, match="no frame to export"):
-        write(tmp_path / "none", [])
     with pytest.raises(FormatError, match="no folder of nuScenes tables"):
         read_nuscenes(tmp_path)
-
-
-def test_losses_are_counted(tmp_path: Path) -> None:
-    lens = Camera(6, 4, 5.0, 5.0, 2.0, 1.0, (0.1, 0.0, 0.0, 0.01))
-    label = make_label(score=0.5, track_id=1, state=ReviewState.EDITED)
-    losses = write(tmp_path / "out", [make_item([label], up=None, camera=lens), make_item(key="b")])
-    assert {each.kind.value: each.count for each in losses.report()} == {
-        "score": 1, "state": 1, "lens": 1, "point_color": 2, "level": 1,
-    }  # fmt: skip
 
 
 # Rotates a camera's axes to those of a vehicle with the same viewing direction.

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_samples import make_item, make_label
+from dataset_samples import make_item, make_label, write
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.formats.losses import Losses
-from annotator.formats.sustechpoints import _angles, read_sustechpoints, write_sustechpoints
+from annotator.formats.sustechpoints import _angles, read_sustechpoints
+from annotator.geometry.transforms import level_pose
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.types.errors import FormatError
 from annotator.workflows.importing import BoxFormat, format_of
@@ -95,7 +95,7 @@ def test_angles_are_exact_also_where_they_are_ambiguous(angles: tuple[float, flo
 
 def test_written_clouds_have_the_points_with_their_colours(tmp_path: Path) -> None:
     item = make_item([make_label(track_id=3)])
-    write_sustechpoints(tmp_path / "out", [item], Losses())
+    write("sustechpoints", tmp_path / "out", [item])
     (file,) = (tmp_path / "out").glob("*/lidar/*.pcd")
     raw = read_cloud(file)
     (frame,) = read_sustechpoints(tmp_path / "out").values()
@@ -113,3 +113,16 @@ def test_texts_that_only_look_like_numbers_stay_texts(tmp_path: Path) -> None:
     assert read.attributes == {
         "plate": "0012", "part": "1_4", "score": "NaN", "age": 7, "mass": 1e-5, "helmet": True, "door open": True
     }  # fmt: skip
+
+
+def test_an_ego_pose_puts_the_cloud_where_the_page_shows_it(tmp_path: Path) -> None:
+    """Azimuth clockwise from y, then pitch about x and roll about y; the cloud half turned, 0.4 m up."""
+    place = RigidTransform.from_components([701_378.25, 4_485_513.5, 640.0], Rotation.from_rotvec([1, -0.5, 0.25]))
+    write("sustechpoints", tmp_path / "out", [make_item(T_world_camera=place)])
+    pose = json.loads((tmp_path / "out/rec/ego_pose/rec-000003.json").read_text())
+    z, x, y = np.deg2rad([-pose["azimuth"], pose["pitch"], pose["roll"]])
+    Rz, Rx, Ry = (Rotation.from_rotvec(turn).as_matrix() for turn in ([0, 0, z], [x, 0, 0], [0, y, 0]))
+    point = np.array([2.0, 1.0, 0.5])
+    shown = Rz @ Rx @ Ry @ np.array([-2.0, -1.0, 0.5 + 0.4]) + [pose["x"], pose["y"], pose["z"]]
+    level = level_pose(np.array([0.0, -1.0, 0.0]))
+    np.testing.assert_allclose(shown, place.apply(level.inv().apply(point)), rtol=0, atol=1e-6)

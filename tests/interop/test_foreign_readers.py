@@ -33,6 +33,7 @@ HERE = Path(__file__).resolve().parent
 PYTHON = HERE.parent.parent / ".venv-interop/bin/python"
 CORNER_M, PIXEL = 1e-3, 0.5
 LABELLED = (0, 1, 3)
+SPLIT = Split({"train": 0.6, "val": 0.4})
 DRAWN = (Box2D("person", 10.25, 20.5, 60.75, 90.0), Box2D("person", 100.0, -0.5, 160.5, 239.5))
 Read = Callable[..., dict[str, Any]]
 
@@ -153,10 +154,19 @@ def test_openlabel_readers_find_the_boxes_and_no_errors(
     assert "camera" in seen["systems"]
 
 
-def test_torchvision_reads_kitti_boxes(read: Read, project: Project, frames: dict[str, Any], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def of_torch(read: Read, project: Project, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What Ultralytics and torchvision read of a divided YOLO dataset and of a KITTI folder."""
+    out = tmp_path_factory.mktemp("torch")
+    export(project, out / "Kitti/raw", ExportFormat.KITTI)
+    draw(project)
+    yolo = export(project, out / "yolo", ExportFormat.YOLO, split=SPLIT)
+    return read("read_yolo_and_kitti", yolo / "data.yaml", out)
+
+
+def test_torchvision_reads_kitti_boxes(of_torch: dict[str, Any], frames: dict[str, Any]) -> None:
     """KITTI's rows are upright with two decimals; corners are computed by KITTI's definition."""
-    export(project, tmp_path / "Kitti/raw", ExportFormat.KITTI)
-    seen = read("read_kitti", tmp_path)
+    seen = of_torch
     assert set(seen["frames"]) == {frame.key for frame, _ in frames.values()}
     for frame, boxes in frames.values():
         there = seen["frames"][frame.key]
@@ -195,13 +205,10 @@ def outlines(frames: dict[str, Any]) -> dict[str, list[Box2D]]:
 
 
 def test_pycocotools_and_ultralytics_read_the_2d_boxes(
-    read: Read, project: Project, frames: dict[str, Any], tmp_path: Path
+    read: Read, of_torch: dict[str, Any], project: Project, frames: dict[str, Any], tmp_path: Path
 ) -> None:
-    draw(project)
-    split = Split({"train": 0.6, "val": 0.4})
-    coco = export(project, tmp_path / "coco", ExportFormat.COCO, split=split)
-    yolo = export(project, tmp_path / "yolo", ExportFormat.YOLO, split=split)
-    by_yolo = read("read_yolo", yolo / "data.yaml")["pictures"]
+    coco = export(project, tmp_path / "coco", ExportFormat.COCO, split=SPLIT)
+    by_yolo = of_torch["pictures"]
     assert len(by_yolo) == 5
     for part in ("train", "val"):
         by_coco = read("read_coco", coco / f"annotations/instances_{part}.json")["pictures"]

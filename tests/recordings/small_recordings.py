@@ -13,6 +13,7 @@ import numpy as np
 import phone_samples as made
 from argoverse_samples import write_log
 from cloud_samples import SCAN, camera_file, put_image
+from dataset_samples import write
 from kitti_samples import CAMERAS, LIDAR, OBJECT_CALIB, TIMES, TRACKING_CALIB
 from nuscenes_samples import small
 from scipy.io import savemat
@@ -20,8 +21,6 @@ from sunrgbd_samples import IMAGE as SUN_IMAGE
 from sunrgbd_samples import RTILT, K, png, upright_points, write_scene
 
 from annotator.formats.dataset_writing import DatasetItem
-from annotator.formats.openlabel import write_openlabel
-from annotator.formats.rcv import RcvInfo, RcvOptions, export_rcv
 from annotator.recordings import open_recording
 from annotator.types import Label, OrientedBox, ReviewState, Source
 
@@ -110,12 +109,12 @@ def exported_items(folder: Path) -> list[DatasetItem]:
 
 def rcv(folder: Path) -> None:
     folder.rmdir()
-    export_rcv(folder, exported_items(folder), RcvInfo(("cup",), (), "annotator", RcvOptions()))
+    write("rcv", folder, exported_items(folder), classes=("cup",))
 
 
 def openlabel(folder: Path) -> None:
     folder.rmdir()
-    write_openlabel(folder, exported_items(folder), "annotator")
+    write("openlabel", folder, exported_items(folder))
 
 
 def record3d(folder: Path) -> None:

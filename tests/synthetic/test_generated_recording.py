@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from annotator.formats.boxes_json import read_boxes
-from annotator.formats.masks import read_mask
+from annotator.formats.reading import read_mask
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
 from annotator.synthetic import write_generated

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.formats.rcv.export import MANIFEST
+from annotator.formats.rcv import MANIFEST
 from annotator.types import Frame
 from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError

@@ -14,7 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.boxes_json import each_entries, entry_truth
-from annotator.formats.kitti.label_files import (
+from annotator.formats.kitti_rows import (
     DONT_CARE,
     KittiLabel,
     has_solid,
@@ -22,8 +22,8 @@ from annotator.formats.kitti.label_files import (
     parse_tracking_fields,
     row_truth,
 )
-from annotator.formats.sunrgbd.labels import extracted_truth
-from annotator.formats.text_folder import text_rows
+from annotator.formats.reading import text_rows
+from annotator.formats.sunrgbd import extracted_truth
 from annotator.formats.units import Angles
 from annotator.recordings import Recording
 from annotator.text import normal, spelled

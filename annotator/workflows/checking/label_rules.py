@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from annotator.formats.kitti.box_rows import NEAR_M, derived_box, observation_angle
-from annotator.formats.kitti.label_files import KittiLabel, label_box
+from annotator.formats.kitti_rows import NEAR_M, KittiLabel, derived_box, label_box, observation_angle
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.point_index import PointIndex

@@ -18,17 +18,14 @@ from jaxtyping import Float64
 
 from annotator.files import open_file, read_file
 from annotator.formats import sustechpoints
-from annotator.formats.coco_dataset import is_coco_dataset, read_coco_dataset
+from annotator.formats.coco import is_coco_dataset, read_coco_dataset
 from annotator.formats.json_file import read_json
-from annotator.formats.labelcloud import read_labelcloud
-from annotator.formats.labelcloud.model import CLASSES_FILE
-from annotator.formats.labelcloud.write import CLOUDS, LABELS
+from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS, read_labelcloud
 from annotator.formats.nuscenes import read_nuscenes
 from annotator.formats.openlabel import read_openlabel
-from annotator.formats.rcv.export import MANIFEST
+from annotator.formats.rcv import MANIFEST
 from annotator.formats.reading import OnFault
-from annotator.formats.yolo_dataset import DATA_YAML
-from annotator.formats.yolo_read import CLASSES, SUFFIXES, read_yolo
+from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES, read_yolo
 from annotator.text import normal
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError

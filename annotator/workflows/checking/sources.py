@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from annotator.formats.rcv import read_rcv
-from annotator.formats.rcv.export import FOLDERS, MANIFEST, SPLITS
-from annotator.formats.rcv.read import RcvDataset
+from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
@@ -120,6 +118,7 @@ class RcvSource:
     """An `rcv` dataset. Its frames may come from several recordings, which need not be sequences."""
 
     dataset: RcvDataset
+    recording: Recording
     has_pictures: bool = True
     in_time_order: bool = False
     format: str = "rcv"
@@ -144,7 +143,7 @@ class RcvSource:
         return self.dataset.place(index)
 
     def read(self, index: int) -> Frame:
-        return self.dataset.bare_frame(index)
+        return self.recording.frame(index)
 
     def calibration(self, index: int) -> Path:
         return self.dataset.label_path(index)
@@ -249,6 +248,6 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
 
 def _open(path: Path) -> Source:
     if (path / MANIFEST).is_file():
-        return RcvSource(read_rcv(path))
+        return RcvSource(read_rcv(path), open_recording(path))
     recording = open_recording(path)
     return RecordingSource(recording, label_files(recording))

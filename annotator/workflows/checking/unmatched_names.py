@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from annotator.formats.frames_csv import has_frames
-from annotator.formats.text_folder import text_rows
+from annotator.formats.frame_names import has_frames
+from annotator.formats.reading import text_rows
 from annotator.recordings import Recording
 from annotator.recordings.kitti import KittiObject
 from annotator.recordings.listing import IMAGE_SUFFIXES, stems

@@ -11,18 +11,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from annotator.evaluation.boxes import BoxTable
-from annotator.evaluation.kitti import OFFICIAL, RELAXED, KittiRows, evaluate_kitti
-from annotator.evaluation.kitti.protocol import NEIGHBOURS
-from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.kitti import NEIGHBOURS, OFFICIAL, RELAXED, KittiRows, evaluate_kitti
+from annotator.evaluation.oriented import evaluate_oriented, evaluate_sunrgbd
 from annotator.evaluation.report import Report, kitti_report, oriented_report, sunrgbd_report
-from annotator.evaluation.sunrgbd import evaluate_sunrgbd
 from annotator.files import TABLE_BYTES, read_text_file
 from annotator.formats.box_csv import BoxRow, read_box_csv
-from annotator.formats.kitti.label_files import KittiLabel
-from annotator.formats.kitti.label_folders import label_place, read_kitti_folder
-from annotator.formats.rcv import read_rcv
-from annotator.formats.rcv.export import MANIFEST
-from annotator.formats.text_folder import holds_texts
+from annotator.formats.kitti_objects import label_place, read_kitti_folder
+from annotator.formats.kitti_rows import KittiLabel
+from annotator.formats.rcv import MANIFEST, read_rcv
+from annotator.formats.reading import holds_texts
 from annotator.text import normal
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.amounts import amount

@@ -6,11 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from annotator.evaluation.oriented import evaluate_oriented
+from annotator.evaluation.oriented import evaluate_oriented, evaluate_sunrgbd
 from annotator.evaluation.report import Report, oriented_report, sunrgbd_report
-from annotator.evaluation.sunrgbd import evaluate_sunrgbd
-from annotator.formats.kitti.box_rows import kitti_row
-from annotator.formats.kitti.label_files import KittiLabel
+from annotator.formats.kitti_rows import KittiLabel, kitti_row
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import Label, ReviewState, Source
 from annotator.types.amounts import amount

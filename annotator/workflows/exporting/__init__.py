@@ -1,10 +1,9 @@
-"""Exports the labels of a project as a dataset in one of the formats of `table.py`."""
+"""Exports the labels of a project as a dataset in one of the formats of `annotator/formats/table.py`."""
 
-from annotator.workflows.exporting.choose import ExportFilter
+from annotator.formats.table import WRITERS, ExportFormat
+from annotator.workflows.exporting.choose import ExportFilter, Split, SplitBy, parse_shares
 from annotator.workflows.exporting.export import export_project
 from annotator.workflows.exporting.job import ExportOptions, ExportReport
-from annotator.workflows.exporting.split import Split, SplitBy, parse_shares
-from annotator.workflows.exporting.table import WRITERS, ExportFormat
 
 __all__ = [
     "WRITERS",

@@ -1,18 +1,121 @@
-"""Selects the labels of a project to export, and divides their frames into parts."""
+"""Selects the labels, or the images and pseudo-views, of a project to export, and divides its frames into parts."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
 
-from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
-from annotator.types import ReviewState
+import numpy as np
+
+from annotator.formats.losses import Losses, Lost
+from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
+from annotator.types import Box2D, ReviewState
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.names import alternatives
-from annotator.workflows.exporting.split import Split, assign
 from annotator.workflows.rigs import once
+
+# Parts become the names of files and folders.
+NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
+# Shares may be rounded: 0.33 three times.
+SUM_TOLERANCE = 0.015
+
+
+class SplitBy(StrEnum):
+    """The unit that stays in one part: a frame, or a whole recording (whose frames are similar)."""
+
+    FRAMES = "frames"
+    RECORDINGS = "recordings"
+
+
+@dataclass(frozen=True)
+class Split:
+    """How a dataset is divided.
+
+    Attributes:
+        shares: each part's fraction of the frames; the sum is 1.
+        by: divide by frames or by whole recordings.
+        seed: seed of the random order.
+    """
+
+    shares: Mapping[str, float]
+    by: SplitBy = SplitBy.FRAMES
+    seed: int = 0
+
+
+def parse_shares(text: str) -> dict[str, float]:
+    """Parses shares such as "train=0.8,val=0.2", or ratios such as "train=4,val=1".
+
+    Raises:
+        ConfigError: another form, a part that occurs twice, a share that is not positive, or shares (no ratios in whole
+            numbers) whose sum is not 1.
+    """
+    shares: dict[str, float] = {}
+    for part in text.split(","):
+        name, sign, share = (word.strip() for word in part.partition("="))
+        try:
+            value = float(share)
+        except ValueError:
+            value = math.nan
+        if not sign or not NAME.fullmatch(name) or not (0 < value < math.inf) or name in shares:
+            raise ConfigError(
+                f"{text!r} is not a valid split: give each part once with its share, as in train=0.8,val=0.2"
+            )
+        shares[name] = value
+    total = sum(shares.values())
+    if abs(total - 1) > SUM_TOLERANCE and not all(share.is_integer() for share in shares.values()):
+        fitting = ",".join(f"{name}={share / total:.2g}" for name, share in shares.items())
+        raise ConfigError(
+            f"the shares of the split {text!r} add up to {total:.3g}, not to 1; write {fitting}, or ratios in whole "
+            "numbers, as in train=4,val=1"
+        )
+    return {name: share / total for name, share in shares.items()}
+
+
+def assign(split: Split, places: Sequence[tuple[str, str]]) -> list[str]:
+    """Returns the part of each frame, independent of the order of the frames.
+
+    Args:
+        places: each frame's recording and key, all different.
+
+    Raises:
+        ConfigError: there are fewer frames (or recordings) than parts.
+    """
+    groups: dict[tuple[str, ...], int] = defaultdict(int)
+    for recording, key in places:
+        groups[(recording,) if split.by is SplitBy.RECORDINGS else (recording, key)] += 1
+    if len(groups) < len(split.shares):
+        raise ConfigError(
+            f"{amount(len(groups), split.by.removesuffix('s'))} cannot be divided into "
+            f"{amount(len(split.shares), 'part')} ({', '.join(split.shares)}); give fewer parts, or divide by frames"
+        )
+    part_of = _randomly_assigned(split, dict(groups))
+    return [part_of[(r,) if split.by is SplitBy.RECORDINGS else (r, k)] for r, k in places]
+
+
+def _randomly_assigned(split: Split, groups: Mapping[tuple[str, ...], int]) -> dict[tuple[str, ...], str]:
+    """Assigns the groups in random order, each to the part that lacks the most frames; every part gets at least one."""
+    names = sorted(groups)
+    order = np.random.default_rng(split.seed).permutation(len(names))
+    total = sum(groups.values())
+    missing = {part: share * total for part, share in split.shares.items()}
+    empty, left = set(missing), len(names)
+    part_of: dict[tuple[str, ...], str] = {}
+    for place in order:
+        # a list in the order of the shares: of equal values, max() takes the first, and a set has no fixed order
+        candidates = [name for name in missing if name in empty or left > len(empty)]
+        part = max(candidates, key=lambda name: missing[name])
+        part_of[names[place]] = part
+        missing[part] -= groups[names[place]]
+        empty.discard(part)
+        left -= 1
+    return part_of
+
 
 NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
 
@@ -140,3 +243,131 @@ def _no_labels(project: Project, choose: ExportFilter, states: tuple[ReviewState
         else "run `annotator annotate` first, or choose other states"
     )
     return f"project {project.config.name} has no labels in state {', '.join(states)} to export; {advice}"
+
+
+Pictures = Literal["images", "views", "both"]
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenPictures(Chosen):
+    """The images of one frame to export.
+
+    Attributes:
+        image: True to export the camera image.
+        drawn: the boxes drawn on it; the frame's other labels are projected onto it.
+        views: labelled pseudo-views of the frame to export.
+    """
+
+    image: bool
+    drawn: ImageBoxes | None
+    views: tuple[ViewBoxes, ...]
+
+
+def choose_pictures(
+    project: Project,
+    choose: ExportFilter,
+    states: tuple[ReviewState, ...],
+    split: Split | None,
+    pictures: Pictures,
+    losses: Losses,
+) -> list[ChosenPictures]:
+    """Returns the frames whose images are exported, in the project's order.
+
+    A camera image is exported with the boxes drawn on it, and with the outlines of the frame's other labels. An image
+    without boxes is exported as background if an operator confirmed it: its drawn boxes were saved as empty, or the
+    frame is finalised and has only rejected labels. An image with unreviewed proposals and without drawn boxes is not
+    exported, because a detector would learn to treat these objects as background.
+
+    Args:
+        states: review states of the labels to export.
+        losses: counts the images that are not exported.
+
+    Raises:
+        ConfigError: the project has no such class, no image fits, or there are too few frames for the parts.
+    """
+    labels = labels_by_frame(project, choose, states)
+    images = {b.frame_id: b for b in project.boxes.on_images(choose.recordings)} if pictures != "views" else {}
+    views = _views_by_frame(project, choose) if pictures != "images" else {}
+    selection = _Images(project, choose, states, labels, images) if pictures != "views" else None
+    frames: list[StoredFrame] = []
+    with_image: set[int] = set()
+    for frame in project.frames.of(choose.recordings):
+        if selection is not None and selection.is_exported(frame, losses):
+            with_image.add(frame.id)
+        if frame.id in with_image or frame.id in views:
+            frames.append(frame)
+    if not frames and not loose_views(project, choose, pictures):
+        raise ConfigError(
+            f"project {project.config.name} has no labelled {'images or views' if pictures == 'both' else pictures} to "
+            "export; draw boxes, or review proposals (`annotator serve`)"
+        )
+    return [
+        ChosenPictures(
+            c.stored,
+            c.recording,
+            c.labels,
+            c.split,
+            c.stored.id in with_image,
+            images.get(c.stored.id),
+            tuple(views.get(c.stored.id, ())),
+        )
+        for c in divided(project, frames, labels, split)
+    ]
+
+
+def loose_views(project: Project, choose: ExportFilter, pictures: Pictures) -> list[ViewBoxes]:
+    """Returns labelled pseudo-views without a frame: imported, for training only."""
+    if pictures == "images" or choose.recordings is not None:
+        return []
+    return [view for view in project.boxes.on_views() if view.frame_id is None and _is_drawn(view.boxes, choose)]
+
+
+def of_classes(boxes: Sequence[Box2D], classes: Collection[str] | None) -> list[Box2D]:
+    """Returns the boxes of the given classes; None = all."""
+    return [box for box in boxes if classes is None or box.label in classes]
+
+
+def _is_drawn(boxes: Sequence[Box2D], choose: ExportFilter) -> bool:
+    """True for an image with a box of the chosen classes, or one confirmed as empty."""
+    return not boxes or choose.empty_frames or bool(of_classes(boxes, choose.classes))
+
+
+def _views_by_frame(project: Project, choose: ExportFilter) -> dict[int, list[ViewBoxes]]:
+    views: dict[int, list[ViewBoxes]] = defaultdict(list)
+    for view in project.boxes.on_views():
+        if view.frame_id is not None and _is_drawn(view.boxes, choose):
+            views[view.frame_id].append(view)
+    return views
+
+
+class _Images:
+    """Decides which camera images are exported."""
+
+    def __init__(
+        self,
+        project: Project,
+        choose: ExportFilter,
+        states: tuple[ReviewState, ...],
+        labels: dict[int, tuple[StoredLabel, ...]],
+        images: dict[int, ImageBoxes],
+    ) -> None:
+        self._choose, self._labels, self._images = choose, labels, images
+        # all states except rejected: an object is not background, even if its state was not chosen
+        existing = project.labels.select(states=NOT_REJECTED, recordings=choose.recordings, classes=choose.classes)
+        self._with_object = {entry.frame_id for entry in existing}
+        waiting = [entry for entry in existing if entry.label.state is ReviewState.PROPOSED]
+        self._open = set() if ReviewState.PROPOSED in states else {entry.frame_id for entry in waiting}
+
+    def is_exported(self, frame: StoredFrame, losses: Losses) -> bool:
+        """True if this frame's image is exported; counts a loss if only unreviewed proposals prevent it."""
+        drawn = self._images.get(frame.id)
+        if drawn is not None:
+            return _is_drawn(drawn.boxes, self._choose)
+        if frame.id in self._open:
+            losses.add(Lost.OPEN, int(frame.id in self._labels))
+            return False
+        if frame.id in self._labels:
+            return True
+        if frame.id in self._with_object:
+            return False
+        return frame.index is not None and (frame.finalised or self._choose.empty_frames)

@@ -1,4 +1,4 @@
-"""The input and the result of every format's writer."""
+"""The options, the input and the report of an export."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from annotator.formats.attributes import Values
 from annotator.formats.dataset_writing import DatasetItem
 from annotator.formats.losses import Loss, Losses, Lost
+from annotator.formats.table import FORMATS, ExportFormat
 from annotator.project import Project
 from annotator.project.classes.attributes import AttributeOf
 from annotator.recordings import Recording
@@ -22,6 +23,7 @@ from annotator.recordings.look_around import LookAround, Scanned
 from annotator.types.label import AttributeValue
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.kitti_rows import dont_care_rows
 
 ImageFormat = Literal["png", "jpg"]
 
@@ -82,6 +84,7 @@ class ExportJob:
     """
 
     project: Project
+    format: ExportFormat
     out: Path
     chosen: tuple[Chosen, ...]
     options: ExportOptions = field(default_factory=ExportOptions)
@@ -101,16 +104,19 @@ class ExportJob:
         Raises:
             RecordingError, FrameError: a frame cannot be read.
         """
-        source = FrameSource(self.project)
+        source, has_areas = FrameSource(self.project), FORMATS[self.format].areas
         for number, chosen in enumerate(self.chosen, 1):
+            recording = source.recording(chosen.stored.recording_id)
             labels = [
                 replace(entry.label, said=tuple(each.said() for each in entry.said)) if entry.said else entry.label
                 for entry in chosen.labels
             ]
-            if _is_cut(source.recording(chosen.stored.recording_id)):
+            if _is_cut(recording):
                 self.losses.add(Lost.CUT)
+            rows = dont_care_rows(recording, chosen.stored.key) if has_areas else ()
+            areas = [(row.left, row.top, row.right, row.bottom) for row in rows]
             values = self.frame_values(chosen.stored.id)
-            yield DatasetItem(chosen.recording, source.read(chosen.stored), labels, chosen.split, values)
+            yield DatasetItem(chosen.recording, source.read(chosen.stored), labels, chosen.split, values, areas)
             if self.progress is not None:
                 self.progress(number, len(self.chosen))
 
@@ -125,16 +131,17 @@ class ExportJob:
         defaults = {each.name: each.default for each in of_frames if each.default is not None}
         return self.project.frames.attributes(), defaults
 
-    def report(self, format: str, objects_by_class: dict[str, int], frames: int | None = None) -> ExportReport:
-        """Returns the report, with the losses counted so far; `frames` overrides the number of chosen frames."""
+    def report(self, objects_by_class: dict[str, int], notes: tuple[str, ...] = ()) -> ExportReport:
+        """Returns the report, with the losses counted so far."""
         return ExportReport(
-            format=format,
+            format=self.format,
             out=self.out,
-            frames=len(self.chosen) if frames is None else frames,
+            frames=len(self.chosen),
             objects=sum(objects_by_class.values()),
             objects_by_class={name: objects_by_class.get(name, 0) for name in self.classes},
             splits=dict(Counter(c.split for c in self.chosen if c.split is not None)),
             losses=self.losses.report(),
+            notes=notes,
         )
 
 

@@ -7,7 +7,7 @@ pseudo-views, `views.json` (their geometry), so that an import can match both.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,22 +15,22 @@ import numpy as np
 
 from annotator.files import new_folder
 from annotator.formats.attributes import NO_VALUES, Values
-from annotator.formats.coco_dataset import CocoWriter, is_coco_dataset
 from annotator.formats.dataset_writing import (
     DatasetItem,
     FileNames,
     LabelledPicture,
-    PictureWriter,
+    count_lost,
     encoded_image,
+    write_frames,
     writing,
 )
-from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
-from annotator.formats.losses import Losses, Lost, count_lost
-from annotator.formats.yolo_dataset import YoloWriter, is_yolo_dataset
+from annotator.formats.frame_names import FrameOrigin
+from annotator.formats.losses import Losses, Lost
+from annotator.formats.table import FORMATS, ExportFormat
 from annotator.geometry.image_shares import clip_to_image
 from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
-from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, of_classes
+from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.rigs import Rigs
@@ -45,56 +45,34 @@ UNDIVIDED = (
     "--split train=0.8,val=0.2"
 )
 
-Make = Callable[[Path, Sequence[str], Sequence[str]], PictureWriter]
 
-
-def coco_dataset(job: ExportJob) -> ExportReport:
-    """Writes a COCO detection dataset. Raises as `write_pictures`."""
-    return write_pictures(job, "coco", CocoWriter, is_coco_dataset, holds_values=True)
-
-
-def yolo_dataset(job: ExportJob) -> ExportReport:
-    """Writes a YOLO detection dataset.
-
-    Raises:
-        ConfigError: parts other than train, val and test; or as `write_pictures`.
-        FormatError, RecordingError, ProjectError: as `write_pictures`.
-    """
-    report = write_pictures(job, "yolo", YoloWriter, is_yolo_dataset)
-    return report if report.splits else report.model_copy(update={"notes": (UNDIVIDED,)})
-
-
-def write_pictures(
-    job: ExportJob, format: str, make: Make, is_dataset: Callable[[Path], bool], holds_values: bool = False
-) -> ExportReport:
+def write_pictures(job: ExportJob) -> ExportReport:
     """Writes the dataset atomically.
-
-    Args:
-        make: creates the format's writer from a folder, the classes and the names of the parts.
-        is_dataset: True for a folder that is a dataset of this format, which may be replaced.
-        holds_values: whether the format holds values of attributes.
 
     Raises:
         FormatError: `job.out` exists, or writing fails.
-        ConfigError: the format does not support these parts.
+        ConfigError: the format does not have these parts.
         RecordingError: a frame cannot be read.
         ProjectError: the image of a pseudo-view is damaged.
     """
+    format = FORMATS[job.format]
+    assert format.pictures is not None
     parts = tuple(dict.fromkeys(c.split for c in job.chosen if c.split is not None))
-    with new_folder(job.out, lambda old: job.overwrite and is_dataset(old) and (old / FRAMES_CSV).is_file()) as folder:
+    with new_folder(job.out, lambda old: job.overwrite and format.may_replace(old)) as folder:
         with writing(job.out):
-            writer = make(folder, job.classes, parts)
-        tally = _Tally(job, parts, holds_values)
+            writer = format.pictures(folder, job.classes, parts)
+        tally = _Tally(job, parts, format.values is None)
         for picture in tally.pictures():
             with writing(job.out):
                 writer.add(picture)
             tally.add(picture)
         with writing(job.out):
             folders = writer.finish()
-            (folder / FRAMES_CSV).write_text(dump_frames(tally.origins), encoding="utf-8", newline="")
+            write_frames(folder, tally.origins)
             tally.write_places(folders)
-    report = job.report(format, dict(tally.by_class), tally.written)
-    return report.model_copy(update={"splits": {part: tally.by_part[part] for part in parts}})
+    is_whole = job.format is ExportFormat.YOLO and not parts
+    report = job.report(dict(tally.by_class), (UNDIVIDED,) if is_whole else ())
+    return report.model_copy(update={"frames": tally.written, "splits": {part: tally.by_part[part] for part in parts}})
 
 
 @dataclass
@@ -120,7 +98,7 @@ class _Tally:
         job, source = self.job, FrameSource(self.job.project)
         rigs = Rigs(job.project, source)
         for number, chosen in enumerate(job.chosen, 1):
-            assert isinstance(chosen, ChosenPictures)  # `Writer.flat` formats use `choose_pictures`
+            assert isinstance(chosen, ChosenPictures)  # formats of 2D boxes use `choose_pictures`
             if chosen.image:
                 frame = source.read(chosen.stored)
                 yield self._image(chosen, frame, self._of_other_cameras(rigs, chosen, frame))

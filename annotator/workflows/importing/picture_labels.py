@@ -8,9 +8,9 @@ from enum import StrEnum
 from pathlib import Path
 
 from annotator.formats.attributes import Values
-from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
-from annotator.formats.frames_csv import FrameOrigin, read_frames
-from annotator.formats.yolo_read import YoloPicture, read_yolo
+from annotator.formats.coco import dataset_folder, read_coco_dataset
+from annotator.formats.frame_names import FrameOrigin, read_frames
+from annotator.formats.yolo import YoloPicture, read_yolo
 from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError

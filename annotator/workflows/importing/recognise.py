@@ -13,20 +13,17 @@ from pathlib import Path, PurePosixPath
 from pydantic_core import from_json
 
 from annotator.files import ARCHIVE_ERRORS, open_archive, open_file, why_missing
+from annotator.formats import kitti_objects, kitti_tracking
 from annotator.formats.argoverse import ANNOTATIONS as ARGOVERSE_ANNOTATIONS
 from annotator.formats.box_csv import is_box_csv
 from annotator.formats.boxes_json import NAME, PLACES
-from annotator.formats.coco_dataset import ANNOTATIONS
+from annotator.formats.coco import ANNOTATIONS
 from annotator.formats.json_file import read_json
-from annotator.formats.kitti import label_folders, tracking_folder
-from annotator.formats.labelcloud.model import CLASSES_FILE
-from annotator.formats.labelcloud.write import LABELS
-from annotator.formats.rcv.export import MANIFEST
-from annotator.formats.sunrgbd.labels import FIELDS as SUN_FIELDS
-from annotator.formats.text_folder import text_rows
-from annotator.formats.yolo import LEAST_CORNERS, TOLERANCE
-from annotator.formats.yolo_dataset import DATA_YAML
-from annotator.formats.yolo_read import CLASSES
+from annotator.formats.labelcloud import CLASSES_FILE, LABELS
+from annotator.formats.rcv import MANIFEST
+from annotator.formats.reading import text_rows
+from annotator.formats.sunrgbd import FIELDS as SUN_FIELDS
+from annotator.formats.yolo import CLASSES, DATA_YAML, LEAST_CORNERS, TOLERANCE
 from annotator.text import decoded
 from annotator.types.errors import FormatError
 from annotator.workflows.importing.picture_labels import FlatFormat
@@ -73,8 +70,8 @@ _FOLDERS: dict[Format, Callable[[Path], bool]] = {
     BoxFormat.RCV: _has(MANIFEST),
     BoxFormat.NUSCENES: _has("sample_annotation.json", "v1.0-*/sample_annotation.json"),
     BoxFormat.LABELCLOUD: _has(CLASSES_FILE, f"{LABELS}/{CLASSES_FILE}", f"*/{LABELS}/{CLASSES_FILE}"),
-    BoxFormat.KITTI_TRACKING: _has(f"training/{tracking_folder.LABELS}/", f"{tracking_folder.LABELS}/"),
-    BoxFormat.KITTI: _has(*label_folders.PLACES),
+    BoxFormat.KITTI_TRACKING: _has(f"training/{kitti_tracking.LABELS}/", f"{kitti_tracking.LABELS}/"),
+    BoxFormat.KITTI: _has(*kitti_objects.PLACES),
     BoxFormat.SUNRGBD: _has("SUNRGBDMeta*.mat", "label/*.txt"),
     BoxFormat.ARGOVERSE2: _has(ARGOVERSE_ANNOTATIONS),
     BoxFormat.BOXES: _has(*PLACES),
@@ -158,7 +155,7 @@ def _of_archive(file: Path) -> list[Format]:
 def _text_members(archive: zipfile.ZipFile) -> Iterator[zipfile.ZipInfo]:
     """The label files of an archive first: it may also hold calibrations."""
     members = [info for info in archive.infolist() if info.filename.endswith(".txt") and not info.is_dir()]
-    places = (label_folders.LABELS, tracking_folder.LABELS)
+    places = (kitti_objects.LABELS, kitti_tracking.LABELS)
     members.sort(key=lambda info: PurePosixPath(info.filename).parent.name not in places)
     return islice(iter(members), LOOK_AT)
 

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from annotator.formats.kitti.box_rows import kitti_row
-from annotator.formats.kitti.label_files import DONT_CARE, KittiLabel, read_tracking_areas
-from annotator.formats.kitti.label_folders import read_kitti_file
+from annotator.formats.kitti_objects import read_kitti_file
+from annotator.formats.kitti_rows import DONT_CARE, KittiLabel, kitti_row, read_tracking_areas
 from annotator.geometry.occlusion import Sight
 from annotator.recordings import Recording
 from annotator.types import Frame, OrientedBox

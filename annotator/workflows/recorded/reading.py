@@ -12,17 +12,14 @@ from jaxtyping import UInt8
 
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
-from annotator.formats.frames_csv import read_frames
-from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
-from annotator.formats.kitti.tracklets import read_tracklets
-from annotator.formats.labelcloud.model import CLASSES_FILE
-from annotator.formats.labelcloud.read import read_labelcloud_file
-from annotator.formats.labelcloud.write import LABELS
-from annotator.formats.masks import read_mask
-from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_sample_boxes
-from annotator.formats.rcv.export import MANIFEST
-from annotator.formats.rcv.read import RcvDataset, read_rcv
-from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
+from annotator.formats.frame_names import read_frames
+from annotator.formats.kitti_rows import read_object_labels, read_tracking_labels
+from annotator.formats.kitti_tracklets import read_tracklets
+from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
+from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
+from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
+from annotator.formats.reading import read_mask
+from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.recordings import Recording
 from annotator.recordings.argoverse import ArgoverseLog
@@ -280,7 +277,7 @@ def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
 
 
 @lru_cache(maxsize=4)
-def _samples(tables: Path, samples: frozenset[str], changed_ns: int, size: int) -> dict[str, tuple[NuScenesBox, ...]]:
+def _samples(tables: Path, samples: frozenset[str], changed_ns: int, size: int) -> dict[str, tuple[Truth, ...]]:
     """As `_boxes` for the samples of a nuScenes scene, in the global frame."""
     return read_sample_boxes(tables, samples)
 

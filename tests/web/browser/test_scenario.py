@@ -256,10 +256,10 @@ def test_from_an_empty_folder_to_a_downloaded_dataset(
 
     ious: list[float] = []
     for number in range(len(dataset)):
-        exported = dataset.frame(number)
-        scene = scenes[exported.frame.index]
-        boxes = [label.box for label in exported.labels]
-        assert {label.author for label in exported.labels} == {"Ada"}
+        labels = dataset.labels(number)
+        scene = scenes[dataset.place(number)[1]]
+        boxes = [label.box for label in labels]
+        assert {label.author for label in labels} == {"Ada"}
         ious += [max(iou_3d(box, item.box) for item in scene.objects) for box in boxes]
     assert len(ious) == drawn + decided["accepted"] + decided["corrected"]
     assert np.mean(ious) > 0.6, sorted(ious)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.formats.kitti.label_files import KittiLabel, dump_label_line, label_box
+from annotator.formats.kitti_rows import KittiLabel, dump_label_line, label_box
 from annotator.types import OrientedBox
 from annotator.workflows.checking.box_sets import mirrored
 from annotator.workflows.checking.check import check_datasets

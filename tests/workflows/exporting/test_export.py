@@ -1,7 +1,8 @@
-"""Export of a project: the selected labels are written and read back unchanged; a failed export leaves nothing."""
+"""Export of a project: the selected labels are written, divided into parts; a failed export leaves nothing."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from annotator.formats.losses import Lost
 from annotator.formats.rcv import read_rcv
-from annotator.formats.rcv.model import RcvManifest
+from annotator.formats.rcv_files import RcvManifest
 from annotator.project import NewLabel, Origin, Project, RunShare, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import (
@@ -24,10 +25,10 @@ from annotator.types import (
     Source,
     Suggestion,
 )
-from annotator.types.errors import ConfigError, FormatError, FrameError, ProjectError
-from annotator.workflows.add_recordings import add_recordings, register_recording
-from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, export_project
-from annotator.workflows.frame_source import FrameSource
+from annotator.types.errors import ConfigError, FrameError
+from annotator.workflows.add_recordings import add_recordings
+from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
+from annotator.workflows.exporting.choose import Split, SplitBy, assign, parse_shares
 from annotator.workflows.recorded.reading import load_truth
 
 STATES = (ReviewState.PROPOSED, ReviewState.ACCEPTED, ReviewState.EDITED, ReviewState.REJECTED)
@@ -63,15 +64,12 @@ def test_an_exported_dataset_reads_back_unchanged(people: Project, tmp_path: Pat
     assert manifest.generator.startswith("annotator ")
     dataset = read_rcv(tmp_path / "out")
     assert dataset.manifest == manifest
-    source = FrameSource(people)
     for number, index in enumerate((0, 3)):
         stored = people.frames.of()[index]
-        back, frame = dataset.frame(number), source.read(stored)
-        assert (back.recording, back.frame.key) == ("people", stored.key)
-        np.testing.assert_array_equal(back.frame.rgb, frame.rgb)
-        np.testing.assert_allclose(back.frame.cloud.xyz_m, frame.cloud.xyz_m, atol=1e-6)
+        name, labels, *_ = dataset.named_labels(number)
+        assert name == f"people/{stored.key}"
         kept = [label for label in people.labels.of_frame(stored.id) if label.state is not ReviewState.REJECTED]
-        for a, b in zip(back.labels, kept, strict=True):
+        for a, b in zip(labels, kept, strict=True):
             assert (a.uid, a.label, a.state, a.source, a.track_id) == (b.uid, b.label, b.state, b.source, b.track_id)
             np.testing.assert_allclose(a.box.pose, b.box.pose, atol=1e-9)
             np.testing.assert_allclose(a.box.size_m, b.box.size_m, atol=1e-9)
@@ -150,24 +148,12 @@ def test_only_the_detectors_of_exported_boxes_are_named(people: Project, tmp_pat
     ]
 
 
-def test_boxes_drawn_by_hand_name_no_detector(people: Project, tmp_path: Path) -> None:
-    trained(people, DetectorKind.VIEW, "view-1", "v1")
-    label_all(people, (0,))
-    assert exported(people, tmp_path / "out").detectors == ()
-
-
 def test_the_detector_that_suggested_a_drawn_box_is_named(people: Project, tmp_path: Path) -> None:
     box = OrientedBox.from_parts(np.array([0.0, 0.0, 3.0]), np.eye(3), np.ones(3))
     drawn = [NewLabel("person", box, origin=Origin.DRAWN, suggestion=Suggestion("base detector", "b1"))]
     people.labels.create(people.frames.of()[0].id, drawn, WriteContext(0, "me"))
     (found,) = exported(people, tmp_path / "out").detectors
     assert (found.role, found.name, found.fingerprint) == ("view", "base detector", "b1")
-
-
-def test_images_can_be_exported_as_jpeg(people: Project, tmp_path: Path) -> None:
-    label_all(people, (0,))
-    exported(people, tmp_path / "out", options=ExportOptions(image_format="jpg"))
-    assert [path.suffix for path in (tmp_path / "out" / "images").iterdir()] == [".jpg"]
 
 
 @pytest.mark.parametrize(
@@ -241,24 +227,47 @@ def test_missing_frames_with_labels_fail_the_export(
     assert not (tmp_path / "b").exists()
 
 
-def test_an_older_export_is_replaced_only_on_request(people: Project, tmp_path: Path) -> None:
-    label_all(people, (0,))
-    exported(people, tmp_path / "out")
-    with pytest.raises(FormatError, match="exists and is not empty"):
-        exported(people, tmp_path / "out")
-    label_all(people, (1,))
-    exported(people, tmp_path / "out", overwrite=True)
-    assert len(read_rcv(tmp_path / "out")) == 2
+PLACES = [(recording, f"{number:06d}") for recording in ("a", "b", "c", "d") for number in range(25)]
+SHARES = {"train": 0.7, "val": 0.2, "test": 0.1}
 
 
-def test_frames_with_the_same_key_in_two_recordings_are_exported(
-    people: Project, own_copy: Callable[[str], Path], tmp_path: Path
-) -> None:
-    register_recording(people, open_recording(own_copy("people")))
-    label_all(people, (0,), recording=0)
-    label_all(people, (0,), recording=1)
-    exported(people, tmp_path / "out")
-    dataset = read_rcv(tmp_path / "out")
-    assert [dataset.frame(i).recording for i in range(2)] == ["people", "people-2"]
-    with pytest.raises(ProjectError, match="no recording 'people-3'"):
-        people.recordings.find("people-3")
+def test_split_sizes_match_the_shares() -> None:
+    assert Counter(assign(Split(SHARES), PLACES)) == {"train": 70, "val": 20, "test": 10}
+
+
+def test_the_split_depends_on_the_seed_but_not_on_the_order_of_frames() -> None:
+    parts = dict(zip(PLACES, assign(Split(SHARES), PLACES), strict=True))
+    shuffled = [PLACES[i] for i in np.random.default_rng(3).permutation(len(PLACES))]
+    assert dict(zip(shuffled, assign(Split(SHARES), shuffled), strict=True)) == parts
+    assert dict(zip(PLACES, assign(Split(SHARES, seed=1), PLACES), strict=True)) != parts
+
+
+def test_recordings_are_not_divided() -> None:
+    split = Split({"train": 0.75, "val": 0.25}, SplitBy.RECORDINGS)
+    parts = assign(split, PLACES)
+    assert len({(recording, part) for (recording, _), part in zip(PLACES, parts, strict=True)}) == 4
+    assert Counter(parts) == {"train": 75, "val": 25}
+
+
+def test_no_part_is_empty() -> None:
+    assert set(assign(Split({"train": 0.98, "val": 0.02}), PLACES[:5])) == {"train", "val"}
+    with pytest.raises(ConfigError, match="2 recordings cannot be divided into 3 parts"):
+        assign(Split(SHARES, SplitBy.RECORDINGS), PLACES[:50])
+
+
+def test_equal_shares_give_the_same_split_in_every_process() -> None:
+    """The order of sets of strings differs between processes."""
+    shares = dict.fromkeys(("train", "val", "test"), 1 / 3)
+    assert assign(Split(shares), [("a", "1"), ("a", "2"), ("a", "3")]) == ["val", "test", "train"]
+
+
+def test_shares_are_parsed() -> None:
+    assert parse_shares("train=4, val=1") == {"train": 0.8, "val": 0.2}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "train", "train=", "train=x", "train=0", "train=-1,val=2", "a=1,a=1", "../x=1", "a=inf", "a=nan"]
+)
+def test_invalid_shares_are_errors(text: str) -> None:
+    with pytest.raises(ConfigError, match="is not a valid split"):
+        parse_shares(text)

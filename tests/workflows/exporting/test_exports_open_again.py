@@ -16,7 +16,7 @@ from annotator.recordings import Recording, detect_format, open_recording
 from annotator.types import Frame, Source
 from annotator.types.errors import FrameError, RecordingError
 from annotator.workflows.checking.check import check_datasets
-from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, Split, export_project
+from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import has_truth, load_truth
@@ -54,9 +54,10 @@ def in_order(project: Project, recording: Recording) -> Iterator[tuple[Frame, Fr
 
 @pytest.mark.parametrize(("format", "reader", "box_m", "point_m"), CASES)
 def test_an_export_opens_with_its_labels(
-    people: Project, tmp_path: Path, format: ExportFormat, reader: str, box_m: float, point_m: float
-) -> None:
-    export_project(people, tmp_path / "out", format, choose=ALL)
+    people: Project, make_project: MakeProject, tmp_path: Path, format: ExportFormat, reader: str, box_m: float,
+    point_m: float,
+) -> None:  # fmt: skip
+    report = export_project(people, tmp_path / "out", format, choose=ALL)
     recording = open_recording(tmp_path / "out")
     assert (recording.format, detect_format(tmp_path / "out"), recording.notes) == (reader, reader, ())
     assert has_truth(recording)
@@ -78,15 +79,7 @@ def test_an_export_opens_with_its_labels(
         for truth, label in zip(truths, labels, strict=True):
             np.testing.assert_allclose(box_corners(truth.box), box_corners(label.box), atol=box_m)
         boxes += len(truths)
-    assert boxes >= 5
-
-
-@pytest.mark.parametrize(("format", "reader", "box_m", "point_m"), CASES)
-def test_an_opened_export_is_labelled_and_checked(
-    people: Project, make_project: MakeProject, tmp_path: Path, format: ExportFormat, reader: str, box_m: float,
-    point_m: float,
-) -> None:  # fmt: skip
-    report = export_project(people, tmp_path / "out", format, choose=ALL)
+    assert boxes == report.objects >= 5
     again = make_project(tmp_path / "out")
     counts = import_own_labels(again, again.recordings.all()[0].id)
     assert (counts.labels.total(), counts.unreadable) == (report.objects, [])
@@ -117,15 +110,6 @@ def test_the_clouds_of_a_nuscenes_export_are_read_with_five_values_a_point(peopl
     assert min(np.abs(first - each).max() for each in known if len(each) == len(first)) < 1e-5
 
 
-@pytest.mark.parametrize("vertices", [False, True])
-def test_labelclouds_forms_of_boxes_are_read(people: Project, tmp_path: Path, vertices: bool) -> None:
-    options = ExportOptions(vertices=vertices)
-    export_project(people, tmp_path / "out", ExportFormat.LABELCLOUD, choose=ALL, options=options)
-    recording = open_recording(tmp_path / "out")
-    (first, *_), frame = people.labels.of_frame(people.frames.of()[0].id), recording.frame(0)
-    np.testing.assert_allclose(box_corners(load_truth(recording, 0, frame)[0].box), box_corners(first.box), atol=1e-6)
-
-
 def test_only_reviewed_boxes_of_an_export_are_labels(people: Project, tmp_path: Path) -> None:
     stored = people.frames.of()[0]
     box = people.labels.of_frame(stored.id)[0].box
@@ -150,14 +134,6 @@ def test_several_recordings_are_one(make_project: MakeProject, generated: Path, 
         assert len(recording) == len(set(recording.keys)) == report.frames
         sizes = {recording.frame(i).rgb.shape for i in range(len(recording))}
         assert len(sizes) == len({FrameSource(project).read(each).rgb.shape for each in project.frames.of()})
-
-
-@pytest.mark.shared
-def test_extras_of_sun_rgbd_are_named_as_ignored(shared: Path, tmp_path: Path) -> None:
-    folder = shared / "data" / "sunrgbd"
-    (note,) = open_recording(folder / "imvotenet").notes
-    assert note == "not read: FasterRCNN_labels/, boxes.json; labels are read from label/KEY.txt"
-    assert open_recording(folder / "sunrgbd_trainval").notes == ()
 
 
 def changed(path: Path, change: Callable[[dict[str, object]], object]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.formats.sunrgbd.labels import read_extracted_folder
+from annotator.formats.sunrgbd import read_extracted_folder
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import level_pose
 from annotator.project import NewLabel, Project, WriteContext

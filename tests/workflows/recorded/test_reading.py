@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from annotator.formats.kitti.label_files import read_tracking_labels
+from annotator.formats.kitti_rows import read_tracking_labels
 from annotator.geometry.oriented_box import contains
 from annotator.recordings import open_recording
 from annotator.recordings.kitti import KittiTracking

@@ -10,15 +10,14 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.box_csv import read_upright_boxes
 from annotator.formats.boxes_json import boxes_file, each_frame
-from annotator.formats.kitti.box_rows import label_frame
-from annotator.formats.kitti.label_folders import KittiRows, each_kitti_frame, read_kitti_shifts
-from annotator.formats.kitti.tracking_folder import read_kitti_tracks
+from annotator.formats.kitti_objects import KittiRows, each_kitti_frame, read_kitti_shifts
+from annotator.formats.kitti_rows import label_frame
+from annotator.formats.kitti_tracking import read_kitti_tracks
 from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
 from annotator.formats.nuscenes import read_nuscenes, read_world_poses
 from annotator.formats.packed_truths import PackedTruths
-from annotator.formats.sunrgbd.labels import read_extracted_folder
-from annotator.formats.sunrgbd.meta_table import read_meta
-from annotator.formats.sunrgbd.upright_depth import upright_frame
+from annotator.formats.sunrgbd import read_extracted_folder
+from annotator.formats.sunrgbd_table import read_meta, upright_frame
 from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
 from annotator.formats.units import Angles, AngleUnit
 from annotator.recordings.sunrgbd import read_extracted_calibration

@@ -1,0 +1,468 @@
+"""KITTI's object benchmark: average precision on the image, in bird's-eye view and in 3D, and orientation similarity.
+
+It follows the devkit's program (devkit_object, `cpp/evaluate_object.cpp`) exactly, including the order in which boxes
+are matched, and gives the same numbers.
+
+The greedy assignment of detections to true boxes is done for all frames and all score thresholds at once. In each
+frame, the true boxes are processed in the order of the file. Each takes its preferred detection among the remaining
+ones. The order of preference is independent of earlier assignments and of the score threshold, which only removes
+detections. So each true box has a fixed list of candidates, and all frames and thresholds are processed in parallel:
+the first candidate of each frame's first box, then its second candidate, and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int, Int64, Shaped
+
+from annotator.evaluation.boxes import pairs_within, place_within
+from annotator.geometry.rectangles import rectangle_intersection_pairs
+
+
+@dataclass(frozen=True, eq=False)
+class Assignment:
+    """The result of the assignment, with one column per threshold.
+
+    Attributes:
+        pair: whether each pair was assigned.
+        truth: whether each true row got a detection.
+        detection: whether each detection was taken.
+    """
+
+    pair: Bool[np.ndarray, "p t"]
+    truth: Bool[np.ndarray, "g t"]
+    detection: Bool[np.ndarray, "d t"]
+
+
+def assign(
+    truth: Int[np.ndarray, "p"],
+    detection: Int[np.ndarray, "p"],
+    frame: Int[np.ndarray, "p"],
+    preference: Sequence[Shaped[np.ndarray, "p"]],
+    usable: Bool[np.ndarray, "p t"],
+) -> Assignment:
+    """Assigns detections to true rows.
+
+    Args:
+        truth, detection: row indices of the pairs that overlap enough, from 0. The true rows of a frame are processed
+            in the order of their indices.
+        frame: frame of each pair.
+        preference: sort keys of each true row's candidates, smallest first; the first array is the primary key.
+        usable: whether the pair's detection passes each threshold.
+    """
+    columns = usable.shape[1]
+    pair = np.zeros((len(truth), columns), bool)
+    served = np.zeros((truth.max(initial=-1) + 1, columns), bool)
+    taken = np.zeros((detection.max(initial=-1) + 1, columns), bool)
+    for step in _steps(truth, frame, preference):
+        # one true row per frame, so no detection occurs twice in a step
+        row, candidate = truth[step], detection[step]
+        assigned = usable[step] & ~served[row] & ~taken[candidate]
+        pair[step] = assigned
+        served[row] |= assigned
+        taken[candidate] |= assigned
+    return Assignment(pair, served, taken)
+
+
+def _steps(
+    truth: Int[np.ndarray, "p"], frame: Int[np.ndarray, "p"], preference: Sequence[Shaped[np.ndarray, "p"]]
+) -> list[Int[np.ndarray, "k"]]:
+    """The pairs that are processed together, step by step."""
+    order = np.lexsort((*reversed(preference), truth, frame))
+    place = place_within(truth[order])
+    # the position of each true row within its frame, counting only rows with a candidate
+    first = np.flatnonzero(place == 0)
+    row_in_frame = np.repeat(place_within(frame[order][first]), np.diff(np.append(first, len(order))))
+    by_step = np.lexsort((place, row_in_frame))
+    row_in_frame, place = row_in_frame[by_step], place[by_step]
+    changes = np.flatnonzero((np.diff(row_in_frame) != 0) | (np.diff(place) != 0)) + 1
+    return [part for part in np.split(order[by_step], changes) if len(part)]
+
+
+@dataclass(frozen=True, eq=False)
+class KittiRows:
+    """Columns as in the files (KITTI's units and coordinates: pixels, metres, radians, rectified camera 0).
+
+    The rows of a frame are adjacent and in the order of their file, since the first of two equally good boxes counts.
+
+    Attributes:
+        frame: number of the frame, the same for detections and truth.
+        label: KITTI's `type`, not case-sensitive.
+        truncated, occluded: of true rows.
+        alpha: observation angle; -10 if unknown.
+        edges: 2D box: left, top, right, bottom.
+        size: of the 3D box: height, width, length; not positive if unknown.
+        bottom: centre of the bottom face: x, y, z.
+        rotation_y: about the camera's y axis.
+        score: of detections; any number, higher means more confident.
+    """
+
+    frame: Int64[np.ndarray, "n"]
+    label: Shaped[np.ndarray, "n"]
+    truncated: Float64[np.ndarray, "n"]
+    occluded: Float64[np.ndarray, "n"]
+    alpha: Float64[np.ndarray, "n"]
+    edges: Float64[np.ndarray, "n 4"]
+    size: Float64[np.ndarray, "n 3"]
+    bottom: Float64[np.ndarray, "n 3"]
+    rotation_y: Float64[np.ndarray, "n"]
+    score: Float64[np.ndarray, "n"]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def take(self, rows: Shaped[np.ndarray, "k"]) -> KittiRows:
+        """The rows selected by indices or a mask."""
+        return KittiRows(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def by_frame(self) -> KittiRows:
+        """The rows stably sorted by frame."""
+        return self if (np.diff(self.frame) >= 0).all() else self.take(np.argsort(self.frame, kind="stable"))
+
+    def is_of(self, *labels: str) -> Shaped[np.ndarray, "n"]:
+        """A mask of the rows of these classes."""
+        return np.isin(np.char.lower(self.label), [label.lower() for label in labels])
+
+    @property
+    def height_px(self) -> Float64[np.ndarray, "n"]:
+        """Height of the 2D box."""
+        return self.edges[:, 3] - self.edges[:, 1]
+
+    @classmethod
+    def from_table(
+        cls, frame: Int64[np.ndarray, "n"], label: Shaped[np.ndarray, "n"], numbers: Float64[np.ndarray, "n 15"]
+    ) -> KittiRows:
+        """From the numeric columns in the order of the files: truncated to rotation_y, and the score."""
+        truncated, occluded, alpha = numbers[:, :3].T
+        edges, size, bottom = numbers[:, 3:7], numbers[:, 7:10], numbers[:, 10:13]
+        return cls(frame, label, truncated, occluded, alpha, edges, size, bottom, numbers[:, 13], numbers[:, 14])
+
+
+# Detections per pass, so that memory does not grow with the dataset.
+BLOCK = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Overlaps:
+    """The overlapping pairs, ordered by detection and then by truth.
+
+    Attributes:
+        detection, truth: row indices.
+        iou: of each pair, above 0.
+    """
+
+    detection: Int[np.ndarray, "p"]
+    truth: Int[np.ndarray, "p"]
+    iou: Float64[np.ndarray, "p"]
+
+
+Measure = Callable[[KittiRows, KittiRows], Float64[np.ndarray, "p"]]
+
+
+def covered_share(detections: KittiRows, areas: KittiRows) -> Float64[np.ndarray, "n"]:
+    """The largest share of each detection's 2D box that one of the areas (DontCare) covers; not an IoU."""
+    share = np.zeros(len(detections))
+    for rows, columns in _blocks(detections, areas):
+        a, b = detections.take(rows), areas.take(columns)
+        inner, area = _intersection_2d(a, b), _area_2d(a)
+        np.maximum.at(share, rows, np.divide(inner, area, out=np.zeros(len(area)), where=inner > 0))
+    return share
+
+
+def _overlaps(detections: KittiRows, truth: KittiRows, measure: Measure) -> Overlaps:
+    parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+    for rows, columns in _blocks(detections, truth):
+        iou = measure(detections.take(rows), truth.take(columns))
+        keep = iou > 0
+        parts.append((rows[keep], columns[keep], iou[keep]))
+    return Overlaps(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _blocks(a: KittiRows, b: KittiRows) -> Iterator[tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"]]]:
+    """All pairs of rows of the same frame, in blocks."""
+    for start in range(0, len(a), BLOCK):
+        rows, columns = pairs_within(a.frame[start : start + BLOCK], b.frame)
+        yield rows + start, columns
+
+
+def _iou_2d(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    """IoU of the 2D boxes; the width of a box is right - left, without an additional pixel."""
+    inner = _intersection_2d(a, b)
+    return _ratio(inner, _area_2d(a) + _area_2d(b) - inner)
+
+
+def _intersection_2d(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    sides = np.minimum(a.edges[:, 2:], b.edges[:, 2:]) - np.maximum(a.edges[:, :2], b.edges[:, :2])
+    return np.asarray(np.maximum(sides, 0.0).prod(axis=1))
+
+
+def _area_2d(rows: KittiRows) -> Float64[np.ndarray, "n"]:
+    return np.asarray((rows.edges[:, 2:] - rows.edges[:, :2]).prod(axis=1))
+
+
+def _iou_bev(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    """IoU of the ground rectangles: length x width in the x-z plane, rotated by rotation_y."""
+    inner = _ground_intersection(a, b)
+    return _ratio(inner, _ground(a).prod(axis=1) + _ground(b).prod(axis=1) - inner)
+
+
+def _iou_3d(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    """IoU of the 3D boxes: intersection of the rectangles times that of the heights [y - h, y]; y points down."""
+    floor, roof = np.minimum(a.bottom[:, 1], b.bottom[:, 1]), np.maximum(_roof(a), _roof(b))
+    inner = _ground_intersection(a, b) * np.maximum(floor - roof, 0.0)
+    return _ratio(inner, a.size.prod(axis=1) + b.size.prod(axis=1) - inner)
+
+
+def _roof(rows: KittiRows) -> Float64[np.ndarray, "n"]:
+    return rows.bottom[:, 1] - rows.size[:, 0]
+
+
+def _ground(rows: KittiRows) -> Float64[np.ndarray, "n 2"]:
+    """Length and width."""
+    return rows.size[:, [2, 1]]
+
+
+def _ground_intersection(a: KittiRows, b: KittiRows) -> Float64[np.ndarray, "p"]:
+    """Intersection areas of the ground rectangles; 0 if a row has no 3D box."""
+    apart = np.hypot(*(a.bottom[:, [0, 2]] - b.bottom[:, [0, 2]]).T)
+    reach = 0.5 * (np.hypot(*_ground(a).T) + np.hypot(*_ground(b).T))
+    near = (apart < reach) & (a.size > 0).all(axis=1) & (b.size > 0).all(axis=1)
+    areas = np.zeros(len(a))
+    a, b = a.take(near), b.take(near)
+    # with x to the right and z up, rotation_y is clockwise
+    sides = [(rows.bottom[:, [0, 2]], -rows.rotation_y, _ground(rows)) for rows in (a, b)]
+    areas[near] = rectangle_intersection_pairs(*sides[0], *sides[1])
+    return areas
+
+
+def _ratio(inner: Float64[np.ndarray, "p"], union: Float64[np.ndarray, "p"]) -> Float64[np.ndarray, "p"]:
+    return np.divide(inner, union, out=np.zeros(len(inner)), where=inner > 0)
+
+
+DONT_CARE = "DontCare"
+# Classes, and the similar classes on which a detection is not a false positive.
+NEIGHBOURS: Mapping[str, tuple[str, ...]] = {"Car": ("Van",), "Pedestrian": ("Person_sitting",), "Cyclist": ()}
+
+# Easy, moderate, hard.
+DIFFICULTIES = ("easy", "moderate", "hard")
+MIN_HEIGHT_PX = (40.0, 25.0, 25.0)
+MAX_OCCLUSION = (0, 1, 2)
+MAX_TRUNCATION = (0.15, 0.30, 0.50)
+
+# Samples of a curve: recall 0, 1/40 ... 1.
+SAMPLES = 41
+# Values for "unknown" in a result file.
+NO_ALPHA = -10.0
+NO_PLACE_M = -1000.0
+# The devkit's score of a missing detection; lower scores are never matched.
+NO_DETECTION = -10_000_000.0
+
+
+class Metric(StrEnum):
+    """The metrics, by their names in the results."""
+
+    BBOX = "bbox"
+    BEV = "bev"
+    BOX_3D = "3d"
+    AOS = "aos"
+
+
+@dataclass(frozen=True)
+class MinOverlap:
+    """The IoU that a detection must exceed, by class: on the image (AOS too), in bird's-eye view, in 3D."""
+
+    bbox: Mapping[str, float]
+    bev: Mapping[str, float]
+    box_3d: Mapping[str, float]
+
+
+_STRICT = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}
+_LOOSE = {"Car": 0.5, "Pedestrian": 0.25, "Cyclist": 0.25}
+OFFICIAL = MinOverlap(_STRICT, _STRICT, _STRICT)
+# Also often reported, e.g. by second.pytorch; the thresholds on the image are the official ones.
+RELAXED = MinOverlap(_STRICT, _LOOSE, _LOOSE)
+
+
+@dataclass(frozen=True, eq=False)
+class KittiCurve:
+    """Precision (orientation similarity for AOS) of one class, metric and difficulty.
+
+    Attributes:
+        samples: (41,), 0..1. Sample k is the best value at the k-th threshold and all later ones; 0 if there is no k-th
+            threshold. It is not interpolated at recall k / 40.
+        recall: at each threshold.
+        objects: number of true objects that count.
+        found: number of these objects that have a detection, of any score.
+    """
+
+    samples: Float64[np.ndarray, "41"]
+    recall: Float64[np.ndarray, "k"]
+    objects: int
+    found: int
+
+    @property
+    def r11(self) -> float:
+        """Average precision over 11 recalls, including 0 (used until 2019), percent."""
+        return float(100.0 * self.samples[::4].mean())
+
+    @property
+    def r40(self) -> float:
+        """Average precision over 40 recalls, excluding 0 (used since 2019), percent."""
+        return float(100.0 * self.samples[1:].mean())
+
+
+@dataclass(frozen=True)
+class KittiResult:
+    """The curves (easy, moderate, hard) by class and metric.
+
+    Classes without detections are omitted, and also metrics whose required values are missing in all detections of the
+    class. AOS is missing if any detection, of any class, has no observation angle.
+    """
+
+    curves: Mapping[str, Mapping[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]]
+
+
+def evaluate_kitti(detections: KittiRows, truth: KittiRows, min_overlap: MinOverlap = OFFICIAL) -> KittiResult:
+    """Evaluates the detections of all frames (devkit: `main`, `eval_class`).
+
+    Detections in frames without true rows count as false positives.
+
+    Args:
+        detections: with scores. Detections without a real 2D box are ignored in all metrics, because KITTI uses the
+            height of the 2D box to ignore small objects.
+        truth: labels, DontCare areas included.
+    """
+    detections, truth = detections.by_frame(), truth.by_frame()
+    metrics = {
+        Metric.BBOX: (_iou_2d, min_overlap.bbox, detections.edges[:, 0] >= 0),
+        Metric.BEV: (_iou_bev, min_overlap.bev, detections.bottom[:, 0] != NO_PLACE_M),
+        Metric.BOX_3D: (_iou_3d, min_overlap.box_3d, detections.bottom[:, 1] != NO_PLACE_M),
+    }
+    oriented = bool((detections.alpha != NO_ALPHA).all())
+    covered = covered_share(detections, truth.take(truth.is_of(DONT_CARE)))
+    curves: dict[str, dict[Metric, tuple[KittiCurve, KittiCurve, KittiCurve]]] = {}
+    for metric, (measure, needed, has_values) in metrics.items():
+        overlaps = _overlaps(detections, truth, measure)
+        for label in NEIGHBOURS:
+            if not (detections.is_of(label) & has_values).any():
+                continue
+            excused = covered > needed[label] if metric is Metric.BBOX else np.zeros(len(detections), bool)
+            evaluation = _ClassEvaluation(detections, truth, label, needed[label], overlaps, excused)
+            levels = [evaluation.curves(level) for level in range(len(DIFFICULTIES))]
+            of_class = curves.setdefault(label, {})
+            of_class[metric] = (levels[0][0], levels[1][0], levels[2][0])
+            if metric is Metric.BBOX and oriented:
+                of_class[Metric.AOS] = (levels[0][1], levels[1][1], levels[2][1])
+    return KittiResult(curves)
+
+
+@dataclass(frozen=True, eq=False)
+class _ClassEvaluation:
+    """The evaluation of one class and metric; unmatched `excused` detections are not false positives."""
+
+    detections: KittiRows
+    truth: KittiRows
+    label: str
+    needed: float
+    overlaps: Overlaps
+    excused: Bool[np.ndarray, "d"]
+
+    def curves(self, level: int) -> tuple[KittiCurve, KittiCurve]:
+        """Precision and orientation similarity at one difficulty."""
+        counts, takes_part = self._true_rows(level)
+        valid, competes = self._detected_rows(level)
+        rows, columns, iou = self.overlaps.detection, self.overlaps.truth, self.overlaps.iou
+        enough = (iou > self.needed) & competes[rows] & takes_part[columns]
+        rows, columns, iou = rows[enough], columns[enough], iou[enough]
+        score, right = self.detections.score[rows], counts[columns] & valid[rows]
+        # first pass, without a threshold: prefer the highest score, including small detections of any class
+        chosen, _, _ = self._assigned(rows, columns, (-score, rows), (score > NO_DETECTION)[:, None])
+        scores, objects = score[chosen[:, 0] & right], int(counts.sum())
+        thresholds = score_thresholds(scores, objects)
+        # second pass: prefer the largest overlap; small detections come last
+        preference = (~valid[rows], np.where(valid[rows], -iou, 0.0), rows)
+        chosen, served, taken = self._assigned(rows, columns, preference, score[:, None] >= thresholds)
+        hits = chosen & right[:, None]
+        similarity = 0.5 * (1.0 + np.cos(self.truth.alpha[columns] - self.detections.alpha[rows]))
+        wrong = self._wrong(valid & ~self.excused, taken, thresholds)
+        detected, missed = hits.sum(axis=0), (counts[:, None] & ~served).sum(axis=0)
+        recall = _share(detected, detected + missed)
+        return (
+            KittiCurve(_samples(_share(detected, detected + wrong)), recall, objects, len(scores)),
+            KittiCurve(_samples(_share(similarity @ hits, detected + wrong)), recall, objects, len(scores)),
+        )
+
+    def _true_rows(self, level: int) -> tuple[Bool[np.ndarray, "g"], Bool[np.ndarray, "g"]]:
+        """Which true rows count, and which are matched; rows matched without counting are neither TP nor FP."""
+        of_class, neighbour = self.truth.is_of(self.label), self.truth.is_of(*NEIGHBOURS[self.label])
+        hard = (
+            (self.truth.occluded > MAX_OCCLUSION[level])
+            | (self.truth.truncated > MAX_TRUNCATION[level])
+            | (self.truth.height_px <= MIN_HEIGHT_PX[level])
+        )
+        return of_class & ~hard, of_class | neighbour
+
+    def _detected_rows(self, level: int) -> tuple[Bool[np.ndarray, "d"], Bool[np.ndarray, "d"]]:
+        """Which detections count, and which take part in the matching (also small ones of any class).
+
+        A true row whose height equals the limit is too small; a detection is not.
+        """
+        small = np.abs(self.detections.height_px) < MIN_HEIGHT_PX[level]
+        of_class = self.detections.is_of(self.label)
+        return of_class & ~small, of_class | small
+
+    def _assigned(
+        self,
+        rows: Int[np.ndarray, "p"],
+        columns: Int[np.ndarray, "p"],
+        preference: tuple[Shaped[np.ndarray, "p"], ...],
+        usable: Bool[np.ndarray, "p t"],
+    ) -> tuple[Bool[np.ndarray, "p t"], Bool[np.ndarray, "g t"], Bool[np.ndarray, "d t"]]:
+        """`assign` on the rows that occur in pairs; the result is expanded to all rows."""
+        paired_rows, row_numbers = np.unique(rows, return_inverse=True)
+        paired_columns, column_numbers = np.unique(columns, return_inverse=True)
+        assignment = assign(column_numbers, row_numbers, self.truth.frame[columns], preference, usable)
+        served = np.zeros((len(self.truth), usable.shape[1]), bool)
+        taken = np.zeros((len(self.detections), usable.shape[1]), bool)
+        served[paired_columns], taken[paired_rows] = assignment.truth, assignment.detection
+        return assignment.pair, served, taken
+
+    def _wrong(
+        self, valid: Bool[np.ndarray, "d"], taken: Bool[np.ndarray, "d t"], thresholds: Float64[np.ndarray, "t"]
+    ) -> Int[np.ndarray, "t"]:
+        above = self.detections.score[valid][:, None] >= thresholds
+        return np.asarray((above & ~taken[valid]).sum(axis=0))
+
+
+def score_thresholds(scores: Float64[np.ndarray, "k"], objects: int) -> Float64[np.ndarray, "t"]:
+    """The scores at which a curve is sampled: those nearest to recall 0, 1/40, 2/40 ... (devkit: `getThresholds`).
+
+    Args:
+        scores: of the true positives of the first pass.
+        objects: number of true objects that count.
+    """
+    chosen, recall = [], 0.0
+    ordered = np.sort(scores)[::-1]
+    for number, score in enumerate(ordered.tolist(), 1):
+        is_last = number == len(ordered)
+        if not is_last and (number + 1) / objects - recall < recall - number / objects:
+            continue
+        chosen.append(score)
+        recall += 1.0 / (SAMPLES - 1)
+    return np.array(chosen, np.float64)
+
+
+def _samples(values: Float64[np.ndarray, "t"]) -> Float64[np.ndarray, "41"]:
+    """The running maximum from the end, padded with 0."""
+    samples = np.zeros(SAMPLES)
+    samples[: len(values)] = np.maximum.accumulate(values[::-1])[::-1]
+    return samples
+
+
+def _share(part: Shaped[np.ndarray, "t"], whole: Int[np.ndarray, "t"]) -> Float64[np.ndarray, "t"]:
+    """part / whole; 0 for an empty whole."""
+    return np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 0)

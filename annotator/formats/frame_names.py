@@ -1,0 +1,212 @@
+"""`frames.csv`: the origin of each frame of a dataset, for formats that cannot store it.
+
+One line per frame under the header `id,recording,key,split` (RFC 4180, UTF-8): the frame's id in the dataset (the stem
+of its files, or its token), the recording's name, the frame's key in the recording, and its part of the dataset (may be
+empty). A text that a spreadsheet would run as a formula begins with an apostrophe, which the reader removes.
+
+In KITTI's and SUN RGB-D's folders, frames have six-digit names and classes one-word names, because the tools of both
+data sets form file names from numbers (`%06d`) and split label rows at spaces.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from annotator.formats.reading import read_text
+from annotator.text import normal
+from annotator.types.errors import FormatError
+
+FRAMES_CSV = "frames.csv"
+HEADER = ("id", "recording", "key", "split")
+
+# Apostrophes before such a beginning are doubled, so that every text is read back as it was.
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
+_ESCAPED = re.compile(r"^'(?='*[=+\-@\t\r\n])")
+_NUMBER = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?")
+
+
+@dataclass(frozen=True)
+class FrameOrigin:
+    """One line of the file.
+
+    Attributes:
+        id: the frame's id in the dataset.
+        recording: name of the recording that the frame came from.
+        key: the frame's key in that recording.
+        split: its part of the dataset; None for a dataset without parts.
+    """
+
+    id: str
+    recording: str
+    key: str
+    split: str | None = None
+
+    @property
+    def name(self) -> str:
+        """`RECORDING/KEY`, which identifies the frame in a project."""
+        return f"{self.recording}/{self.key}"
+
+
+def dump_frames(origins: Iterable[FrameOrigin]) -> str:
+    """Returns the text of the file."""
+    stream = io.StringIO()
+    # RFC 4180; with "\n" alone the csv module would not quote a "\r" in a name
+    rows = csv.writer(stream, lineterminator="\r\n")
+    rows.writerow(HEADER)
+    rows.writerows(map(_escaped, (o.id, o.recording, o.key, o.split or "")) for o in origins)
+    return stream.getvalue()
+
+
+def _escaped(cell: str) -> str:
+    return f"'{cell}" if _FORMULA.match(cell) and not _NUMBER.fullmatch(cell) else cell
+
+
+def parse_frames(path: Path, text: str) -> dict[str, FrameOrigin]:
+    """Returns the lines of the file, by `normal` id; `path` is for error messages."""
+    origins: dict[str, FrameOrigin] = {}
+    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        if (header := tuple(next(rows, ()))) != HEADER:
+            raise FormatError(path, f"must begin with {','.join(HEADER)}, not {','.join(header)}", 1)
+        for row in ([_ESCAPED.sub("", cell) for cell in row] for row in rows):
+            if len(row) != len(HEADER) or not row[0] or not row[2]:
+                raise FormatError(
+                    path, f"needs the fields {', '.join(HEADER)}; id and key must not be empty", rows.line_num
+                )
+            if normal(row[0]) in origins:
+                raise FormatError(path, f"the id {row[0]} occurs twice; keep one of its lines", rows.line_num)
+            origins[normal(row[0])] = FrameOrigin(row[0], row[1], row[2], row[3] or None)
+    except csv.Error as error:
+        raise FormatError(path, f"is not valid CSV: {error}", rows.line_num) from error
+    return origins
+
+
+def read_frames(folder: Path) -> dict[str, FrameOrigin]:
+    """Returns the origins of a dataset's frames, by `normal` id; empty if it has no such file or an unrelated one."""
+    path = folder / FRAMES_CSV
+    return parse_frames(path, read_text(path)) if has_frames(folder) else {}
+
+
+def has_frames(folder: Path) -> bool:
+    """True if a folder has the file; a `frames.csv` with an unrelated header does not count."""
+    path = folder / FRAMES_CSV
+    if not path.is_file():
+        return False
+    head = read_text(path).partition("\n")[0]
+    # a damaged header still counts, so that reading the file reports it
+    return not head.strip() or "recording" in head.split(",")
+
+
+CLASS_NAMES = "classes.txt"
+SIX_DIGITS = re.compile(r"[0-9]{6}")
+
+
+def six_digit_ids(places: Sequence[tuple[str, str]], first: int = 0) -> dict[tuple[str, str], str]:
+    """Returns a six-digit name for each frame: its key if all keys have six digits and differ, else its number.
+
+    Args:
+        places: recording and key of all frames, all different, in order.
+        first: the first number.
+    """
+    keys = [key for _, key in places]
+    if all(map(SIX_DIGITS.fullmatch, keys)) and len(set(keys)) == len(keys):
+        return dict(zip(places, keys, strict=True))
+    return {place: f"{number:06d}" for number, place in enumerate(places, first)}
+
+
+class ClassWords:
+    """Class names as unique single words: spaces become `_`."""
+
+    def __init__(self, classes: Iterable[str], reserved: Sequence[str] = ()) -> None:
+        """
+        Args:
+            classes: all class names.
+            reserved: words with another meaning in the format, in any case.
+        """
+        self._words: dict[str, str] = {}
+        taken = {word.casefold() for word in reserved}
+        # single words come first, so that they stay unchanged
+        for name in sorted(classes, key=lambda name: len(name.split()) != 1):
+            word = "_".join(name.split())
+            while word in self._words.values() or word.casefold() in taken:
+                word += "_"
+            self._words[name] = word
+
+    def __getitem__(self, name: str) -> str:
+        return self._words[name]
+
+    def is_changed(self, name: str) -> bool:
+        """True if the word differs from the name."""
+        return self._words[name] != name
+
+    def write(self, folder: Path) -> None:
+        """Writes `classes.txt`, with a line `WORD NAME` for each changed name; nothing if none has changed."""
+        if changed := "".join(f"{word} {name}\n" for name, word in self._words.items() if word != name):
+            (folder / CLASS_NAMES).write_text(changed, encoding="utf-8")
+
+
+def read_class_names(folder: Path) -> dict[str, str]:
+    """Returns the class names in a dataset's `classes.txt` (`ClassWords.write`), by word; empty without that file."""
+    path = folder / CLASS_NAMES
+    if not path.is_file():
+        return {}
+    names: dict[str, str] = {}
+    for line, text in enumerate(read_text(path).splitlines(), 1):
+        word, _, name = text.partition(" ")
+        if not word or not name.strip() or word in names:
+            raise FormatError(path, "a line must be `WORD CLASS_NAME`, with each word only once", line)
+        names[word] = name
+    return names
+
+
+@dataclass(frozen=True)
+class DatasetNames:
+    """The frame and class names of an exported dataset; empty for datasets from other software.
+
+    Attributes:
+        root: the folder with frames.csv; None without that file.
+        frames: the frames' origins by the `normal` stem of their files.
+        classes: class names by word, where the two differ.
+    """
+
+    root: Path | None = None
+    frames: dict[str, FrameOrigin] = field(default_factory=dict)
+    classes: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, labels: Path) -> DatasetNames:
+        """Reads the names of the dataset that a folder of label files belongs to.
+
+        Its frames.csv is in that folder or at most two levels above.
+        """
+        above = labels.resolve()
+        root = next((folder for folder in (above, *above.parents[:2]) if has_frames(folder)), None)
+        if root is None:
+            return cls()
+        frames, ids = read_frames(root), dict[str, str]()
+        for origin in frames.values():
+            if ids.setdefault(origin.name, origin.id) != origin.id:
+                raise FormatError(
+                    root / FRAMES_CSV, f"the ids {ids[origin.name]} and {origin.id} both name {origin.name}; keep one"
+                )
+        return cls(root, frames, read_class_names(root))
+
+    def frame(self, stem: str) -> str:
+        """Returns `RECORDING/KEY` of a label file; its `normal` stem without a frames.csv."""
+        stem = normal(stem)
+        if self.root is None:
+            return stem
+        if stem not in self.frames:
+            raise FormatError(
+                self.root / FRAMES_CSV, f"does not list the frame {stem}, which has labels; add a line for this frame"
+            )
+        return self.frames[stem].name
+
+    def label(self, word: str) -> str:
+        """Returns the class name of a word."""
+        return self.classes.get(word, word)

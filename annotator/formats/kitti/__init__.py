@@ -1,1 +1,0 @@
-"""KITTI: object, tracking and raw-drive labels, and detection results."""

@@ -1,0 +1,350 @@
+"""KITTI object labels of many frames: `label_2` folders and the datasets around them, tracking files, and results.
+
+    training/image_2/ID.png  velodyne/ID.bin  calib/ID.txt  label_2/ID.txt
+    ImageSets/{train,val,test,trainval}.txt   frames.csv
+
+Boxes are in rectified camera 0, as in `kitti_rows.py`. A `frames.csv` above the label files, as in annotator's
+exports, gives the name of each file's frame in a project; without it the file's stem is the frame's key.
+
+Scans (float32 x y z reflectance; x forward, y left, z up; reflectance 0 if unknown) have their origin at rectified
+camera 0 (x right, y down, z forward). The shift to the colour camera comes from the calibrations: P2 = K [I | t], so a
+point in the frame of camera 0 plus t is the same point in the colour camera's frame; in KITTI t is about 6 cm. In
+exports, `px = P2 * R0_rect * Tr_velo_to_cam * X_lidar` with R0_rect the identity (KITTI object devkit, readme.txt). All
+images are in `training/`, including those of the part `test`, because their labels are known. As in the devkit, results
+need a file for every frame; it is empty for a frame without detections.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Float64
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.attributes import TRUNCATION, held_by_kitti
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image
+from annotator.formats.frame_names import ClassWords, DatasetNames, six_digit_ids
+from annotator.formats.json_file import MOST
+from annotator.formats.kitti_rows import (
+    DECIMALS,
+    DONT_CARE,
+    FIELDS,
+    UNKNOWN_SIZES,
+    KittiLabel,
+    dont_care,
+    dump_label_line,
+    has_solid,
+    is_in_image,
+    label_frame,
+    parse_fields,
+    parse_label_line,
+    parse_tracking_fields,
+    rounded_box,
+    row_truth,
+    upright_box,
+    upright_row,
+)
+from annotator.formats.losses import Lost
+from annotator.formats.reading import read_text, text_files, text_rows
+from annotator.formats.units import Angles
+from annotator.geometry.occlusion import Sight
+from annotator.geometry.projection import straightened
+from annotator.text import spelled, to_number
+from annotator.types import Camera, Frame, Label, PointCloud, Truth
+from annotator.types.errors import ConfigError, FormatError
+
+PLACES = ("training/label_2", "label_2", "label_02.txt")
+
+Frames = dict[str, tuple[Truth, ...]]
+"""The objects of each labelled frame, in rectified camera 0, by `RECORDING/KEY` or only `KEY`."""
+
+
+@dataclass
+class KittiRows:
+    """What the rows of a set show beside their 3D boxes.
+
+    Attributes:
+        angles: of all 3D boxes.
+        flat: number of 2D boxes without a 3D box, by frame name; they are left out.
+    """
+
+    angles: Angles = field(default_factory=Angles)
+    flat: Counter[str] = field(default_factory=Counter)
+
+    def truth(self, name: str, row: KittiLabel, track_id: int | None, file: Path, line: int) -> Truth | None:
+        """Returns the object of a row of the frame `name`, in rectified camera 0; None if it has no 3D box."""
+        self.flat[name] += row.label != DONT_CARE and row.is_flat
+        return row_truth(row, track_id, None, file, line, self.angles) if has_solid(row) else None
+
+
+def each_kitti_frame(path: Path, found: KittiRows) -> Iterator[tuple[str, tuple[Truth, ...]]]:
+    """Yields the 3D boxes of each frame, in file order.
+
+    Args:
+        path: a folder of label files or a zip archive of one, a KITTI folder (training/label_2, label_2), or a tracking
+            file `label_02.txt`, where every frame with a row counts as labelled.
+        found: collects what the rows show beside that.
+    """
+    place = label_place(path)
+    if place.is_file() and place.suffix == ".txt":
+        if any(len(fields) in (FIELDS, FIELDS + 1) for _, fields in text_rows(place)[:1]):
+            raise FormatError(place, f"has the labels of one frame; give the folder of all: {place.parent}")
+        yield from _tracked(place, found).items()
+        found.angles.require()
+        return
+    dataset_names = DatasetNames.of(place)
+    for stem, file, text in text_files(place, within=LABELS):
+        lines = ((line, row.split()) for line, row in enumerate(text.splitlines(), 1) if row.strip())
+        rows = ((line, parse_fields(fields, file, line)) for line, fields in lines)
+        name = dataset_names.frame(stem)
+        truths = (found.truth(name, row, None, file, line) for line, row in rows)
+        yield name, tuple(replace(each, label=dataset_names.label(each.label)) for each in truths if each is not None)
+    found.angles.require()
+
+
+def read_kitti_shifts(path: Path) -> dict[str, Float64[np.ndarray, "3"]]:
+    """Returns the shift from rectified camera 0 to the colour camera, metres, of each frame with a calibration.
+
+    Args:
+        path: as in `each_kitti_frame`; archives and tracking files have no calibrations.
+    """
+    place = label_place(path)
+    if not place.is_dir():
+        return {}
+    dataset_names = DatasetNames.of(place)
+    files = {file.stem: calibration_beside(file) for file in sorted(place.glob("*.txt")) if file.name[0] != "."}
+    return {dataset_names.frame(stem): read_shift(file) for stem, file in files.items() if file is not None}
+
+
+def label_place(path: Path) -> Path:
+    """The folder or file of labels in a KITTI dataset; the path itself if it is none."""
+    return next((path / name for name in PLACES if (path / name).exists()), path)
+
+
+def _tracked(file: Path, found: KittiRows) -> Frames:
+    """Returns the objects of a tracking file, by frame number with six digits, as KITTI names the images."""
+    frames: dict[str, list[Truth]] = {}
+    for line, fields in text_rows(file):
+        number, track_id, row = parse_tracking_fields(fields, file, line)
+        name = f"{number:06d}"
+        objects = frames.setdefault(name, [])
+        if (truth := found.truth(name, row, track_id, file, line)) is not None:
+            objects.append(truth)
+    if not frames:
+        raise FormatError(file, "has no label row")
+    return {name: tuple(objects) for name, objects in frames.items()}
+
+
+LABELS, CALIBRATIONS = "label_2", "calib"
+# Plausibility limit, metres: two cameras of one vehicle.
+MOST_SHIFT_M = 100.0
+
+
+def calibration_beside(label_file: Path) -> Path | None:
+    """Returns `calib/STEM.txt` beside the `label_2` folder of a label file; None if there is no such file.
+
+    It may have the name in another Unicode form.
+    """
+    if label_file.parent.name != LABELS:
+        return None
+    file = spelled(label_file.parent.parent / CALIBRATIONS, label_file.name)
+    return file if file.is_file() else None
+
+
+def read_shift(path: Path) -> Float64[np.ndarray, "3"]:
+    """Returns t of a calibration file, metres."""
+    for line, (head, *words) in text_rows(path):
+        if head.rstrip(":") != "P2":
+            continue
+        try:
+            P2 = np.array([to_number(word) for word in words]).reshape(3, 4)
+            if not (np.abs(P2) <= MOST).all():
+                raise ValueError(f"a number beyond {MOST:g}")
+            shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+        except (ValueError, np.linalg.LinAlgError) as error:
+            problem = f"P2 must be an invertible 3x4 camera matrix (twelve numbers): {error}"
+            raise FormatError(path, problem, line) from error
+        if not (np.abs(shift) <= MOST_SHIFT_M).all():
+            raise FormatError(
+                path, f"P2 shifts the camera by more than {MOST_SHIFT_M:g} m; correct its last column", line
+            )
+        return shift
+    raise FormatError(path, "has no P2")
+
+
+def read_kitti_folder(path: Path, *, scored: bool) -> dict[str, tuple[KittiLabel, ...]]:
+    """Returns the rows of every frame, by the file's stem, in file order.
+
+    Args:
+        path: a folder, or a zip archive, of `KEY.txt` files.
+        scored: True for results: every row must have a score.
+    """
+    return {key: _rows(text, file, scored) for key, file, text in text_files(path)}
+
+
+def read_kitti_file(path: Path, *, scored: bool) -> tuple[KittiLabel, ...]:
+    """Returns the rows of one frame; arguments and errors as in `read_kitti_folder`."""
+    return _rows(read_text(path), path, scored)
+
+
+def _rows(text: str, file: Path, scored: bool) -> tuple[KittiLabel, ...]:
+    lines, angles = enumerate(text.splitlines(), 1), Angles()
+    rows = tuple(_row(line, file, number, scored, angles) for number, line in lines if line.strip())
+    angles.require()
+    return rows
+
+
+def _row(text: str, file: Path, line: int, scored: bool, angles: Angles) -> KittiLabel:
+    row = parse_label_line(text, file, line)
+    if scored and row.score is None:
+        raise FormatError(
+            file,
+            "has no score, so it is a label and no result; a result row has 16 fields, with the score as the last: "
+            "append one to each row (1.0 if all are equally certain), and give DETECTIONS before TRUTH",
+            line,
+        )
+    if row.right < row.left or row.bottom < row.top:
+        edges = f"{row.left:g} {row.top:g} {row.right:g} {row.bottom:g}"
+        raise FormatError(
+            file, f"the 2D box must have left <= right and top <= bottom, not left top right bottom = {edges}", line
+        )
+    size = (row.height, row.width, row.length)
+    if min(size) <= 0 and size not in UNKNOWN_SIZES and row.label != DONT_CARE:
+        height, width, length = size
+        raise FormatError(file, f"height width length must be positive, not {height:g} {width:g} {length:g}", line)
+    if has_solid(row):
+        angles.radians(row.rotation_y, file, line)
+    return row
+
+
+PARTS = ("image_2", "velodyne", "calib", "label_2")
+TRAINING, IMAGE_SETS = "training", "ImageSets"
+# KITTI's names of the parts; trainval.txt lists train and val.
+SPLITS = ("train", "val", "test")
+TEST = SPLITS[-1]
+# Rectified camera 0 <- LiDAR: x right = -y left, y down = -z up, z forward = x.
+CAMERA_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+class KittiWriter(DatasetWriter):
+    """Writes an object folder. KITTI's own recordings keep their DontCare areas."""
+
+    def begin(self) -> None:
+        self.words = ClassWords(self.info.classes, reserved=(DONT_CARE,))
+        self.ids = six_digit_ids([(recording, key) for recording, key, _ in self.info.places])
+        for name in PARTS:
+            (self.folder / TRAINING / name).mkdir(parents=True)
+
+    def frame_id(self, item: DatasetItem) -> str:
+        return self.ids[item.recording, item.frame.key]
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        if item.split is not None and item.split not in SPLITS:
+            # KITTI's tools would ignore another part
+            raise ConfigError(
+                f"KITTI's parts are called {', '.join(SPLITS)}, not {item.split}; split the dataset with "
+                "--split train=0.8,val=0.2"
+            )
+        rows = [dump_label_line(row) for _, row in self.rows(item)]
+        rows += [dump_label_line(dont_care(edges)) for edges in item.unlabelled]
+        training = self.folder / TRAINING
+        (training / "label_2" / f"{frame_id}.txt").write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
+        calibration = self.files(item.frame, training / "image_2" / frame_id, training / "velodyne" / frame_id)
+        (training / "calib" / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
+
+    def files(self, frame: Frame, image: Path, scan: Path) -> str:
+        """Writes the image and the scan of a frame, at paths without suffix; returns the text of its calibration."""
+        camera, rgb = straightened(frame.camera, frame.rgb)
+        T = label_frame(frame)
+        image.with_name(f"{image.name}.png").write_bytes(encoded_image(rgb, "png"))
+        scan.with_name(f"{scan.name}.bin").write_bytes(lidar_points(frame.cloud, T).tobytes())
+        return calibration_text(camera, T)
+
+    def finish(self) -> None:
+        """Writes the frame ids of each part, one per line; without parts all are in train and trainval."""
+        parts: dict[str, list[str]] = {}
+        for origin in self.origins:
+            parts.setdefault(origin.split or "train", []).append(origin.id)
+        parts["trainval"] = [origin.id for origin in self.origins if origin.split != TEST]
+        (self.folder / IMAGE_SETS).mkdir()
+        for name, ids in parts.items():
+            (self.folder / IMAGE_SETS / f"{name}.txt").write_text(
+                "".join(f"{each}\n" for each in ids), encoding="utf-8"
+            )
+        self.words.write(self.folder)
+
+    def rows(self, item: DatasetItem, *, levels: bool = False) -> Iterator[tuple[Label, KittiLabel]]:
+        """Yields the labels inside the image with their rows, and counts boxes and losses.
+
+        All fields of a row follow from its rounded 3D box, so the row is consistent when read back; but truncation and
+        occlusion are those of the label's attributes, if it has them.
+
+        Args:
+            levels: the truncation is going to be written as a level, as in tracking files.
+        """
+        sight, losses = Sight(item.frame.cloud.xyz_m), self.losses
+        for label in item.labels:
+            upright, tilt_rad = upright_box(label.box, item.frame)
+            rounded = rounded_box(upright)
+            row = upright_row(self.words[label.label], rounded, None, item.frame, sight, label.attributes)
+            if not is_in_image(row):
+                losses.add(Lost.OUTSIDE)
+                continue
+            losses.add_tilt(tilt_rad)
+            losses.add_rounding(upright, rounded)
+            held = held_by_kitti(label.attributes)
+            losses.add_values(label.attributes.keys() - held.keys())
+            losses.add_values(_approximated(held, levels))
+            if self.words.is_changed(label.label):
+                losses.add(Lost.NAME)
+            self.counts[label.label] += 1
+            yield label, row
+
+
+def _approximated(held: Mapping[str, float], levels: bool) -> Iterator[str]:
+    """Yields what happens to values that are not written as they are."""
+    for name, value in held.items():
+        if levels and name == TRUNCATION:
+            # only "not truncated" is read again as a share
+            if value != 0:
+                yield f"{name}, as a level"
+        elif round(value, DECIMALS) != value:
+            yield f"{name}, rounded"
+
+
+def lidar_points(cloud: PointCloud, T_camera_label: RigidTransform | None) -> Float32[np.ndarray, "n 4"]:
+    """Returns the points as a scan: x forward, y left, z up from rectified camera 0, metres, and the reflectance."""
+    xyz = cloud.xyz_m.astype(np.float64)
+    if T_camera_label is not None:
+        xyz = T_camera_label.inv().apply(xyz)
+    reflectance = np.zeros(len(xyz)) if cloud.reflectance is None else cloud.reflectance
+    return np.column_stack([xyz @ CAMERA_LIDAR, reflectance]).astype("<f4")
+
+
+def calibration_text(camera: Camera, T_camera_label: RigidTransform | None) -> str:
+    """Returns the text of `calib/ID.txt`: all seven lines of KITTI's files, since some programs count them.
+
+    Args:
+        camera: an ideal camera.
+        T_camera_label: from rectified camera 0, a shift; None for identity.
+    """
+    shift = np.zeros(3) if T_camera_label is None else T_camera_label.translation
+    K, still = camera.matrix, np.zeros((3, 1))
+    P0, P2 = np.hstack([K, still]), np.column_stack([K, K @ shift])
+    matrices = {
+        "P0": P0,
+        "P1": P0,
+        "P2": P2,
+        "P3": P2,
+        "R0_rect": np.eye(3),
+        "Tr_velo_to_cam": np.hstack([CAMERA_LIDAR, still]),
+        "Tr_imu_to_velo": np.eye(3, 4),
+    }
+    # + 0.0: no negative zeros
+    return "".join(
+        f"{name}: {' '.join(f'{value + 0.0:.12e}' for value in matrix.ravel())}\n" for name, matrix in matrices.items()
+    )

@@ -1,0 +1,169 @@
+"""KITTI tracking folders: sequences with one label file each, whose rows begin with `frame track_id`.
+
+training/image_02/SEQ/FRAME.png  velodyne/SEQ/FRAME.bin  calib/SEQ.txt  label_02/SEQ.txt  and frames.csv with the origin
+of each frame (KITTI tracking devkit, readme.txt). SEQ has four digits and FRAME six. Boxes, scans and calibrations are
+as in `kitti_objects.py`, but a truncation is one of three levels. Track ids are unique within a sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.frame_names import ClassWords, DatasetNames
+from annotator.formats.kitti_objects import CALIBRATIONS, TRAINING, Frames, KittiRows, KittiWriter, read_shift
+from annotator.formats.kitti_rows import DONT_CARE, dont_care, dump_tracking_line, parse_tracking_fields
+from annotator.formats.reading import text_files
+from annotator.text import spelled
+from annotator.types import Label, Truth
+from annotator.types.amounts import amount
+from annotator.types.errors import FormatError
+
+LABELS = "label_02"
+IMAGES, SCANS = "image_02", "velodyne"
+# Track id of DontCare areas.
+NO_TRACK = -1
+MOST_SEQUENCES = 10_000
+
+
+@dataclass
+class TrackingSequence:
+    """One sequence while it is written.
+
+    Attributes:
+        name: four digits.
+        rows: rows of its label file so far.
+        calibration: calibration of its first frame.
+        fresh: the next unused track id.
+        owners: the class of each track id.
+        untracked: number of boxes that had no track id of their own and got a new one.
+    """
+
+    name: str
+    fresh: int
+    rows: list[str] = field(default_factory=list)
+    calibration: str | None = None
+    owners: dict[int, str] = field(default_factory=dict)
+    untracked: int = 0
+
+    def track_of(self, label: Label, in_frame: set[int]) -> int:
+        """Returns the track id for a label: its own, or a new one if it has none or its own is taken.
+
+        An id is taken if another class of the sequence, or another box of the frame, has it.
+        """
+        track = label.track_id
+        if track is None or track < 0 or track in in_frame or self.owners.setdefault(track, label.label) != label.label:
+            track, self.fresh = self.fresh, self.fresh + 1
+            self.untracked += 1
+        in_frame.add(track)
+        return track
+
+
+class KittiTrackingWriter(KittiWriter):
+    """Writes a tracking folder, one sequence per recording. Boxes without a track id get a new one."""
+
+    def begin(self) -> None:
+        self.words = ClassWords(self.info.classes, reserved=(DONT_CARE,))
+        self.places = sequence_ids(self.info.places)
+        self.sequences: dict[str, TrackingSequence] = {}
+
+    def frame_id(self, item: DatasetItem) -> str:
+        name, number = self.places[item.recording, item.frame.key]
+        return f"{name}/{number:06d}"
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        root = self.folder / TRAINING
+        name, number = self.places[item.recording, item.frame.key]
+        if name not in self.sequences:
+            self.sequences[name] = TrackingSequence(name, self.info.free_tracks[item.recording])
+            for folder in (IMAGES, SCANS):
+                (root / folder / name).mkdir(parents=True)
+        sequence, in_frame = self.sequences[name], set[int]()
+        for label, row in self.rows(item, levels=True):
+            sequence.rows.append(dump_tracking_line(number, sequence.track_of(label, in_frame), row))
+        sequence.rows += [dump_tracking_line(number, NO_TRACK, dont_care(edges)) for edges in item.unlabelled]
+        calibration = self.files(item.frame, root / IMAGES / frame_id, root / SCANS / frame_id)
+        if sequence.calibration not in (None, calibration):
+            raise FormatError(
+                self.out,
+                f"frame {item.frame.key} has a different calibration from earlier frames, but a KITTI sequence has "
+                "only one; export as kitti",
+            )
+        sequence.calibration = calibration
+
+    def finish(self) -> None:
+        root = self.folder / TRAINING
+        for folder in (CALIBRATIONS, LABELS):
+            (root / folder).mkdir()
+        for sequence in self.sequences.values():
+            rows = "".join(f"{row}\n" for row in sequence.rows)
+            (root / LABELS / f"{sequence.name}.txt").write_text(rows, encoding="utf-8")
+            (root / CALIBRATIONS / f"{sequence.name}.txt").write_text(sequence.calibration or "", encoding="utf-8")
+        self.words.write(self.folder)
+        if untracked := sum(sequence.untracked for sequence in self.sequences.values()):
+            note = f"{amount(untracked, 'box')} without a track id got a new one each; `annotator track` links boxes"
+            self.notes = (note,)
+
+
+def sequence_ids(places: Sequence[tuple[str, str, int]]) -> dict[tuple[str, str], tuple[str, int]]:
+    """Returns sequence and frame number of each (recording, key): one sequence per recording.
+
+    Args:
+        places: recording, key and place in the recording of all frames. The frame number is the key if all keys of
+            the recording have six digits, else the place.
+
+    Raises:
+        ValueError: more recordings than four digits can count.
+    """
+    names = list(dict.fromkeys(recording for recording, _, _ in places))
+    if len(names) > MOST_SEQUENCES:
+        raise ValueError(
+            f"KITTI tracking has at most {MOST_SEQUENCES} sequences (four digits); export fewer recordings"
+        )
+    ids: dict[tuple[str, str], tuple[str, int]] = {}
+    for number, name in enumerate(names):
+        frames = [(key, place) for recording, key, place in places if recording == name]
+        by_key = all(len(key) == 6 and key.isascii() and key.isdigit() for key, _ in frames)
+        ids |= {(name, key): (f"{number:04d}", int(key) if by_key else place) for key, place in frames}
+    return ids
+
+
+def read_kitti_tracks(path: Path, found: KittiRows) -> tuple[Frames, dict[str, Float64[np.ndarray, "3"]]]:
+    """Returns the objects of all labelled frames, without DontCare, and the shifts to the colour camera from calib/.
+
+    Args:
+        path: a tracking folder, its `label_02` with one file per sequence, or a zip archive of that.
+        found: collects what the rows show beside their 3D boxes.
+
+    Returns:
+        Both by `RECORDING/KEY` from frames.csv, else by `SEQUENCE/FRAME`. A frame without a row is included only if
+        frames.csv lists it. Boxes are in rectified camera 0; see `read_kitti_shifts`.
+    """
+    place = next((path / name for name in (f"{TRAINING}/{LABELS}", LABELS) if (path / name).is_dir()), path)
+    dataset_names, frames, shifts = (
+        DatasetNames.of(place),
+        dict[str, list[Truth]](),
+        dict[str, Float64[np.ndarray, "3"]](),
+    )
+    for origin in dataset_names.frames.values():
+        frames[origin.name] = []
+    for sequence, file, text in text_files(place, within=LABELS):
+        calibration = spelled(place.parent / CALIBRATIONS, f"{sequence}.txt")
+        shift = read_shift(calibration) if place.is_dir() and calibration.is_file() else None
+        for line, row in enumerate(text.splitlines(), 1):
+            if not row.strip():
+                continue
+            number, track_id, label = parse_tracking_fields(row.split(), file, line)
+            name = dataset_names.frame(f"{sequence}/{number:06d}")
+            objects = frames.setdefault(name, [])
+            if shift is not None:
+                shifts[name] = shift
+            if (truth := found.truth(name, label, track_id, file, line)) is not None:
+                objects.append(replace(truth, label=dataset_names.label(truth.label)))
+    found.angles.require()
+    return {name: tuple(objects) for name, objects in frames.items()}, shifts

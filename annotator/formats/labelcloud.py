@@ -1,0 +1,476 @@
+"""labelCloud: a folder of coloured clouds, each with a JSON file of fully oriented boxes.
+
+    [PART/]pointclouds/ID.ply   coloured clouds, z up; ID.png (or .jpg) is beside them, where labelCloud looks for it
+    [PART/]labels/ID.json       the boxes, in the cloud's frame; _classes.json: classes and the form of all labels
+    [PART/]calib/ID.txt         transform from the cloud's frame to the camera
+    frames.csv                  the origin of each frame
+
+labelCloud rotates its viewport, and by default also boxes, about z. Clouds are therefore written in the level frame at
+the camera (x ahead, y left, z against gravity). Start labelCloud in the folder (or in the folder of a part).
+
+Boxes (labelCloud 1.1.1, `model/bbox.py`, `utils/math3d.py` and `io/labels/`): a box is rotated about x, then y, then z
+of the cloud's frame: R = Rz Ry Rx; sizes are full, length along x, width along y, height along z. `centroid_rel` has
+radians in (-pi, pi], `centroid_abs` degrees in 0..360. `vertices` are the corners (-,-,-), (-,+,-), (+,+,-), (+,-,-) in
+signs along the box's x, y, z, then the same four on top. Numbers have eight decimals, as in labelCloud's default
+settings.
+
+Calibrations are in KITTI's form: `px = P2 * R0_rect * Tr_velo_to_cam * X`, matrices row by row (KITTI object devkit,
+readme.txt). P2 may shift rectified camera 0 to the colour camera: P2 = K [I | t].
+"""
+
+from __future__ import annotations
+
+import colorsys
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, encoded_image, write_ply
+from annotator.formats.frame_names import read_frames
+from annotator.formats.json_file import MOST, Bounded, Bounded3, BoundedPositive, read_model
+from annotator.formats.reading import OnFault, raise_fault, text_rows
+from annotator.formats.units import BEYOND, MOST_RAD, AngleUnit, rotation_problem
+from annotator.geometry.projection import straightened
+from annotator.geometry.transforms import level_pose
+from annotator.text import normal, spelled, to_number
+from annotator.types import Camera, Frame, OrientedBox, PointCloud
+from annotator.types.amounts import amount
+from annotator.types.errors import FormatError, UnitError, UnitKind
+
+CLASSES_FILE = "_classes.json"
+CENTROID_REL, CENTROID_ABS, VERTICES = "centroid_rel", "centroid_abs", "vertices"
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class Axes(_Record):
+    """One value per axis: metres, or angles."""
+
+    x: Bounded
+    y: Bounded
+    z: Bounded
+
+
+class Dimensions(_Record):
+    """Full sizes along the box's own x, y, z; metres."""
+
+    length: BoundedPositive
+    width: BoundedPositive
+    height: BoundedPositive
+
+
+class BoxObject(_Record):
+    """A labelled box: centre, sizes and angles, or its corners."""
+
+    name: Annotated[str, Field(min_length=1)]
+    centroid: Axes | None = None
+    dimensions: Dimensions | None = None
+    rotations: Axes | None = None
+    vertices: Annotated[tuple[Bounded3, ...], Field(min_length=8, max_length=8)] | None = None
+
+    @model_validator(mode="after")
+    def _is_a_box(self) -> BoxObject:
+        if self.vertices is None and None in (self.centroid, self.dimensions, self.rotations):
+            raise ValueError("a box needs centroid, dimensions and rotations, or vertices")
+        return self
+
+
+class LabelFile(_Record):
+    """The labels of one cloud. The cloud's location is written but not read: a label file's own stem is its id."""
+
+    folder: str = ""
+    filename: str = ""
+    path: str = ""
+    objects: tuple[BoxObject, ...]
+
+
+class ClassEntry(_Record):
+    """A class with its number and colour (#rrggbb)."""
+
+    name: str
+    id: int
+    color: str
+
+
+class Creator(_Record):
+    """The program that wrote a file."""
+
+    name: str
+    version: str
+
+
+class ClassesFile(_Record):
+    """The classes, and the box form of all label files."""
+
+    classes: tuple[ClassEntry, ...]
+    default: int = 0
+    type: Literal["object_detection", "semantic_segmentation"] = "object_detection"
+    format: str = CENTROID_REL
+    created_with: Creator | None = None
+
+
+DECIMALS = 8
+SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+CORNERS = np.array([[x, y, z] for z in (-1, 1) for x, y in SIGNS]) / 2
+# So many angles in degrees are not all below half a turn in radians.
+LEAST_SMALL = 10
+# Tolerance for corners: rounding to millimetres, or this fraction of the box's smallest side.
+OFF_BOX_M, OFF_BOX_SHARE = 2e-3, 1e-2
+
+
+def centroid_object(name: str, box: OrientedBox) -> BoxObject:
+    """Returns a box of the cloud's frame as `centroid_rel`."""
+    return BoxObject(
+        name=name,
+        centroid=_axes(box.center_m),
+        dimensions=Dimensions(
+            **dict(zip(("length", "width", "height"), map(_rounded, box.size_m.tolist()), strict=True))
+        ),
+        rotations=_axes(angles_xyz(box.rotation)),
+    )
+
+
+def vertices_object(name: str, box: OrientedBox) -> BoxObject:
+    """Returns a box of the cloud's frame as `vertices`."""
+    rows = box.T_camera_box.apply(CORNERS * box.size_m).tolist()
+    return BoxObject(name=name, vertices=tuple((_rounded(x), _rounded(y), _rounded(z)) for x, y, z in rows))
+
+
+def box_of(entry: BoxObject, degrees: bool) -> OrientedBox:
+    """Returns the box of an object, in the cloud's frame.
+
+    Args:
+        degrees: True for angles in degrees; not used for vertices.
+
+    Raises:
+        ValueError: the vertices are not those of a box, in labelCloud's order.
+    """
+    if entry.vertices is not None:
+        return _of_vertices(np.array(entry.vertices))
+    if entry.centroid is None or entry.dimensions is None or entry.rotations is None:
+        raise ValueError("a box needs centroid, dimensions and rotations, or vertices")
+    angles = [entry.rotations.z, entry.rotations.y, entry.rotations.x]
+    center = np.array([entry.centroid.x, entry.centroid.y, entry.centroid.z])
+    size = entry.dimensions
+    return OrientedBox.at(
+        RigidTransform.from_components(center, Rotation.from_euler("ZYX", angles, degrees=degrees)),
+        np.array([size.length, size.width, size.height]),
+    )
+
+
+def angles_xyz(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3"]:
+    """Returns the angles x, y, z of R = Rz Ry Rx, radians in [-pi, pi].
+
+    If the box's x axis is vertical (gimbal lock), only the sum or difference of x and z is determined. y and x are
+    therefore computed from the rotation that remains after z, so that all three together are exact.
+    """
+    z = math.atan2(rotation[1, 0], rotation[0, 0])
+    rest = Rotation.from_rotvec([0.0, 0.0, -z]).as_matrix() @ rotation
+    return np.array([math.atan2(-rest[1, 2], rest[1, 1]), math.atan2(-rest[2, 0], rest[0, 0]), z])
+
+
+def in_degrees(angles: Iterable[float]) -> bool | None:
+    """Returns True for degrees (`centroid_abs`), False for radians, None if both are possible.
+
+    Raises:
+        ValueError: some can only be degrees, others only radians.
+    """
+    lowest, highest = 0.0, 0.0
+    for angle in angles:
+        lowest, highest = min(lowest, angle), max(highest, angle)
+    half = math.pi + 10.0**-DECIMALS
+    if lowest < -half or (lowest < 0 and highest > half):
+        raise ValueError(f"angles from {lowest} to {highest} are neither radians in -pi..pi nor degrees in 0..360")
+    if lowest < 0 or highest == 0:
+        return False
+    return True if highest > half else None
+
+
+def contradiction(angles: Sequence[float], *, degrees: bool) -> str | None:
+    """Returns what shows that angles are not in the unit that `_classes.json` names; None if nothing does.
+
+    labelCloud writes degrees in 0..360. Negative degrees are those of another program; if all are within half a turn in
+    radians, they are radians. So are many angles of which none is larger.
+
+    Args:
+        degrees: the unit that the file names; False: radians.
+    """
+    others = [angle for angle in angles if angle != 0]
+    if not others:
+        return None
+    worst, count = max(others, key=abs), amount(len(others), "angle")
+    if not degrees and abs(worst) > MOST_RAD:
+        beyond = sum(abs(angle) > MOST_RAD for angle in others)
+        return f"{worst:g} is no angle in radians ({beyond} of {count} other than 0 {BEYOND})"
+    half = math.pi + 10.0**-DECIMALS
+    if degrees and abs(worst) <= half and (min(others) < 0 or len(others) >= LEAST_SMALL):
+        return f"{count} other than 0, all within -pi..pi, look like radians"
+    return None
+
+
+def _of_vertices(corners: Float64[np.ndarray, "8 3"]) -> OrientedBox:
+    """Returns the box through eight corners; each side is the mean of its four parallel edges."""
+    center = corners.mean(axis=0)
+    edges = 2 * np.sign(CORNERS).T @ (corners - center) / 8
+    size = np.linalg.norm(edges, axis=1)
+    if not (size > 0).all():
+        raise ValueError("the vertices lie in one plane")
+    axes = (edges / size[:, None]).T
+    if np.linalg.det(axes) <= 0:
+        raise ValueError("the vertices are not in labelCloud's order (seen from above, the first four are clockwise)")
+    box = OrientedBox.at(RigidTransform.from_components(center, Rotation.from_matrix(axes)), size)
+    off = float(np.abs(box.T_camera_box.apply(CORNERS * size) - corners).max())
+    if off > max(OFF_BOX_M, OFF_BOX_SHARE * float(size.min())):
+        raise ValueError(f"the vertices lie up to {off:.3f} m off the corners of a box")
+    return box
+
+
+def _axes(values: Float64[np.ndarray, "3"]) -> Axes:
+    x, y, z = map(_rounded, values.tolist())
+    return Axes(x=x, y=y, z=z)
+
+
+def _rounded(value: float) -> float:
+    # + 0.0: no negative zero
+    return round(value, DECIMALS) + 0.0
+
+
+SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
+# Tolerance for R^T R = identity; matrices in files are rounded.
+MOST_OFF_ROTATION = 1e-2
+
+
+def dump_calibration(camera: Camera, T_camera_cloud: RigidTransform) -> str:
+    """Returns the text for an ideal camera, unrounded; P0 to P3 are that camera, the IMU's matrix is the identity."""
+    P = np.hstack([camera.matrix, np.zeros((3, 1))])
+    matrices = {f"P{number}": P for number in range(4)} | {
+        "R0_rect": np.eye(3),
+        "Tr_velo_to_cam": T_camera_cloud.as_matrix()[:3],
+        "Tr_imu_to_velo": np.eye(3, 4),
+    }
+    return "".join(
+        f"{name}: {' '.join(repr(value + 0.0) for value in matrix.ravel().tolist())}\n"
+        for name, matrix in matrices.items()
+    )
+
+
+def read_calibration_pose(path: Path) -> RigidTransform:
+    """Returns T_camera_cloud of a file."""
+    matrices: dict[str, Float64[np.ndarray, "r c"]] = {}
+    for line, (head, *words) in text_rows(path):
+        name = head.rstrip(":")
+        shape = SHAPES.get(name)
+        if shape is None:
+            continue
+        try:
+            matrix = np.array([to_number(word) for word in words]).reshape(shape)
+        except ValueError as error:
+            raise FormatError(path, f"{name} needs {shape[0] * shape[1]} numbers: {error}", line) from error
+        if not (np.abs(matrix) <= MOST).all():
+            raise FormatError(path, f"{name} must be finite and at most {MOST:g}", line)
+        matrices[name] = matrix
+    if missing := [name for name in SHAPES if name not in matrices]:
+        raise FormatError(path, f"has no {' and no '.join(missing)}")
+    P2, pose = matrices["P2"], matrices["R0_rect"] @ matrices["Tr_velo_to_cam"]
+    R = pose[:, :3]
+    if (problem := rotation_problem(R, MOST_OFF_ROTATION)) is not None:
+        raise FormatError(path, f"R0_rect * Tr_velo_to_cam {problem}")
+    try:
+        shift = np.linalg.solve(P2[:, :3], P2[:, 3])
+    except np.linalg.LinAlgError as error:
+        raise FormatError(path, "P2 is not a camera matrix: its left 3x3 part is singular") from error
+    return RigidTransform.from_components(pose[:, 3] + shift, Rotation.from_matrix(R))
+
+
+CLOUDS, LABELS, CALIBRATIONS = "pointclouds", "labels", "calib"
+LEVEL_FRAME = "level frame at the camera: x ahead, y left, z up, metres"
+# Golden ratio: hues that differ by this fraction of the circle stay distinct for any number of classes.
+GOLDEN = 0.618034
+
+
+class LabelCloudWriter(DatasetWriter):
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        folder = self.folder / (item.split or "")
+        for name in (CLOUDS, LABELS, CALIBRATIONS):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        T_level_camera = level_pose(item.frame.up)
+        camera, rgb = straightened(item.frame.camera, item.frame.rgb)
+        image = folder / CLOUDS / f"{frame_id}.{self.info.image_format}"
+        image.write_bytes(encoded_image(rgb, self.info.image_format))
+        write_ply(folder / CLOUDS / f"{frame_id}.ply", _level(item.frame, T_level_camera), LEVEL_FRAME)
+        calibration = dump_calibration(camera, T_level_camera.inv())
+        (folder / CALIBRATIONS / f"{frame_id}.txt").write_text(calibration, encoding="utf-8")
+        dump = vertices_object if self.info.vertices else centroid_object
+        content = LabelFile(
+            folder=CLOUDS,
+            filename=f"{frame_id}.ply",
+            path=f"{CLOUDS}/{frame_id}.ply",
+            objects=tuple(dump(label.label, label.box.transformed(T_level_camera)) for label in item.labels),
+        )
+        text = content.model_dump_json(indent=1, exclude_none=True) + "\n"
+        (folder / LABELS / f"{frame_id}.json").write_text(text, encoding="utf-8")
+        self.counts.update(label.label for label in item.labels)
+
+    def finish(self) -> None:
+        version = self.info.generator.removeprefix("annotator ")
+        content = _classes(self.info.classes, VERTICES if self.info.vertices else CENTROID_REL, version)
+        for split in dict.fromkeys(origin.split for origin in self.origins):
+            (self.folder / (split or "") / LABELS / CLASSES_FILE).write_text(content, encoding="utf-8")
+
+
+def _level(frame: Frame, T_level_camera: RigidTransform) -> PointCloud:
+    return replace(
+        frame.cloud, xyz_m=T_level_camera.apply(frame.cloud.xyz_m).astype("float32"), pixel_index=None, normals=None
+    )
+
+
+def _classes(names: Sequence[str], form: str, version: str) -> str:
+    """Returns the text of `_classes.json`; labelCloud needs at least one class."""
+    entries = tuple(ClassEntry(name=name, id=number, color=_color(number)) for number, name in enumerate(names))
+    content = ClassesFile(classes=entries, format=form, created_with=Creator(name="annotator", version=version))
+    return content.model_dump_json(indent=1) + "\n"
+
+
+def _color(number: int) -> str:
+    red, green, blue = colorsys.hsv_to_rgb(number * GOLDEN % 1.0, 0.75, 1.0)
+    return f"#{round(red * 255):02x}{round(green * 255):02x}{round(blue * 255):02x}"
+
+
+@dataclass(frozen=True, eq=False)
+class LabelCloudFrame:
+    """The boxes of one cloud.
+
+    Attributes:
+        boxes: class and box, in the cloud's frame.
+        T_camera_cloud: from the cloud's frame to the camera; None without a calibration.
+    """
+
+    boxes: tuple[tuple[str, OrientedBox], ...]
+    T_camera_cloud: RigidTransform | None
+
+
+def read_labelcloud(
+    path: Path, on_fault: OnFault = raise_fault, angles: AngleUnit | None = None
+) -> dict[str, LabelCloudFrame]:
+    """Returns the labels of a project folder with all its parts, or of a folder of label files, by frame name.
+
+    Names are "RECORDING/KEY" if the dataset has a frames.csv, else the stem of the label file.
+
+    Args:
+        angles: their unit; None: as `_classes.json` says, else as their range shows.
+    """
+    frames: dict[str, LabelCloudFrame] = {}
+    for folder in _label_folders(path):
+        origins = read_frames(folder.parent) or read_frames(folder.parent.parent)
+        for stem, frame in _read_folder(folder, angles, on_fault):
+            name = origins[stem].name if stem in origins else stem
+            if name in frames:
+                raise FormatError(folder / f"{stem}.json", f"the frame {name} has labels in two folders; import one")
+            frames[name] = frame
+    return frames
+
+
+def read_labelcloud_file(file: Path) -> LabelCloudFrame:
+    """Returns the labels of one cloud, in the cloud's frame; `_classes.json` is beside the file."""
+    content = read_model(file, LabelFile)
+    degrees = _degrees(file.parent, {file: content})
+    try:
+        return LabelCloudFrame(tuple((entry.name, box_of(entry, degrees)) for entry in content.objects), None)
+    except ValueError as error:
+        raise FormatError(file, str(error)) from error
+
+
+def _label_folders(path: Path) -> list[Path]:
+    folders = [folder for folder in (path / LABELS, *sorted(path.glob(f"*/{LABELS}"))) if folder.is_dir()]
+    labelled = [folder for folder in folders or [path] if any(_label_files(folder))]
+    if path.is_file():
+        raise FormatError(path, f"has the labels of one frame; give the folder of all: {path.parent}")
+    if not labelled:
+        raise FormatError(path, "has no label file of labelCloud (*.json, here or in labels/)")
+    return labelled
+
+
+def _label_files(folder: Path) -> Iterator[Path]:
+    return (file for file in sorted(folder.glob("*.json")) if file.name != CLASSES_FILE)
+
+
+def _read_folder(folder: Path, angles: AngleUnit | None, on_fault: OnFault) -> Iterator[tuple[str, LabelCloudFrame]]:
+    files: dict[Path, LabelFile] = {}
+    for file in _label_files(folder):
+        try:
+            files[file] = read_model(file, LabelFile)
+        except FormatError as fault:
+            on_fault(fault)
+    degrees = _degrees(folder, files) if angles is None else angles is AngleUnit.DEGREES
+    for file, content in files.items():
+        boxes = []
+        for number, entry in enumerate(content.objects):
+            try:
+                boxes.append((entry.name, box_of(entry, degrees)))
+            except ValueError as error:
+                on_fault(FormatError(file, f"objects.{number}: {error}"))
+        pose = spelled(folder.parent / CALIBRATIONS, f"{file.stem}.txt")
+        try:
+            T_camera_cloud = _pose_for(boxes, pose) if pose.is_file() else None
+        except FormatError as fault:
+            on_fault(fault)
+            continue
+        yield normal(file.stem), LabelCloudFrame(tuple(boxes), T_camera_cloud)
+
+
+def _pose_for(boxes: Sequence[tuple[str, OrientedBox]], file: Path) -> RigidTransform:
+    """Returns T_camera_cloud of a calibration; raises FormatError if it moves a box of the cloud out of range."""
+    T = read_calibration_pose(file)
+    for number, (_, box) in enumerate(boxes):
+        try:
+            box.transformed(T)
+        except ValueError as error:
+            raise FormatError(file, f"moves objects.{number} of its cloud out of range: {error}") from error
+    return T
+
+
+def _degrees(folder: Path, files: Mapping[Path, LabelFile]) -> bool:
+    """True for angles in degrees: from the folder's `_classes.json`, else from the range of all its angles."""
+    classes = folder / CLASSES_FILE
+    form = read_model(classes, ClassesFile).format if classes.is_file() else None
+    angles = [
+        angle
+        for content in files.values()
+        for entry in content.objects
+        if entry.vertices is None and entry.rotations is not None
+        for angle in (entry.rotations.x, entry.rotations.y, entry.rotations.z)
+    ]
+    if form in (CENTROID_ABS, CENTROID_REL):
+        is_abs = form == CENTROID_ABS
+        if (problem := contradiction(angles, degrees=is_abs)) is not None:
+            units = ("degrees", CENTROID_REL) if is_abs else ("radians", CENTROID_ABS)
+            raise UnitError(
+                UnitKind.ANGLE,
+                folder,
+                f'{problem}, and "format": "{form}" in {CLASSES_FILE} means {units[0]}; if that is wrong, write '
+                f'"{units[1]}", else `annotator import --angles {units[0]}` reads them',
+            )
+        return is_abs
+    try:
+        degrees = in_degrees(angles)
+    except ValueError as error:
+        problem = f"{error}; import with --angles {AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}"
+        raise UnitError(UnitKind.ANGLE, folder, problem) from error
+    if degrees is None:
+        raise UnitError(
+            UnitKind.ANGLE,
+            folder,
+            "the angles may be radians or degrees; put labelCloud's _classes.json beside the labels, with "
+            f'"format": "{CENTROID_REL}" (radians) or "format": "{CENTROID_ABS}" (degrees), or import with --angles '
+            f"{AngleUnit.RADIANS} or --angles {AngleUnit.DEGREES}",
+        )
+    return degrees

@@ -1,0 +1,440 @@
+"""Reads nuScenes: tables, one JSON list of records each, linked by tokens; and results of detectors and trackers.
+
+Source: nuScenes schema (`docs/schema_nuscenes.md` of the nuscenes-devkit) and `utils/data_classes.py`: metres, sizes
+are width, length, height; a box's x axis points along its length, y along its width, z along its height, as in
+annotator; quaternions are w x y z; a scan is float32 x y z intensity ring, the intensity in 0..255. Other fields are
+ignored. `annotator.nuscenes_tables` has the tables of the sensors.
+
+Results ("Results format" in the devkit's `eval/detection/README.md` and `eval/tracking/README.md`) are in the global
+frame, by the tokens of their samples. Trackers write `tracking_name`, `tracking_score` and `tracking_id`.
+
+    {"meta": {...}, "results": {"SAMPLE": [{"translation": [x, y, z], "size": [width, length, height],
+        "rotation": [w, x, y, z], "detection_name": "car", "detection_score": 0.8, "attribute_name": "vehicle.moving"},
+        ...], ...}}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Set
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+import numpy as np
+from jaxtyping import Float32
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, RootModel, ValidationError
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.attributes import VISIBILITY, from_dotted
+from annotator.formats.frame_names import FrameOrigin, read_frames
+from annotator.formats.json_file import Bounded3, Bounded4, BoundedPositive, BoundedTrack, read_model, read_pairs
+from annotator.formats.reading import OnFault, raise_fault
+from annotator.formats.units import Lengths
+from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.quaternion_order import Quaternions
+from annotator.nuscenes_tables import (
+    CalibratedSensor,
+    EgoPose,
+    Linked,
+    Record,
+    SampleData,
+    Sensor,
+    TableError,
+    Token,
+    find_rows,
+    pose,
+    read_rows,
+)
+from annotator.text import normal, stem_of
+from annotator.types import OrientedBox, PointCloud, Truth
+from annotator.types.errors import FormatError
+from annotator.types.label import AttributeValue
+from annotator.types.validation import first_problem
+
+Vector3 = Bounded3
+Quaternion = Bounded4
+
+
+class Category(Record):
+    """A class."""
+
+    name: Annotated[str, Field(min_length=1)]
+    description: str = ""
+
+
+class Attribute(Record):
+    """A property that an annotation may have."""
+
+    name: str
+    description: str = ""
+
+
+class Visibility(Record):
+    """A level of visibility of an object."""
+
+    level: str
+    description: str = ""
+
+
+class Instance(Record):
+    """An object in all samples of its scene. `track_id` is annotator's extension: the id in the project."""
+
+    category_token: Token
+    nbr_annotations: int
+    first_annotation_token: str
+    last_annotation_token: str
+    track_id: BoundedTrack | None = None
+
+
+class Log(Record):
+    """A drive."""
+
+    logfile: str
+    vehicle: str
+    date_captured: str
+    location: str
+
+
+class SampleAnnotation(Linked):
+    """A box of a sample, global frame; its x axis is the length, y the width."""
+
+    sample_token: Token
+    instance_token: Token
+    visibility_token: str = ""
+    attribute_tokens: tuple[str, ...] = ()
+    translation: Vector3
+    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    rotation: Quaternion
+    num_lidar_pts: int = 0
+    num_radar_pts: int = 0
+
+
+class Map(Record):
+    """A map image of the ground, for a set of drives."""
+
+    log_tokens: tuple[str, ...]
+    category: Literal["semantic_prior"] = "semantic_prior"
+    filename: str
+
+
+MOST_INTENSITY = 255.0
+
+
+def vector(values: np.ndarray) -> Vector3:
+    """Returns three numbers for JSON, without negative zeros."""
+    x, y, z = (values + 0.0).tolist()
+    return (x, y, z)
+
+
+def quaternion(rotation: Rotation) -> Quaternion:
+    """Returns w x y z, w not negative."""
+    w, x, y, z = (rotation.as_quat(canonical=True, scalar_first=True) + 0.0).tolist()
+    return (w, x, y, z)
+
+
+def width_length_height(box: OrientedBox) -> Vector3:
+    """Returns the full sizes in nuScenes' order."""
+    length, width, height = box.size_m.tolist()
+    return (width, length, height)
+
+
+def box_from(translation: Vector3, rotation: Quaternion, size_wlh: Vector3) -> OrientedBox:
+    """Returns the box of an annotation, global frame.
+
+    Raises:
+        ValueError: the rotation is not a unit quaternion.
+    """
+    width, length, height = size_wlh
+    return OrientedBox.at(pose(translation, rotation), np.array([length, width, height]))
+
+
+def scan(cloud: PointCloud, T_level_camera: RigidTransform) -> Float32[np.ndarray, "n 5"]:
+    """Returns the points in the level frame with intensity (0 if unknown) and ring (0)."""
+    intensity = np.zeros(len(cloud)) if cloud.reflectance is None else cloud.reflectance * MOST_INTENSITY
+    return np.column_stack([T_level_camera.apply(cloud.xyz_m), intensity, np.zeros(len(cloud))]).astype("<f4")
+
+
+ANNOTATIONS = "sample_annotation.json"
+# A box is in an image if one of its corners is, and all are in front of the camera (devkit: `BoxVisibility.ANY`).
+NEAREST_M = 0.1
+
+Row = TypeVar("Row", bound=Record)
+
+
+def read_nuscenes(path: Path, on_fault: OnFault = raise_fault) -> dict[str, tuple[Truth, ...]]:
+    """Returns the boxes of each camera's key frames, by frame name.
+
+    With several cameras, each gets the boxes that its image shows. Names are "RECORDING/KEY" if the dataset has a
+    frames.csv, else the stem of the image file. Track ids are those of the project that annotator exported; in other
+    datasets the instance's row number if it has more than one annotation, else None. Attributes are `vehicle.moving`
+    as vehicle = moving, and the visibility's level as `visibility`.
+
+    Args:
+        path: the dataset's root, or its folder of tables.
+    """
+    folder = _table_folder(path)
+    origins = read_frames(folder.parent)
+    labels = _Labels(folder)
+    require_w_first(folder, labels.annotations(), labels.instances)
+    frames: dict[str, tuple[Truth, ...]] = {}
+    for index, row in enumerate(labels.data.values()):
+        if not row.is_key_frame or labels.sensor(index, row).modality != "camera":
+            continue
+        stem = normal(stem_of(row.filename))
+        name = origins[stem].name if stem in origins else stem
+        if name in frames:
+            raise FormatError(
+                folder / "sample_data.json",
+                f"row {index}: a second camera image is called {name}; file names must be unique",
+            )
+        frames[name] = tuple(labels.boxes(index, row, origins, on_fault))
+    if not frames:
+        raise FormatError(folder / "sample_data.json", "has no key frame of a camera")
+    return frames
+
+
+def read_world_poses(path: Path) -> dict[str, RigidTransform]:
+    """Returns `T_world_camera` of the frames of an export, by name, if their recordings have map coordinates."""
+    folder = _table_folder(path)
+    origins = read_frames(folder.parent)
+    if not origins:
+        return {}
+    labels = _Labels(folder)
+    stems = ((normal(stem_of(row.filename)), index, row) for index, row in enumerate(labels.data.values()))
+    poses = {
+        origins[stem].name: labels.T_global_camera(index, row)
+        for stem, index, row in stems
+        if stem in origins and labels.sensor(index, row).modality == "camera"
+    }
+    # without map coordinates, the camera is the origin
+    return {name: pose for name, pose in poses.items() if pose.translation.any()}
+
+
+def _table_folder(path: Path) -> Path:
+    folders = [path] if (path / "sample_data.json").is_file() else sorted(path.glob("v1.0-*/"))
+    if len(folders) != 1:
+        several = f"has several folders of tables ({', '.join(f.name for f in folders)}); give the path of one"
+        raise FormatError(path, several if folders else "has no folder of nuScenes tables (v1.0-*)")
+    return folders[0]
+
+
+class _Labels:
+    """The tables, and the boxes that follow from their rows."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.data = self._table("sample_data", SampleData)
+        self._sensors = self._table("sensor", Sensor)
+        self._calibrated = self._table("calibrated_sensor", CalibratedSensor)
+        self._poses = self._table("ego_pose", EgoPose)
+        self._categories = self._table("category", Category)
+        self.instances = self._table("instance", Instance)
+        # other tools leave these tables out
+        self._names = self._named("attribute", Attribute, "name")
+        self._levels = self._named("visibility", Visibility, "level")
+        self._numbers = {token: number for number, token in enumerate(self.instances)}
+        self._of_sample: dict[str, list[tuple[int, SampleAnnotation]]] = {}
+        for index, row in enumerate(self._table("sample_annotation", SampleAnnotation).values()):
+            self._of_sample.setdefault(row.sample_token, []).append((index, row))
+
+    def annotations(self) -> Iterator[SampleAnnotation]:
+        """Yields the rows of all boxes."""
+        return (row for rows in self._of_sample.values() for _, row in rows)
+
+    def sensor(self, index: int, row: SampleData) -> Sensor:
+        """Returns the sensor of a row."""
+        calibrated = self._row("sample_data", index, self._calibrated, "calibrated_sensor", row.calibrated_sensor_token)
+        return self._row("sample_data", index, self._sensors, "sensor", calibrated.sensor_token)
+
+    def T_global_camera(self, index: int, row: SampleData) -> RigidTransform:
+        """Returns the pose of the camera of an image; call `sensor` before."""
+        ego = self._row("sample_data", index, self._poses, "ego_pose", row.ego_pose_token)
+        calibrated = self._calibrated[row.calibrated_sensor_token]
+        return self._pose("ego_pose", ego) * self._pose("calibrated_sensor", calibrated)
+
+    def boxes(
+        self, index: int, row: SampleData, origins: Mapping[str, FrameOrigin], on_fault: OnFault
+    ) -> Iterator[Truth]:
+        """Yields the boxes in a camera's image; with `origins` (an export, one camera) all boxes of the sample."""
+        calibrated = self._calibrated[row.calibrated_sensor_token]
+        T_camera_global = self.T_global_camera(index, row).inv()
+        for number, annotation in self._of_sample.get(row.sample_token, ()):
+            try:
+                box = box_from(annotation.translation, annotation.rotation, annotation.size).transformed(
+                    T_camera_global
+                )
+            except ValueError as error:
+                on_fault(FormatError(self._folder / ANNOTATIONS, f"row {number}: {error}"))
+                continue
+            K = np.array(calibrated.camera_intrinsic)
+            if origins or (len(K) and is_seen(box, K, row.width, row.height)):
+                instance = self._row("sample_annotation", number, self.instances, "instance", annotation.instance_token)
+                category = self._row(
+                    "instance", self._numbers[instance.token], self._categories, "category", instance.category_token
+                )
+                track_id = track_of(instance, self._numbers[instance.token])
+                values = values_of(annotation, instance, self._names, self._levels)
+                yield Truth(category.name, box, track_id, attributes=values)
+
+    def _pose(self, table: str, row: EgoPose | CalibratedSensor) -> RigidTransform:
+        try:
+            return pose(row.translation, row.rotation)
+        except ValueError as error:
+            raise FormatError(self._folder / f"{table}.json", f"{row.token}: {error}") from error
+
+    def _table(self, name: str, model: type[Row]) -> dict[str, Row]:
+        path = self._folder / f"{name}.json"
+        rows: tuple[Row, ...] = read_model(path, RootModel[tuple[model, ...]]).root  # type: ignore[valid-type]
+        by_token: dict[str, Row] = {}
+        for index, row in enumerate(rows):
+            if row.token in by_token:
+                raise FormatError(path, f"row {index}: the token {row.token} occurs twice; tokens must be unique")
+            by_token[row.token] = row
+        return by_token
+
+    def _named(self, table: str, model: type[Row], field: str) -> dict[str, str]:
+        has_table = (self._folder / f"{table}.json").is_file()
+        return {token: getattr(row, field) for token, row in self._table(table, model).items()} if has_table else {}
+
+    def _row(self, table: str, index: int, rows: Mapping[str, Row], other: str, token: str) -> Row:
+        if token not in rows:
+            raise FormatError(
+                self._folder / f"{table}.json",
+                f"row {index}: refers to the token {token}, which is not in {other}.json",
+            )
+        return rows[token]
+
+
+def require_w_first(tables: Path, annotations: Iterable[SampleAnnotation], instances: Mapping[str, Instance]) -> None:
+    """The boxes of nuScenes stand upright in the global frame; those of annotator may be tilted."""
+    quaternions = Quaternions()
+    for row in annotations:
+        if row.instance_token not in instances or not _is_ours(instances[row.instance_token]):
+            quaternions.add(row.rotation)
+    quaternions.require(tables / ANNOTATIONS)
+
+
+def values_of(
+    annotation: SampleAnnotation, instance: Instance, names: Mapping[str, str], levels: Mapping[str, str]
+) -> dict[str, AttributeValue]:
+    """Returns the attributes of a box, with names and levels by their tokens; see `read_nuscenes`.
+
+    Levels of visibility in annotator's own exports are measured, unless they are an attribute as well.
+    """
+    values = from_dotted(names[token] for token in annotation.attribute_tokens if token in names)
+    level = None if _is_ours(instance) else levels.get(annotation.visibility_token)
+    return values if level is None else values | {VISIBILITY: level}
+
+
+def _is_ours(instance: Instance) -> bool:
+    return "track_id" in instance.model_fields_set
+
+
+def track_of(instance: Instance, number: int) -> int | None:
+    """Returns the track of an instance, of which `number` is the row; see `read_nuscenes`."""
+    if _is_ours(instance):
+        return instance.track_id
+    return number if instance.nbr_annotations > 1 else None
+
+
+def is_seen(box: OrientedBox, K: np.ndarray, width_px: int, height_px: int) -> bool:
+    """Returns True if a box (camera frame) is in the image of the camera with the matrix `K` (3, 3)."""
+    corners = box_corners(box)
+    if (corners[:, 2] < NEAREST_M).any():
+        return False
+    px = corners @ K.T
+    px = px[:, :2] / px[:, 2:]
+    return bool(((px > -0.5) & (px < np.array([width_px, height_px]) - 0.5)).all(axis=1).any())
+
+
+def read_sample_boxes(tables: Path, samples: Set[str]) -> dict[str, tuple[Truth, ...]]:
+    """Returns the boxes of samples, by the sample's token.
+
+    Args:
+        tables: the folder of the tables.
+    """
+    annotations = _rows(tables / ANNOTATIONS, SampleAnnotation, samples)
+    # all of them, because a track is the row's number
+    instances = {row.token: (number, row) for number, row in enumerate(_rows(tables / "instance.json", Instance))}
+    Lengths(np.array(row.size) for row in annotations).require(tables / ANNOTATIONS)
+    require_w_first(tables, annotations, {token: row for token, (_, row) in instances.items()})
+    classes = {row.token: row.name for row in _rows(tables / "category.json", Category)}
+    names = {row.token: row.name for row in _rows_if_any(tables / "attribute.json", Attribute)}
+    levels = {row.token: row.level for row in _rows_if_any(tables / "visibility.json", Visibility)}
+    boxes: dict[str, list[Truth]] = {sample: [] for sample in samples}
+    for row in annotations:
+        if row.instance_token not in instances:
+            problem = f"row {row.token}: refers to the token {row.instance_token}, which is not in instance.json"
+            raise FormatError(tables / ANNOTATIONS, problem)
+        number, instance = instances[row.instance_token]
+        if instance.category_token not in classes:
+            problem = f"row {number}: refers to the token {instance.category_token}, which is not in category.json"
+            raise FormatError(tables / "instance.json", problem)
+        try:
+            box = box_from(row.translation, row.rotation, row.size)
+        except ValueError as error:
+            raise FormatError(tables / ANNOTATIONS, f"row {row.token}: {error}") from error
+        label = classes[instance.category_token]
+        values = values_of(row, instance, names, levels)
+        boxes[row.sample_token].append(Truth(label, box, track_of(instance, number), attributes=values))
+    return {sample: tuple(found) for sample, found in boxes.items()}
+
+
+def _rows_if_any(path: Path, model: type[Row]) -> list[Row]:
+    return _rows(path, model) if path.is_file() else []
+
+
+def _rows(path: Path, model: type[Row], samples: Set[str] | None = None) -> list[Row]:
+    """Returns the rows of a table; with `samples`, those of these samples."""
+    try:
+        return list(read_rows(path, model) if samples is None else find_rows(path, model, "sample_token", samples))
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror})") from error
+    except TableError as error:
+        raise FormatError(path, str(error)) from error
+
+
+RESULTS = "results"
+
+
+class ResultBox(BaseModel):
+    """A box of a detector or tracker."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    translation: Vector3
+    size: tuple[BoundedPositive, BoundedPositive, BoundedPositive]
+    rotation: Quaternion
+    label: Annotated[str, Field(min_length=1, validation_alias=AliasChoices("detection_name", "tracking_name"))]
+    score: Annotated[
+        float, Field(allow_inf_nan=False, validation_alias=AliasChoices("detection_score", "tracking_score"))
+    ]
+    attribute_name: str = ""
+    tracking_id: str | int | None = None
+
+
+def read_results(path: Path) -> Iterator[tuple[str, list[Truth]]]:
+    """Yields the objects of each sample, in the global frame; tracks are numbered in the order of the file."""
+    tracks: dict[str | int, int] = {}
+    quaternions = Quaternions()
+    for sample, boxes in read_pairs(path, RESULTS):
+        if not isinstance(boxes, list):
+            raise FormatError(path, f"results.{sample}: must be a list of boxes")
+        yield (
+            sample,
+            [_truth(path, f"results.{sample}.{n}", each, tracks, quaternions) for n, each in enumerate(boxes)],
+        )
+    quaternions.require(path)
+
+
+def _truth(path: Path, where: str, value: object, tracks: dict[str | int, int], quaternions: Quaternions) -> Truth:
+    try:
+        row = ResultBox.model_validate(value)
+        box = box_from(row.translation, row.rotation, row.size)
+        quaternions.add(row.rotation)
+    except ValidationError as error:
+        raise FormatError(path, first_problem(error, where)) from error
+    except ValueError as error:
+        raise FormatError(path, f"{where}: {error}") from error
+    track = None if row.tracking_id is None else tracks.setdefault(row.tracking_id, len(tracks))
+    attributes = from_dotted([row.attribute_name] if row.attribute_name else [])
+    return Truth(row.label, box, track, row.score, attributes=attributes)

@@ -1,0 +1,512 @@
+"""OpenLABEL (ASAM, 1.0.0): objects with fully oriented cuboids over the frames of a recording, as JSON.
+
+    [PART/]RECORDING.json   one document per recording
+    [PART/]images/ID.png    the camera images (or .jpg)
+    [PART/]clouds/ID.ply    the clouds, camera frame
+    frames.csv              the origin of each frame
+
+There is one document per recording because frame numbers and object identities are valid within one document: readers
+treat a file as one scene with one set of sensors. Each part of a divided dataset is a folder of its own.
+`openlabel_document.py` defines the JSON.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.files import open_file
+from annotator.formats.dataset_writing import DatasetItem, DatasetWriter, FileNames, encoded_image, write_ply
+from annotator.formats.frame_names import FrameOrigin, has_frames, read_frames
+from annotator.formats.json_file import read_model, unique_keys
+from annotator.formats.openlabel_document import (
+    FRAME_CONTEXT,
+    SAID_BY,
+    SCHEMA_VERSION,
+    AttributeKind,
+    Attributes,
+    Content,
+    Context,
+    Coordinates,
+    CoordinateSystem,
+    Cuboid,
+    DataPointer,
+    Document,
+    Frame,
+    FrameContext,
+    FrameInterval,
+    FrameObject,
+    FrameProperties,
+    FrameStream,
+    Metadata,
+    Object,
+    ObjectData,
+    Pinhole,
+    Stream,
+    StreamProperties,
+    Sync,
+    Transform,
+    attributes_of,
+    box_from,
+    cuboid_values,
+    key_of,
+    pinhole_of,
+    said_from,
+    said_text,
+    transform_values,
+    values_of,
+)
+from annotator.formats.units import Angles, AngleUnit
+from annotator.geometry.quaternion_order import Quaternions
+from annotator.text import normal, stem_of
+from annotator.types import BoxKind, Label, ReviewState, Truth
+from annotator.types import Frame as RecordedFrame
+from annotator.types.errors import FormatError
+from annotator.types.label import MOST_TRACK, AttributeValue
+
+WORLD, BASE, CAMERA, CLOUD = "world", "base", "camera", "cloud"
+# Axes of the base (ISO 8855, as for vehicles): x forward, y left, z up; it moves with the camera.
+T_BASE_CAMERA = RigidTransform.from_rotation(
+    Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+)
+# Name of the transform of a frame, as the standard proposes: source, "to", destination.
+PLACE = f"{BASE}_to_{WORLD}"
+# Namespace of the UUIDs of objects and boxes: the same project gives the same file.
+NAMESPACE = uuid.UUID("6f0d2c1e-2f0b-5d1c-9c53-0d2a5c7b1f4e")
+
+
+@dataclass
+class _Track:
+    """One object in the frames so far."""
+
+    name: str
+    type: str
+    frames: list[int] = field(default_factory=list)
+    attributes: dict[str, AttributeKind] = field(default_factory=dict)
+
+
+@dataclass
+class Scene:
+    """The document of a recording so far, without images and clouds.
+
+    Attributes:
+        recording: the recording's name.
+        generator: program and version.
+        comment: about the boxes, if any.
+    """
+
+    recording: str
+    generator: str
+    comment: str | None = None
+    _camera: Pinhole | None = None
+    _frames: dict[int, Frame] = field(default_factory=dict)
+    _tracks: dict[str, _Track] = field(default_factory=dict)
+
+    def add(self, item: DatasetItem, image: str, cloud: str) -> None:
+        """Adds a frame; `image` and `cloud` are its files, relative to the document."""
+        frame, number = item.frame, item.frame.index
+        camera = pinhole_of(frame.camera)
+        self._camera = self._camera or camera
+        time = None if frame.timestamp_ns is None else _seconds(frame.timestamp_ns)
+        sync = Sync(frame_stream=number) if time is None else Sync(timestamp=time)
+        # a frame has intrinsics only if they differ from those of the stream
+        intrinsics = None if camera == self._camera else camera
+        streams = {
+            CAMERA: FrameStream(
+                uri=image, stream_properties=StreamProperties(intrinsics_pinhole=intrinsics, sync=sync)
+            ),
+            CLOUD: FrameStream(uri=cloud, stream_properties=StreamProperties(sync=sync)),
+        }
+        self._frames[number] = Frame(
+            frame_properties=FrameProperties(timestamp=time, streams=streams, transforms=_transforms(frame)),
+            objects=self._objects(number, item.labels) or None,
+            contexts={self._context: FrameContext(context_data=attributes_of(item.attributes))}
+            if item.attributes
+            else None,
+        )
+
+    def document(self) -> Document:
+        """Returns the document, frames in the order of their numbers."""
+        numbers = sorted(self._frames)
+        pose = transform_values(T_BASE_CAMERA)
+        is_placed = any(frame.frame_properties and frame.frame_properties.transforms for frame in self._frames.values())
+        world = {WORLD: CoordinateSystem(type="scene", parent="", children=(BASE,))} if is_placed else {}
+        # some readers require children, even if there are none
+        sensor = CoordinateSystem(type="sensor", parent=BASE, pose_wrt_parent=pose, children=())
+        return Document(
+            openlabel=Content(
+                metadata=Metadata(
+                    schema_version=SCHEMA_VERSION,
+                    name=self.recording,
+                    annotator=self.generator,
+                    comment=self.comment,
+                ),
+                coordinate_systems={
+                    **world,
+                    BASE: CoordinateSystem(type="local", parent=WORLD if world else "", children=(CAMERA, CLOUD)),
+                    CAMERA: sensor,
+                    CLOUD: sensor,
+                },
+                streams={
+                    CAMERA: Stream(
+                        type="camera", uri="images", stream_properties=StreamProperties(intrinsics_pinhole=self._camera)
+                    ),
+                    CLOUD: Stream(type="lidar", uri="clouds"),
+                },
+                contexts=self._contexts(),
+                objects={uid: _object(track) for uid, track in self._tracks.items()} or None,
+                frames={str(number): self._frames[number] for number in numbers},
+                frame_intervals=_intervals(numbers),
+            )
+        )
+
+    @property
+    def _context(self) -> str:
+        return _uuid(self.recording, FRAME_CONTEXT)
+
+    def _contexts(self) -> dict[str, Context] | None:
+        numbers = sorted(number for number, frame in self._frames.items() if frame.contexts)
+        context = Context(name=FRAME_CONTEXT, type=FRAME_CONTEXT, frame_intervals=_intervals(numbers))
+        return {self._context: context} if numbers else None
+
+    def _objects(self, number: int, labels: Sequence[Label]) -> dict[str, FrameObject]:
+        objects: dict[str, FrameObject] = {}
+        seen: Counter[str] = Counter()
+        for label in labels:
+            identity = f"label {label.uid}" if label.track_id is None else f"track {label.track_id}"
+            # an object occurs once per frame, even if two labels have the same track
+            seen[f"{label.label} {identity}"] += 1
+            occurrence = seen[f"{label.label} {identity}"]
+            uid = _uuid(self.recording, label.label, identity, str(occurrence))
+            cuboid = _cuboid(label, _uuid(self.recording, str(number), label.uid))
+            objects[uid] = FrameObject(object_data=ObjectData(cuboid=(cuboid,)))
+            if uid not in self._tracks:
+                self._tracks[uid] = _Track(f"{label.label} {len(self._tracks) + 1}", label.label)
+            self._tracks[uid].frames.append(number)
+            self._tracks[uid].attributes |= _kinds(cuboid)
+        return objects
+
+
+def _transforms(frame: RecordedFrame) -> dict[str, Transform] | None:
+    """Returns the pose of the base in map coordinates; None if a frame has none."""
+    if frame.T_world_camera is None:
+        return None
+    T_world_base = frame.T_world_camera * T_BASE_CAMERA.inv()
+    return {PLACE: Transform(src=BASE, dst=WORLD, transform_src_to_dst=transform_values(T_world_base))}
+
+
+def _uuid(*parts: str) -> str:
+    return str(uuid.uuid5(NAMESPACE, "\n".join(parts)))
+
+
+def _seconds(time_ns: int) -> str:
+    """Returns seconds with nine decimals as a text: a JSON number would lose nanoseconds."""
+    whole, rest = divmod(time_ns, 10**9)
+    return f"{whole}.{rest:09d}"
+
+
+def _cuboid(label: Label, uid: str) -> Cuboid:
+    numbers: dict[str, AttributeValue | None] = {
+        "score": label.score,
+        "track_id": label.track_id,
+        "expected_iou_loss": label.expected_iou_loss,
+    }
+    texts: dict[str, AttributeValue | None] = {
+        "state": label.state.value,
+        "source": label.source.value,
+        "author": label.author,
+    }
+    if label.suggestion is not None:
+        texts |= {
+            "suggested_by": label.suggestion.detector,
+            "suggestion": "corrected" if label.suggestion.corrected else "accepted",
+        }
+    if label.box_kind is not BoxKind.BOX:
+        texts["box_kind"] = label.box_kind.value
+    if label.said:
+        texts[SAID_BY] = said_text(label.said)
+    own = {name: value for name, value in (numbers | texts).items() if value is not None}
+    return Cuboid(
+        name=f"{CAMERA}__cuboid__{label.label}",
+        val=cuboid_values(label.box),
+        coordinate_system=CAMERA,
+        uid=uid,
+        attributes=attributes_of(own | {key_of(name): value for name, value in label.attributes.items()}),
+    )
+
+
+def _kinds(cuboid: Cuboid) -> dict[str, AttributeKind]:
+    attributes = cuboid.attributes or Attributes()
+    kinds: dict[str, AttributeKind] = {each.name: "num" for each in attributes.num or () if each.name}
+    kinds |= {each.name: "text" for each in attributes.text or () if each.name}
+    return kinds | {each.name: "boolean" for each in attributes.boolean or () if each.name}
+
+
+def _object(track: _Track) -> Object:
+    intervals = _intervals(sorted(track.frames))
+    pointer = DataPointer(type="cuboid", frame_intervals=intervals, attribute_pointers=track.attributes)
+    return Object(
+        name=track.name,
+        type=track.type,
+        frame_intervals=intervals,
+        object_data_pointers={f"{CAMERA}__cuboid__{track.type}": pointer},
+    )
+
+
+def _intervals(numbers: Iterable[int]) -> tuple[FrameInterval, ...]:
+    """Returns the runs of consecutive numbers in a sorted sequence of frame numbers."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return tuple(FrameInterval(frame_start=first, frame_end=last) for first, last in runs)
+
+
+# Exported documents have the key "openlabel" within these first bytes.
+_HEAD_BYTES = 64
+
+
+class OpenLabelWriter(DatasetWriter):
+    def begin(self) -> None:
+        self._scenes: dict[tuple[str | None, str], Scene] = {}
+        used = [f"{detector.role}: {detector.name}" for detector in self.info.detectors]
+        self._comment = f"Detectors that proposed boxes: {'; '.join(used)}" if used else None
+
+    def frame(self, item: DatasetItem, frame_id: str) -> None:
+        image, cloud = f"images/{frame_id}.{self.info.image_format}", f"clouds/{frame_id}.ply"
+        folder = self.folder / (item.split or "")
+        for name in ("images", "clouds"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / image).write_bytes(encoded_image(item.frame.rgb, self.info.image_format))
+        write_ply(folder / cloud, item.frame.cloud)
+        scene = Scene(item.recording, self.info.generator, self._comment)
+        self._scenes.setdefault((item.split, item.recording), scene).add(item, image, cloud)
+        self.counts.update(label.label for label in item.labels)
+
+    def finish(self) -> None:
+        # a recording has the same file name in all parts
+        names = FileNames()
+        stems = {recording: names.add(recording) for recording in dict.fromkeys(each for _, each in self._scenes)}
+        for (split, recording), scene in self._scenes.items():
+            file = self.folder / (split or "") / f"{stems[recording]}.json"
+            file.write_text(dump(scene.document()), encoding="utf-8")
+
+
+def dump(document: Document) -> str:
+    """Returns the text of a document."""
+    return document.model_dump_json(indent=1, exclude_none=True) + "\n"
+
+
+def is_openlabel_export(folder: Path) -> bool:
+    """True for an export of annotator; no other folder is overwritten."""
+    documents = [*folder.glob("*.json"), *folder.glob("*/*.json")]
+    return has_frames(folder) and bool(documents) and all(map(_is_document, documents))
+
+
+def _is_document(path: Path) -> bool:
+    with open_file(path) as stream:
+        return b'"openlabel"' in stream.read(_HEAD_BYTES)
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLabelBox(Truth):
+    """A cuboid, in the coordinates of the frame's camera (or cloud, see `OpenLabelFrame`).
+
+    Its track is the attribute `track_id`, else the object's number; None for UUIDs.
+
+    Attributes:
+        state: the review state from the attribute `state`, if any.
+    """
+
+    state: ReviewState | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLabelFrame:
+    """One frame of a document, for one of its sensors.
+
+    Attributes:
+        name: "RECORDING/KEY" from frames.csv; else the stem of the sensor's file, else the frame's number.
+        boxes: in the sensor's coordinates.
+        of_camera: True if the sensor is a camera; False: the document has no camera, the sensor is its LiDAR.
+        attributes: of the frame, from contexts.
+        T_world_sensor: pose of the sensor in map coordinates, from annotator's own documents of recordings in such.
+    """
+
+    name: str
+    boxes: tuple[OpenLabelBox, ...]
+    of_camera: bool
+    attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
+    T_world_sensor: RigidTransform | None = None
+
+
+def read_openlabel(path: Path, angles: AngleUnit | None = None) -> dict[str, OpenLabelFrame]:
+    """Returns the frames of a document, or of all documents in a folder and its subfolders, by name.
+
+    Args:
+        angles: unit of the angles of cuboids; None: radians, as the standard says.
+    """
+    all_angles, quaternions = Angles(angles), Quaternions(w_first=False)
+    frames: dict[str, OpenLabelFrame] = {}
+    source: dict[str, Path] = {}
+    for file in _documents(path):
+        # the parts of a divided dataset share the frames.csv above them
+        origins = read_frames(file.parent) or read_frames(file.parent.parent)
+        document = read_model(file, Document, unique_keys)
+        _collect(file, document.openlabel, all_angles, quaternions)
+        for frame in parse(file, document, origins, degrees=angles is AngleUnit.DEGREES):
+            if frame.name in frames:
+                where = f"here and in {source[frame.name].name}" if source[frame.name] != file else "for two sensors"
+                raise FormatError(file, f"the frame {frame.name} has labels {where}; import one of them at a time")
+            frames[frame.name], source[frame.name] = frame, file
+    all_angles.require()
+    quaternions.require(path)
+    return frames
+
+
+def _collect(file: Path, content: Content, angles: Angles, quaternions: Quaternions) -> None:
+    """Adds the numbers of all cuboids of a document; quaternions only of those in level frames."""
+    cameras = {name for name, stream in (content.streams or {}).items() if stream.type == "camera"}
+    for number, frame in (content.frames or {}).items():
+        for _, _, each, cuboid in _cuboids(file, content, int(number), frame):
+            values = cuboid.val or ()
+            if len(values) == 9:
+                for value in values[3:6]:
+                    angles.radians(value, file)
+            elif len(values) == 10 and (cuboid.coordinate_system or each.coordinate_system) not in cameras:
+                quaternions.add(values[3:7])
+
+
+def parse(
+    path: Path, document: Document, origins: Mapping[str, FrameOrigin], *, degrees: bool = False
+) -> Iterator[OpenLabelFrame]:
+    """Yields the frames of one document, once for each of its cameras.
+
+    Args:
+        origins: origins of frames, by the stem of their files.
+        degrees: the unit of the cuboids' angles; False: radians.
+    """
+    content = document.openlabel
+    sensors = _sensors(path, content)
+    for number, frame in (content.frames or {}).items():
+        properties = frame.frame_properties or FrameProperties()
+        where = f"openlabel.frames.{number}"
+        try:
+            coordinates = Coordinates(content.coordinate_systems or {}, properties.transforms)
+        except ValueError as error:
+            raise FormatError(path, f"{where}: {error}") from error
+        for sensor, of_camera in sensors.items():
+            stream = (properties.streams or {}).get(sensor)
+            if stream is None and len(sensors) > 1:
+                # this camera has no image in the frame
+                continue
+            # paths may come from Windows; only the file name is used, the file is not opened
+            stem = normal(stem_of(stream.uri)) if stream is not None and stream.uri else number
+            name = origins[stem].name if stem in origins else stem
+            boxes = tuple(
+                _box(path, place, each, cuboid, uid, coordinates, sensor, degrees)
+                for place, uid, each, cuboid in _cuboids(path, content, int(number), frame)
+                # null means "no cuboid" in the standard
+                if cuboid.val is not None
+            )
+            contexts = (frame.contexts or {}).values()
+            values = {key: value for each in contexts for key, value in values_of(each.context_data).items()}
+            is_placed = stem in origins and PLACE in (properties.transforms or {})
+            world = coordinates.transform(WORLD, sensor) if is_placed else None
+            yield OpenLabelFrame(name, boxes, of_camera, values, world)
+
+
+def _documents(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    documents = sorted([*path.glob("*.json"), *path.glob("*/*.json")])
+    if not documents:
+        raise FormatError(path, "has no OpenLABEL document (*.json)" if path.is_dir() else "does not exist")
+    return documents
+
+
+def _sensors(path: Path, content: Content) -> dict[str, bool]:
+    """Returns the streams to read boxes for: the cameras (True), or without cameras the only LiDAR (False)."""
+    streams = content.streams or {}
+    if cameras := [name for name, stream in streams.items() if stream.type == "camera"]:
+        return dict.fromkeys(cameras, True)
+    clouds = [name for name, stream in streams.items() if stream.type == "lidar"]
+    if len(clouds) != 1:
+        raise FormatError(
+            path, "has no stream of type camera, and not exactly one of type lidar; add the sensor of the boxes"
+        )
+    return {clouds[0]: False}
+
+
+def _cuboids(path: Path, content: Content, number: int, frame: Frame) -> Iterator[tuple[str, str, Object, Cuboid]]:
+    """Yields place, object uid, object and cuboid: first those of the frame, then those of static objects."""
+    objects = content.objects or {}
+    for uid, dynamic in (frame.objects or {}).items():
+        where = f"openlabel.frames.{number}.objects.{uid}"
+        if uid not in objects:
+            raise FormatError(path, f"{where}: the object is not listed in openlabel.objects; add it there")
+        if dynamic.object_data is not None:
+            for place, cuboid in enumerate(dynamic.object_data.cuboid or ()):
+                yield f"{where}.object_data.cuboid.{place}", uid, objects[uid], cuboid
+    for uid, each in objects.items():
+        if each.object_data is None or not _is_present(each, number):
+            continue
+        for place, cuboid in enumerate(each.object_data.cuboid or ()):
+            yield f"openlabel.objects.{uid}.object_data.cuboid.{place}", uid, each, cuboid
+
+
+def _is_present(each: Object, number: int) -> bool:
+    intervals = each.frame_intervals
+    return not intervals or any(i.frame_start <= number <= i.frame_end for i in intervals)
+
+
+def _box(
+    path: Path,
+    where: str,
+    each: Object,
+    cuboid: Cuboid,
+    uid: str,
+    coordinates: Coordinates,
+    sensor: str,
+    degrees: bool,
+) -> OpenLabelBox:
+    system = cuboid.coordinate_system or each.coordinate_system
+    if system is None:
+        raise FormatError(path, f"{where}: has no coordinate_system, and its object has none either; add one")
+    attributes = cuboid.attributes or Attributes()
+    numbers = {num.name: num.val for num in attributes.num or ()}
+    texts = {text.name: text.val for text in attributes.text or ()}
+    try:
+        box, track_id = box_from(cuboid.val or (), degrees=degrees), _track(numbers.get("track_id"), uid)
+        said = said_from(texts[SAID_BY]) if SAID_BY in texts else ()
+        if system != sensor:
+            T = coordinates.transform(sensor, system)
+            box, said = box.transformed(T), tuple(each.transformed(T) for each in said)
+    except ValueError as error:
+        raise FormatError(path, f"{where}: {error}") from error
+    state, kind = texts.get("state"), texts.get("box_kind")
+    review = ReviewState(state) if state in set(ReviewState) else None
+    box_kind = BoxKind(kind) if kind in set(BoxKind) else BoxKind.BOX
+    values = values_of(attributes)
+    score = numbers.get("score")
+    return OpenLabelBox(each.type, box, track_id, score, None, box_kind, values, said, review)
+
+
+def _track(attribute: float | None, uid: str) -> int | None:
+    if attribute is not None:
+        if not attribute.is_integer():
+            raise ValueError(f"track_id must be a whole number, not {attribute}")
+        return int(attribute)
+    if "-" in uid[1:]:
+        return None
+    if abs(number := int(uid)) > MOST_TRACK:
+        raise ValueError(f"the object's number is its track id and must be at most {MOST_TRACK}, not {number:.6g}")
+    return number

@@ -1,0 +1,475 @@
+"""The parts of an OpenLABEL 1.0.0 document that boxes need. Source: the ASAM standard and its JSON schema.
+
+Names and nesting are the standard's. Other parts of a document (other geometry, actions, relations, ontologies) are
+ignored when reading. Optional parts are None and are left out when writing.
+
+The schema does not define the order of a cuboid's Euler angles; it is taken from Vicomtech's VCD library, the
+standard's reference implementation: `rx ry rz` mean R = Rz(rz) Ry(ry) Rx(rx), and `sequence` names intrinsic rotations,
+"ZYX" by default.
+
+What sources of boxes said of an object is the text `said_by` of its cuboid: a JSON list.
+
+    [{"source": "detector", "type": "car", "val": [...], "score": 0.9, "track_id": 3, "box_kind": "silhouette"}, ...]
+
+`type` and `val` are as in OpenLABEL's objects and cuboids, in the cuboid's coordinate system; the last three are left
+out if they are unknown or as usual.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter, ValidationError
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from annotator.formats.json_file import Bounded, Bounded3, Bounded4, BoundedTrack, Exact
+from annotator.formats.units import rotation_problem
+from annotator.types import BoxKind, Camera, OrientedBox
+from annotator.types.label import AttributeValue, Said
+from annotator.types.validation import first_problem
+
+SCHEMA_VERSION = "1.0.0"
+
+# Frames are numbered; elements have a number or a UUID.
+FrameNumber = Annotated[str, StringConstraints(pattern=r"^[0-9]{1,18}$")]
+Uid = Annotated[str, StringConstraints(pattern=r"^(-?[0-9]{1,18}|[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12})$")]
+Timestamp = Annotated[str | Bounded, Field(union_mode="left_to_right")]
+AttributeKind = Literal["num", "text", "boolean", "vec"]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class Num(_Record):
+    """A named number."""
+
+    name: str | None = None
+    val: Exact
+
+
+class Text(_Record):
+    """A named text."""
+
+    name: str | None = None
+    val: str
+
+
+class Boolean(_Record):
+    """A named yes or no."""
+
+    name: str | None = None
+    val: bool
+
+
+class Attributes(_Record):
+    """Attributes of a cuboid, or data of a context."""
+
+    boolean: tuple[Boolean, ...] | None = None
+    num: tuple[Num, ...] | None = None
+    text: tuple[Text, ...] | None = None
+
+
+class Cuboid(_Record):
+    """`val`: x y z, then qx qy qz qw or rx ry rz, then the full sizes sx sy sz; metres and radians."""
+
+    name: str
+    val: Annotated[tuple[Bounded, ...], Field(min_length=9, max_length=10)] | None
+    coordinate_system: str | None = None
+    uid: str | None = None
+    attributes: Attributes | None = None
+
+
+class ObjectData(_Record):
+    """The cuboids of an object."""
+
+    cuboid: tuple[Cuboid, ...] | None = None
+
+
+class FrameObject(_Record):
+    """The data of an object in one frame."""
+
+    object_data: ObjectData | None = None
+
+
+class FrameInterval(_Record):
+    """Frame numbers from `frame_start` to `frame_end`, inclusive."""
+
+    frame_start: Annotated[int, Field(ge=0)]
+    frame_end: Annotated[int, Field(ge=0)]
+
+
+class DataPointer(_Record):
+    """The frames in which an object has data of a given name, and the attributes of that data."""
+
+    type: str | None = None
+    frame_intervals: tuple[FrameInterval, ...]
+    attribute_pointers: dict[str, AttributeKind] | None = None
+
+
+class Object(_Record):
+    """An object in all frames; `type` is its class."""
+
+    name: str
+    type: Annotated[str, Field(min_length=1)]
+    coordinate_system: str | None = None
+    frame_intervals: tuple[FrameInterval, ...] | None = None
+    object_data: ObjectData | None = None
+    object_data_pointers: dict[str, DataPointer] | None = None
+
+
+class TransformData(_Record):
+    """A transform in one of three forms: 4x4 matrix row by row; quaternion x y z w; Euler angles in `sequence`."""
+
+    matrix4x4: Annotated[tuple[Bounded, ...], Field(min_length=16, max_length=16)] | None = None
+    quaternion: Bounded4 | None = None
+    euler_angles: Bounded3 | None = None
+    sequence: Annotated[str, StringConstraints(pattern=r"^[xyzXYZ]{3}$")] | None = None
+    translation: Bounded3 | None = None
+
+
+class CoordinateSystem(_Record):
+    """`pose_wrt_parent` maps coordinates of this system to those of its parent; the root has the parent ""."""
+
+    type: str
+    parent: str
+    pose_wrt_parent: TransformData | None = None
+    children: tuple[str, ...] | None = None
+
+
+class Transform(_Record):
+    """A transform of one frame, from coordinates of `src` to those of `dst`."""
+
+    src: str
+    dst: str
+    transform_src_to_dst: TransformData
+
+
+class Pinhole(_Record):
+    """A camera: `camera_matrix` is 3x4, row by row; distortion as in OpenCV, 5 to 14 coefficients."""
+
+    width_px: int
+    height_px: int
+    camera_matrix: Annotated[tuple[Bounded, ...], Field(min_length=12, max_length=12)]
+    distortion_coeffs: Annotated[tuple[Bounded, ...], Field(min_length=5, max_length=14)]
+
+
+class Sync(_Record):
+    """The time of an image or cloud, or its place in the stream."""
+
+    timestamp: Timestamp | None = None
+    frame_stream: int | None = None
+
+
+class StreamProperties(_Record):
+    """Calibration of a stream, or the place of a frame in it; lens models other than the pinhole are ignored."""
+
+    intrinsics_pinhole: Pinhole | None = None
+    sync: Sync | None = None
+
+
+class FrameStream(_Record):
+    """A stream in one frame; `uri` is its file."""
+
+    uri: str | None = None
+    stream_properties: StreamProperties | None = None
+
+
+class Stream(FrameStream):
+    """A sensor."""
+
+    type: str | None = None
+    description: str | None = None
+
+
+class FrameProperties(_Record):
+    """Time, files and transforms of one frame."""
+
+    timestamp: Timestamp | None = None
+    streams: dict[str, FrameStream] | None = None
+    transforms: dict[str, Transform] | None = None
+
+
+class FrameContext(_Record):
+    """The data of a context in one frame."""
+
+    context_data: Attributes | None = None
+
+
+class Context(_Record):
+    """What holds for a scene as a whole; annotator writes one, of the type `frame`, for attributes of frames."""
+
+    name: str
+    type: str
+    frame_intervals: tuple[FrameInterval, ...] | None = None
+
+
+class Frame(_Record):
+    """One moment."""
+
+    frame_properties: FrameProperties | None = None
+    objects: dict[Uid, FrameObject] | None = None
+    contexts: dict[Uid, FrameContext] | None = None
+
+
+class Metadata(_Record):
+    """Data about the document; `name` is the recording's name."""
+
+    schema_version: Literal["1.0.0"]
+    name: str | None = None
+    annotator: str | None = None
+    comment: str | None = None
+
+
+class Content(_Record):
+    """The content of a document."""
+
+    metadata: Metadata
+    coordinate_systems: dict[str, CoordinateSystem] | None = None
+    streams: dict[str, Stream] | None = None
+    objects: dict[Uid, Object] | None = None
+    contexts: dict[Uid, Context] | None = None
+    frames: dict[FrameNumber, Frame] | None = None
+    frame_intervals: tuple[FrameInterval, ...] | None = None
+
+
+class Document(_Record):
+    """An OpenLABEL file."""
+
+    openlabel: Content
+
+
+# Largest deviation of a 4x4 matrix from a rigid motion; files hold rounded numbers.
+RIGID = 1e-3
+
+
+def cuboid_values(box: OrientedBox) -> tuple[float, ...]:
+    """Returns x y z qx qy qz qw sx sy sz of a box, in the box's frame of reference; metres, qw not negative."""
+    quaternion = box.T_camera_box.rotation.as_quat(canonical=True)
+    return tuple(np.concatenate([box.center_m, quaternion, box.size_m]).tolist())
+
+
+def box_from(values: tuple[float, ...], *, degrees: bool = False) -> OrientedBox:
+    """Returns the box of 10 values (quaternion x y z w) or 9 (Euler angles rx ry rz, radians).
+
+    Args:
+        degrees: the angles are in degrees.
+
+    Raises:
+        ValueError: neither 9 nor 10 values, a quaternion that is not of unit length, or a size that is not positive.
+    """
+    if len(values) == 10:
+        rotation = _rotation(values[3:7])
+    elif len(values) == 9:
+        rotation = Rotation.from_euler("ZYX", values[5:2:-1], degrees=degrees)
+    else:
+        raise ValueError(f"a cuboid has 9 or 10 values, not {len(values)}")
+    return OrientedBox.at(RigidTransform.from_components(np.array(values[:3]), rotation), np.array(values[-3:]))
+
+
+def _rotation(xyzw: tuple[float, ...]) -> Rotation:
+    if not 0.5 < np.linalg.norm(xyzw) < 2.0:
+        raise ValueError(f"{list(xyzw)} is not a unit quaternion")
+    return Rotation.from_quat(np.array(xyzw))
+
+
+def transform_values(T_dst_src: RigidTransform) -> TransformData:
+    """Returns the transform as quaternion and translation."""
+    x, y, z = T_dst_src.translation.tolist()
+    qx, qy, qz, qw = T_dst_src.rotation.as_quat(canonical=True).tolist()
+    return TransformData(quaternion=(qx, qy, qz, qw), translation=(x, y, z))
+
+
+def transform_from(data: TransformData) -> RigidTransform:
+    """Returns the transform from any of the three forms.
+
+    Raises:
+        ValueError: none of the forms is complete, or the matrix is not a rigid motion.
+    """
+    if data.matrix4x4 is not None:
+        matrix = np.array(data.matrix4x4).reshape(4, 4)
+        R = matrix[:3, :3]
+        if not np.abs(matrix[3] - (0, 0, 0, 1)).max() <= RIGID:
+            raise ValueError("matrix4x4 is not a rigid motion (rotation and translation, row by row)")
+        if (problem := rotation_problem(R, RIGID)) is not None:
+            raise ValueError(f"matrix4x4 is not a rigid motion: its rotation {problem}")
+        return RigidTransform.from_components(matrix[:3, 3], Rotation.from_matrix(R))
+    if data.translation is None:
+        raise ValueError("a transform needs matrix4x4, or translation with quaternion or euler_angles")
+    if data.quaternion is not None:
+        rotation = _rotation(data.quaternion)
+    elif data.euler_angles is not None:
+        rotation = _euler(data.euler_angles, (data.sequence or "ZYX").upper())
+    else:
+        raise ValueError("a transform with a translation also needs quaternion or euler_angles")
+    return RigidTransform.from_components(np.array(data.translation), rotation)
+
+
+def _euler(angles_rad: tuple[float, float, float], sequence: str) -> Rotation:
+    """Returns intrinsic rotations about the named axes."""
+    if any(a == b for a, b in pairwise(sequence)):
+        raise ValueError(f"the sequence {sequence} names one axis twice in a row")
+    return Rotation.from_euler(sequence, angles_rad)
+
+
+def pinhole_of(camera: Camera) -> Pinhole:
+    """Returns the camera's record: K as 3x4, OpenCV's coefficients padded with zeros to the 5 that the schema needs."""
+    coefficients = camera.distortion + (0.0,) * (5 - len(camera.distortion))
+    return Pinhole(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        camera_matrix=tuple(np.hstack([camera.matrix, np.zeros((3, 1))]).ravel().tolist()),
+        distortion_coeffs=coefficients,
+    )
+
+
+class Coordinates:
+    """The tree of a document's coordinate systems, with the transforms of one frame.
+
+    Source: ASAM OpenLABEL 1.0.0: `pose_wrt_parent` and `transform_src_to_dst` are matrices that multiply column
+    vectors of the child (the source) from the left. A frame's transform replaces the pose between the two systems.
+    """
+
+    def __init__(
+        self, systems: Mapping[str, CoordinateSystem], of_frame: Mapping[str, Transform] | None = None
+    ) -> None:
+        """Raises ValueError for an invalid transform; names the coordinate system."""
+        self._edges: dict[str, dict[str, RigidTransform]] = {name: {} for name in systems}
+        for name, system in systems.items():
+            if system.pose_wrt_parent is not None and system.parent:
+                self._connect(f"pose_wrt_parent of {name}", system.parent, name, system.pose_wrt_parent)
+        for name, each in (of_frame or {}).items():
+            self._connect(f"transform {name}", each.dst, each.src, each.transform_src_to_dst)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._edges
+
+    def transform(self, dst: str, src: str) -> RigidTransform:
+        """Returns T_dst_src.
+
+        Raises:
+            ValueError: the two systems are not connected.
+        """
+        from_src = {src: RigidTransform.identity()}
+        waiting = deque([src])
+        while waiting and dst not in from_src:
+            here = waiting.popleft()
+            for there, T_there_here in self._edges.get(here, {}).items():
+                if there not in from_src:
+                    from_src[there] = T_there_here * from_src[here]
+                    waiting.append(there)
+        if dst not in from_src:
+            raise ValueError(
+                f"the coordinate systems {src!r} and {dst!r} are not connected; give each a parent and "
+                "pose_wrt_parent, or add a transform to the frame"
+            )
+        return from_src[dst]
+
+    def _connect(self, where: str, dst: str, src: str, data: TransformData) -> None:
+        try:
+            T_dst_src = transform_from(data)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from error
+        self._edges.setdefault(src, {})[dst] = T_dst_src
+        self._edges.setdefault(dst, {})[src] = T_dst_src.inv()
+
+
+SAID_BY = "said_by"
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    source: Annotated[str, Field(min_length=1, max_length=200)]
+    type: Annotated[str, Field(min_length=1)]
+    val: Annotated[tuple[Bounded, ...], Field(min_length=10, max_length=10)]
+    score: Annotated[float, Field(ge=0, le=1)] | None = None
+    track_id: BoundedTrack | None = None
+    box_kind: BoxKind = BoxKind.BOX
+
+
+_ENTRIES: TypeAdapter[tuple[_Entry, ...]] = TypeAdapter(tuple[_Entry, ...])
+
+
+def said_text(said: Sequence[Said]) -> str:
+    """Returns the text."""
+    entries = tuple(
+        _Entry(
+            source=each.source,
+            type=each.label,
+            val=cuboid_values(each.box),
+            score=each.score,
+            track_id=each.track_id,
+            box_kind=each.box_kind,
+        )
+        for each in said
+    )
+    return _ENTRIES.dump_json(entries, exclude_defaults=True).decode()
+
+
+def said_from(text: str) -> tuple[Said, ...]:
+    """Returns what a text says.
+
+    Raises:
+        ValueError: it is not such a list; the message says what is wrong.
+    """
+    try:
+        entries = _ENTRIES.validate_json(text)
+    except ValidationError as error:
+        raise ValueError(f"{first_problem(error, SAID_BY)}; correct it or leave it out") from error
+    return tuple(
+        Said(each.source, each.type, box_from(each.val), each.score, each.track_id, each.box_kind) for each in entries
+    )
+
+
+# Names that annotator itself gives to data of a cuboid; attributes of these names get a prefix.
+RESERVED = frozenset(
+    {
+        "score",
+        "track_id",
+        "expected_iou_loss",
+        "state",
+        "source",
+        "author",
+        "suggested_by",
+        "suggestion",
+        "box_kind",
+        SAID_BY,
+    }
+)
+PREFIX = "attribute:"
+# Name and type of the context that has the attributes of frames.
+FRAME_CONTEXT = "frame"
+
+
+def key_of(name: str) -> str:
+    """Returns the name of an attribute in a document."""
+    return PREFIX + name if name in RESERVED else name
+
+
+def attributes_of(values: Mapping[str, AttributeValue]) -> Attributes:
+    """Returns values by their kind."""
+    named = values.items()
+    numbers = [(name, value) for name, value in named if isinstance(value, int | float) and not isinstance(value, bool)]
+    return Attributes(
+        boolean=tuple(Boolean(name=name, val=value) for name, value in named if isinstance(value, bool)) or None,
+        num=tuple(Num(name=name, val=value) for name, value in numbers) or None,
+        text=tuple(Text(name=name, val=value) for name, value in named if isinstance(value, str)) or None,
+    )
+
+
+def values_of(attributes: Attributes | None) -> dict[str, AttributeValue]:
+    """Returns the values of attributes, without annotator's own data."""
+    if attributes is None:
+        return {}
+    every: tuple[Boolean | Num | Text, ...] = (
+        *(attributes.boolean or ()),
+        *(attributes.num or ()),
+        *(attributes.text or ()),
+    )
+    named = {each.name: each.val for each in every if each.name and each.name not in RESERVED}
+    return {name.removeprefix(PREFIX): value for name, value in named.items()}

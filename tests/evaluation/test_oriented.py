@@ -1,0 +1,237 @@
+"""The SUN RGB-D and oriented protocols: properties, cases by hand, and a reference implementation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.evaluation import boxes as boxes_module
+from annotator.evaluation.boxes import BoxTable, overlapping
+from annotator.evaluation.oriented import (
+    LABELLINGS,
+    FrameResult,
+    average_precision,
+    evaluate_oriented,
+    evaluate_sunrgbd,
+    matched_ious,
+    pose_errors,
+)
+from annotator.geometry.iou import iou_3d
+from annotator.types import OrientedBox
+
+
+def cube(x: float, size: float = 1.0) -> OrientedBox:
+    return OrientedBox.from_parts(np.array([x, 0.0, 5.0]), np.eye(3), np.full(3, size))
+
+
+CASES = [
+    pytest.param([cube(0)], [0.5], [cube(0)], [], 1.0, id="found"),
+    pytest.param([], [], [cube(0)], [], 0.0, id="missed"),
+    pytest.param([cube(9)], [0.5], [cube(0)], [], 0.0, id="beside"),
+    pytest.param([cube(9), cube(0)], [0.9, 0.5], [cube(0)], [], 0.5, id="wrong-one-first"),
+    pytest.param([cube(0), cube(9)], [0.9, 0.5], [cube(0)], [], 1.0, id="wrong-one-last"),
+    pytest.param(
+        [cube(0), cube(0), cube(5)], [0.9, 0.8, 0.7], [cube(0), cube(5)], [], 0.5 + 0.5 * 2 / 3, id="found-twice"
+    ),
+    pytest.param([cube(9), cube(0)], [0.9, 0.5], [cube(0)], [cube(9)], 1.0, id="on-an-ignored"),
+    pytest.param([cube(9), cube(9), cube(0)], [0.9, 0.8, 0.5], [cube(0)], [cube(9)], 1.0, id="twice-on-an-ignored"),
+    pytest.param([cube(9.5), cube(0)], [0.9, 0.5], [cube(0)], [cube(9)], 0.5, id="too-far-from-an-ignored"),
+    pytest.param([cube(0.1), cube(7)], [0.9, 0.5], [cube(0)], [cube(0.4)], 1.0, id="nearer-to-the-one-that-counts"),
+    pytest.param([cube(9)], [0.9], [cube(0)], [cube(9)], 0.0, id="only-an-ignored-found"),
+]
+
+
+@pytest.mark.parametrize(("boxes", "scores", "truth", "ignored", "expected"), CASES)
+def test_average_precision_equals_the_value_computed_by_hand(
+    boxes: list[OrientedBox],
+    scores: list[float],
+    truth: list[OrientedBox],
+    ignored: list[OrientedBox],
+    expected: float,
+) -> None:
+    assert average_precision([FrameResult(boxes, scores, truth, ignored)], 0.5) == pytest.approx(expected)
+
+
+def test_average_precision_without_true_boxes_is_nan() -> None:
+    assert math.isnan(average_precision([FrameResult([cube(0)], [1.0], [], [cube(0)])], 0.5))
+
+
+def test_frames_are_pooled_and_objects_of_other_frames_do_not_count() -> None:
+    first, second = FrameResult([cube(0)], [0.5], [cube(0)]), FrameResult([cube(0)], [0.9], [cube(5)])
+    # the false positive has the higher score: recall 1/2 at precision 1/2
+    assert average_precision([first, second], 0.5) == pytest.approx(0.25)
+
+
+def test_ignored_boxes_are_not_matched() -> None:
+    np.testing.assert_allclose(matched_ious(FrameResult([cube(9)], [1.0], [cube(0)], [cube(9)])), [0.0])
+
+
+Row = tuple[int, str, OrientedBox, float]
+
+
+def box(x: float, y: float = 0.0, size: tuple[float, float, float] = (1, 1, 1), turn: Rotation | None = None):
+    matrix = np.eye(3) if turn is None else turn.as_matrix()
+    return OrientedBox.from_parts(np.array([x, y, 5.0]), matrix, np.array(size, np.float64))
+
+
+def rooms(count: int, seed: int) -> list[Row]:
+    """Rotated boxes of three classes, some of which overlap."""
+    rng = np.random.default_rng(seed)
+    return [
+        (
+            int(rng.integers(6)),
+            str(rng.choice(["bed", "chair", "desk"])),
+            OrientedBox.from_parts(
+                rng.uniform(0, 2, 3), Rotation.random(rng=rng).as_matrix(), rng.uniform(0.5, 1.5, 3)
+            ),
+            float(rng.random()),
+        )
+        for _ in range(count)
+    ]
+
+
+def shaken(rows: list[Row], seed: int) -> list[Row]:
+    rng = np.random.default_rng(seed)
+    return [
+        (
+            frame,
+            label,
+            OrientedBox.from_parts(
+                b.center_m + rng.normal(0, 0.05, 3),
+                b.rotation @ Rotation.from_rotvec(rng.normal(0, 0.1, 3)).as_matrix(),
+                b.size_m * rng.uniform(0.9, 1.1, 3),
+            ),
+            float(rng.random()),
+        )
+        for frame, label, b, _ in rows
+        if rng.random() < 0.8
+    ]
+
+
+def plain_average_precision(found: list[Row], truth: list[Row], threshold: float) -> float:
+    """Reference implementation of VoteNet's definition, for one class."""
+    taken: set[int] = set()
+    hits = []
+    for frame, _, own, _ in sorted(found, key=lambda row: -row[3]):
+        ious = [(iou_3d(own, other), -place) for place, (f, _, other, _) in enumerate(truth) if f == frame]
+        iou, place = max(ious, default=(0.0, 1))
+        hits.append(iou > threshold and -place not in taken)
+        if hits[-1]:
+            taken.add(-place)
+    area, best, recall = 0.0, 0.0, sum(hits) / len(truth)
+    for last in range(len(hits), 0, -1):
+        best = max(best, sum(hits[:last]) / last)
+        if hits[last - 1]:
+            area += best / len(truth)
+            recall -= 1 / len(truth)
+    assert recall == pytest.approx(0.0, abs=1e-9)
+    return area
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_average_precision_agrees_with_plain_loops(seed: int) -> None:
+    truth = rooms(60, seed)
+    found = [*shaken(truth, seed + 10), *rooms(20, seed + 20), *shaken(truth, seed + 30)]
+    result = evaluate_sunrgbd(BoxTable.of(found), BoxTable.of(truth), (0.1, 0.25, 0.5))
+    for threshold, curves in result.curves.items():
+        assert sorted(curves) == ["bed", "chair", "desk"]
+        for label, curve in curves.items():
+            sides = [[row for row in rows if row[1] == label] for rows in (found, truth)]
+            assert curve.area == pytest.approx(plain_average_precision(*sides, threshold), abs=1e-9)
+    areas = [curve.area for curve in result.curves[0.25].values()]
+    assert result.mean(0.25) == pytest.approx(np.mean(areas))
+
+
+def test_boxes_match_only_within_their_frame_and_class() -> None:
+    truth = BoxTable.of([(0, "a", box(0), 1.0), (1, "b", box(0), 1.0)])
+    found = BoxTable.of([(1, "a", box(0), 1.0), (0, "b", box(0), 1.0), (0, "c", box(0), 1.0), (7, "a", box(0), 1.0)])
+    result = evaluate_sunrgbd(found, truth)
+    assert {label: curve.area for label, curve in result.curves[0.25].items()} == {"a": 0.0, "b": 0.0}
+    assert result.detections == {"a": 2, "b": 1}
+
+
+def test_ap_without_detections_is_0_and_without_truth_nan() -> None:
+    some, none = BoxTable.of([(0, "a", box(0), 1.0)]), BoxTable.of([])
+    assert evaluate_sunrgbd(none, some).mean(0.25) == 0.0
+    assert math.isnan(evaluate_sunrgbd(some, none).mean(0.25))
+    found = evaluate_oriented(none, some).classes["a"]
+    assert (found.mean_iou, found.matched, found.curves[0.5].final_recall) == (0.0, 0, 0.0)
+    assert math.isnan(found.rotation_error_rad)
+
+
+def test_the_assignment_maximises_the_total_iou() -> None:
+    """The first detection overlaps two true boxes; each detection gets one, and the mean counts both."""
+    truth = BoxTable.of([(0, "a", box(0.0), 1.0), (0, "a", box(0.6), 1.0), (0, "a", box(50.0), 1.0)])
+    found = BoxTable.of([(0, "a", box(0.2), 0.9), (0, "a", box(0.0), 0.8)])
+    result = evaluate_oriented(found, truth).classes["a"]
+    assert result.mean_iou == pytest.approx((1.0 + 0.6 / 1.4) / 3)
+    assert (result.objects, result.matched) == (3, 2)
+
+
+# --- poses -----------------------------------------------------------------------------------------------------------
+
+
+def one(x: float, size: tuple[float, float, float], turn: Rotation) -> BoxTable:
+    return BoxTable.of([(0, "a", box(x, size=size, turn=turn), 1.0)])
+
+
+TURN = Rotation.from_rotvec([0.3, -0.8, 0.5])
+QUARTER, HALF, TENTH = (Rotation.from_rotvec([0, 0, angle]) for angle in (math.pi / 2, math.pi, 0.1))
+POSES = [
+    pytest.param((1, 2, 3), (1, 2, 3), TURN, 0.0, 0.0, id="the-same"),
+    pytest.param((1, 2, 3), (1, 2, 3), TURN * TENTH, 0.1, 0.0, id="turned"),
+    pytest.param((1, 2, 3), (1, 2, 3), TURN * HALF * TENTH, 0.1, 0.0, id="half-turn"),
+    pytest.param((1, 2, 3), (2, 1, 3), TURN * QUARTER, 0.0, 0.0, id="length-and-width-swapped"),
+    pytest.param((1, 2, 3), (1, 2, 3), TURN * QUARTER, math.pi / 2, 0.0, id="a-quarter-turn-of-a-long-box"),
+    pytest.param(
+        (1, 1.05, 3),
+        (1, 1.05, 3),
+        TURN * QUARTER,
+        0.0,
+        0.05 / 1.05 / 3 + 0.05 / 3,
+        id="a-quarter-turn-of-a-nearly-square-box",
+    ),
+    pytest.param((1, 2, 4), (1.1, 2, 4), TURN, 0.0, 0.1 / 3, id="longer"),
+]
+
+
+@pytest.mark.parametrize(("true_size", "size", "turn", "rotation_rad", "size_error"), POSES)
+def test_pose_errors_ignore_symmetries_of_the_box(true_size, size, turn, rotation_rad, size_error) -> None:
+    errors = pose_errors(one(0.5, size, turn), one(0.0, true_size, TURN))
+    assert errors.center_m[0] == pytest.approx(0.5)
+    assert errors.rotation_rad[0] == pytest.approx(rotation_rad, abs=1e-7)
+    assert errors.size[0] == pytest.approx(size_error, abs=1e-7)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 10_000), st.integers(0, 23))
+def test_the_labelling_of_the_axes_has_no_effect(seed: int, naming: int) -> None:
+    rng = np.random.default_rng(seed)
+    turns, sizes = Rotation.random(2, rng=rng).as_matrix(), rng.uniform(0.2, 2.0, (2, 3))
+    a, b = (
+        BoxTable.of([(0, "a", OrientedBox.from_parts(np.zeros(3), turn, size), 1.0)])
+        for turn, size in zip(turns, sizes, strict=True)
+    )
+    name = LABELLINGS[naming]
+    renamed = OrientedBox.from_parts(np.zeros(3), turns[0] @ name, np.abs(name).T @ sizes[0])
+    before, after = pose_errors(a, b), pose_errors(BoxTable.of([(0, "a", renamed, 1.0)]), b)
+    assert after.rotation_rad[0] == pytest.approx(before.rotation_rad[0], abs=1e-7)
+    assert 0 <= before.rotation_rad[0] <= 2 * math.pi / 3 + 1e-7, "one of the symmetric rotations is within 120 degrees"
+
+
+# --- pairs -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_block_size_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth, found = BoxTable.of(rooms(40, 5)), BoxTable.of(rooms(40, 6))
+    whole = overlapping(found, truth)
+    monkeypatch.setattr(boxes_module, "BLOCK", 3)
+    parts = overlapping(found, truth)
+    assert len(whole.iou) > 20
+    for name in ("detection", "truth", "iou"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))

@@ -1,0 +1,359 @@
+"""What formats share: frames.csv, large JSON objects, masks, packed boxes, and doubts about units."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from annotator.formats import json_file
+from annotator.formats.frame_names import FrameOrigin, dump_frames, parse_frames, read_frames
+from annotator.formats.json_file import read_pairs
+from annotator.formats.packed_truths import PackedTruths
+from annotator.formats.reading import read_mask
+from annotator.formats.units import Angles, AngleUnit, Lengths, rotation_problem
+from annotator.geometry.quaternion_order import Quaternions
+from annotator.types import Box2D, BoxKind, OrientedBox, Truth
+from annotator.types.errors import FormatError, UnitError, UnitKind
+from annotator.types.label import AttributeValue, Said
+
+# file names contain no NUL and no lone surrogates
+WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), min_size=1, max_size=8)
+
+
+@given(st.lists(st.builds(FrameOrigin, WORDS, WORDS, WORDS, st.none() | WORDS), unique_by=lambda o: o.id))
+@settings(deadline=None)
+def test_written_frames_read_back(origins: list[FrameOrigin]) -> None:
+    assert list(parse_frames(Path("frames.csv"), dump_frames(origins)).values()) == origins
+
+
+# Texts that spreadsheets run as formulas, and those that look like escaped ones.
+FORMULAS = ["=1+1", "+a", "-a", "@a", "\t=a", "\ra", "\na", "'=a", "''@", "-1-1", "+1e", "'-5", '="x",y']
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_a_spreadsheet_runs_no_cell(name: str) -> None:
+    text = dump_frames([FrameOrigin("a", name, name, name)])
+    for cell in next(csv.reader(io.StringIO(text.partition("\r\n")[2], newline="")))[1:]:
+        assert cell == f"'{name}"
+    (read,) = parse_frames(Path("frames.csv"), text).values()
+    assert read == FrameOrigin("a", name, name, name)
+
+
+@pytest.mark.parametrize("name", ["-5", "+0.5e-3", "12", "a=b", "'a", "'", "''", "a-1"])
+def test_numbers_and_other_texts_stay_as_they_are(name: str) -> None:
+    text = dump_frames([FrameOrigin(name, name, name)])
+    assert text.endswith(f"{name},{name},{name},\r\n")
+    (read,) = parse_frames(Path("frames.csv"), text).values()
+    assert read == FrameOrigin(name, name, name)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", r"frames\.csv:1: must begin with id,recording,key,split"),
+        ("id,recording,key,split\n1,a,000,\n2,b\n", r"frames\.csv:3: needs the fields id, recording, key, split"),
+        ("id,recording,key,split\n1,a,000,\n1,a,001,\n", r"frames\.csv:3: the id 1 occurs twice"),
+        ('id,recording,key,split\n1,"a,000,\n', r"frames\.csv:2: is not valid CSV"),
+    ],
+)
+def test_errors_name_the_line(text: str, problem: str) -> None:
+    with pytest.raises(FormatError, match=problem):
+        parse_frames(Path("frames.csv"), text)
+
+
+def test_a_missing_or_unrelated_frames_csv_is_ignored(tmp_path: Path) -> None:
+    assert read_frames(tmp_path) == {}
+    (tmp_path / "frames.csv").write_text("time,exposure\n1,2\n")
+    assert read_frames(tmp_path) == {}
+    (tmp_path / "frames.csv").write_text("id,recording\n1,2\n")
+    with pytest.raises(FormatError, match=r"frames\.csv:1: must begin with"):
+        read_frames(tmp_path)
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(st.characters(codec="utf-8")),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(st.characters(codec="utf-8")), inner),
+    max_leaves=8,
+)
+
+
+@given(
+    content=st.dictionaries(st.text(st.characters(codec="utf-8")), VALUES, max_size=4),
+    indent=st.none() | st.integers(0, 2),
+    is_ascii=st.booleans(),
+    chunk=st.integers(1, 40),
+    bom=st.booleans(),
+)
+def test_pairs_are_those_of_the_whole_file_wherever_its_parts_end(
+    tmp_path_factory: pytest.TempPathFactory,
+    content: dict[str, Any],
+    indent: int | None,
+    is_ascii: bool,
+    chunk: int,
+    bom: bool,
+) -> None:
+    path = tmp_path_factory.mktemp("json") / "content.json"
+    text = json.dumps(content, indent=indent, ensure_ascii=is_ascii)
+    path.write_text(f"\n {text}\n", encoding="utf-8-sig" if bom else "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(json_file, "CHUNK_BYTES", chunk)
+        assert list(read_pairs(path)) == list(content.items())
+        path.write_text(json.dumps({"meta": {"a": [1]}, "in": content, "end": 12}, ensure_ascii=is_ascii))
+        assert list(read_pairs(path, "in")) == list(content.items())
+
+
+@pytest.mark.parametrize("number", ["-1.5", "12e-3", "0.5E+10", "1e22"])
+@pytest.mark.parametrize("chunk", range(1, 16))
+def test_numbers_are_whole_wherever_a_part_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: str, chunk: int
+) -> None:
+    (tmp_path / "content.json").write_text(f'{{"a": {number}, "b": [{number}]}}')
+    monkeypatch.setattr(json_file, "CHUNK_BYTES", chunk)
+    assert list(read_pairs(tmp_path / "content.json")) == [("a", float(number)), ("b", [float(number)])]
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "must be a JSON object"),
+        ("[1]", "must be a JSON object"),
+        ('{"a": 1', "Expecting ','"),
+        ('{"a": 1,}', "a key in double quotes is missing"),
+        ('{"a": 1} x', "after the end"),
+        ('{"a"\n: 1,\n"b": [1,\n]}', "content.json:4: is not valid JSON"),
+        ('{"a": tru', "Expecting value"),
+        ('{"a": "b', "Unterminated string"),
+        ('{"a": 1, "a": 2}', "'a' occurs twice"),
+        ('{"a": {"b": 1, "b": 2}}', "'b' occurs twice"),
+        ('{"a": "\\ud800"}', "unpaired surrogate"),
+        ('{"a": ' + "1" * 5000 + "}", "cannot be read"),
+        ('{"a": ' + "[" * 100_000, "nested too deeply"),
+        ('{"a": "\xff"}', "not UTF-8"),
+        ('{"a": [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]}', "more than 0 MiB"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, problem: str
+) -> None:
+    path = tmp_path / "content.json"
+    path.write_bytes(text.encode("latin-1"))
+    if "MiB" in problem:
+        monkeypatch.setattr(json_file, "CHUNK_BYTES", 4)
+        monkeypatch.setattr(json_file, "MOST_VALUE", 20)
+    with pytest.raises(FormatError, match=r"content\.json") as raised:
+        list(read_pairs(path))
+    assert problem in str(raised.value)
+    with pytest.raises(FormatError):
+        list(read_pairs(tmp_path / "missing.json"))
+
+
+def write(path: Path, mask: np.ndarray) -> Path:
+    path.write_bytes(cv2.imencode(".png", mask)[1].tobytes())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("written", "numbers"),
+    [([0, 255], [0, 1]), ([0, 0], [0, 0]), ([0, 1], [0, 1]), ([0, 3], [0, 3]), ([2, 255], [2, 255])],
+)
+def test_object_numbers_are_read_and_a_single_255_becomes_1(tmp_path: Path, written: list[int], numbers: list[int]):
+    mask = read_mask(write(tmp_path / "m.png", np.array([written], np.uint8)))
+    assert mask.dtype == np.uint8
+    assert mask.tolist() == [numbers]
+
+
+@pytest.mark.shared
+def test_a_real_mask_has_one_object(shared: Path):
+    mask = read_mask(shared / "data" / "human_turn" / "mask" / "000000.png")
+    assert mask.shape == (480, 640)
+    assert set(np.unique(mask)) == {0, 1}
+
+
+def test_a_truncated_mask_is_an_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    path = write(tmp_path / "m.png", np.random.default_rng(0).integers(0, 3, (50, 50)).astype(np.uint8))
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(FormatError, match=r"m\.png: is not a valid mask: the PNG image is truncated"):
+        read_mask(path)
+
+
+@pytest.mark.parametrize("mask", [np.zeros((4, 4), np.uint16), np.zeros((4, 4, 3), np.uint8)])
+def test_another_kind_of_image_is_an_error(tmp_path: Path, mask: np.ndarray):
+    with pytest.raises(FormatError, match="one channel"):
+        read_mask(write(tmp_path / "m.png", mask))
+
+
+def test_a_missing_or_empty_mask_is_an_error(tmp_path: Path):
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_mask(tmp_path / "none.png")
+    (tmp_path / "empty.png").touch()
+    with pytest.raises(FormatError, match="empty"):
+        read_mask(tmp_path / "empty.png")
+
+
+def test_boxes_come_back_bit_for_bit_with_all_that_is_known_of_them() -> None:
+    numbers = np.random.default_rng(0)
+    boxes = [
+        OrientedBox.from_parts(numbers.normal(size=3), np.linalg.qr(turn)[0] * np.sign(np.linalg.det(turn)), size)
+        for turn, size in zip(numbers.normal(size=(4, 3, 3)), numbers.uniform(1, 2, (4, 3)), strict=True)
+        if np.linalg.det(np.linalg.qr(turn)[0] * np.sign(np.linalg.det(turn))) > 0
+    ]
+    assert boxes
+    frames = {
+        "a": [Truth("car", box, 3, 0.25, Box2D("car", 1.0, 2.0, 3.0, 4.0)) for box in boxes],
+        "b": [],
+        "c": [Truth("car", boxes[0]), Truth("dog", boxes[0], 1, -3.0, None, BoxKind.SILHOUETTE, {"wet": True})],
+    }
+    packed = PackedTruths(iter(frames.items()))
+    assert list(packed) == list(frames) and len(packed) == 3
+    assert list(packed.scores) == [0.25] * len(boxes) + [-3.0]
+    for name, truths in frames.items():
+        for found, want in zip(packed[name], truths, strict=True):
+            np.testing.assert_array_equal(found.box.pose, want.box.pose)
+            np.testing.assert_array_equal(found.box.size_m, want.box.size_m)
+            for field in ("label", "track_id", "score", "image_box", "box_kind", "attributes"):
+                assert getattr(found, field) == getattr(want, field)
+
+
+@pytest.mark.parametrize(("first", "second"), [(True, 1), (1, 1.0), (0, False), (0.0, -0.0)])
+def test_equal_values_of_different_kinds_stay_apart(first: AttributeValue, second: AttributeValue) -> None:
+    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
+    given = [Truth("car", box, attributes={"wet": value}) for value in (first, second)]
+    found = PackedTruths([("a", given)])["a"]
+    assert [repr(each.attributes["wet"]) for each in found] == [repr(first), repr(second)]
+
+
+def test_what_sources_said_is_kept() -> None:
+    box = OrientedBox.from_parts(np.zeros(3), np.eye(3), np.ones(3))
+    said = (Said("theirs", "dog", box, 0.5),)
+    packed = PackedTruths([("a", [Truth("car", box)]), ("b", [Truth("car", box), Truth("car", box, said=said)])])
+    assert [[each.said for each in packed[name]] for name in packed] == [[()], [(), said]]
+
+
+FILE = Path("a.txt")
+TURN = 2 * math.pi
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ([], None),
+        ([0.0, 0.0], None),
+        ([3.14, -3.14, 1.5], None),
+        ([TURN, -6.28, 6.29], None),
+        # OpenPCDet: rotation_y = -heading - pi/2, heading in pi/4 .. 9/4 pi
+        ([-8.64, -2.36, -5.0], None),
+        ([9.43, -9.43], None),
+        ([-90.0], r"-90 is no angle in radians.* \(1 of 1 angle other"),
+        ([0.0, 2.0, 180.0, -270.0], r"-270 is no angle in radians.* \(2 of 3 angles other"),
+        ([9.45, 1.0], r"9.45 is no angle in radians.* \(1 of 2 angles"),
+    ],
+)
+def test_angles_beyond_one_and_a_half_turns_are_no_radians(values: list[float], said: str | None) -> None:
+    angles = Angles()
+    assert [angles.radians(value, FILE, line) for line, value in enumerate(values, 1)] == values
+    if said is None:
+        angles.require()
+    else:
+        with pytest.raises(UnitError, match=said) as caught:
+            angles.require()
+        worst = max(range(len(values)), key=lambda place: abs(values[place]))
+        assert (caught.value.kind, caught.value.path, caught.value.line) == (UnitKind.ANGLE, FILE, worst + 1)
+        assert "--angles degrees" in str(caught.value) and "--angles radians" in str(caught.value)
+
+
+def test_the_unit_that_the_operator_states_is_not_doubted() -> None:
+    degrees, radians = Angles(AngleUnit.DEGREES), Angles(AngleUnit.RADIANS)
+    assert degrees.radians(-90.0, FILE) == pytest.approx(-math.pi / 2)
+    assert radians.radians(-90.0, FILE) == -90
+    degrees.require()
+    radians.require()
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ([], None),
+        ([(4, 2, 1.6), (0.2, 0.1, 0.1), (90, 3, 3)], None),
+        ([(0.19, 0.08, 0.03)], None),
+        ([(4, 2, 1.6), (4000, 2000, 1600), (5, 2, 2)], None),
+        ([(4000, 2000, 1600)], r"1 of 1 box is longer than 100 m \(the median is 4000 m\).* millimetres;"),
+        ([(0.004, 0.002, 0.0016)] * 2, r"2 of 2 boxes are shorter than 5 mm .* kilometres"),
+    ],
+)
+def test_sizes_of_most_boxes_that_no_scene_has_are_no_metres(
+    sizes: list[tuple[float, float, float]], said: str | None
+) -> None:
+    lengths = Lengths(np.array(size, float) for size in sizes)
+    if said is None:
+        lengths.require(FILE)
+    else:
+        with pytest.raises(UnitError, match=said) as caught:
+            lengths.require(FILE)
+        assert caught.value.kind is UnitKind.LENGTH
+
+
+def test_sizes_of_ships_are_doubted_and_read() -> None:
+    lengths = Lengths(np.array(size, float) for size in [(400, 200, 160), (420, 180, 150), (4, 2, 2)])
+    lengths.require(FILE)
+    assert (lengths.problem() or "").startswith(
+        "2 of 3 boxes are longer than 100 m (the median is 400 m), so they look"
+    )
+
+
+def yaws(*degrees: float, w_first: bool) -> list[list[float]]:
+    rotations = [Rotation.from_rotvec([0, 0, each], degrees=True) for each in degrees]
+    return [each.as_quat(scalar_first=w_first).tolist() for each in rotations]
+
+
+TILTED = Rotation.random(6, rng=np.random.default_rng(0)).as_quat(scalar_first=True).tolist()
+
+
+@pytest.mark.parametrize(
+    ("w_first", "values", "tilted"),
+    [
+        (True, yaws(30, w_first=False), 1),
+        (True, yaws(0, 3, -90, 180, 5, w_first=False), 2),
+        (False, yaws(30, 150, w_first=True), 2),
+        # upright as they are
+        (True, yaws(0, 30, 90, -90, 180, w_first=True), 0),
+        (False, yaws(0, 30, 90, -90, 180, w_first=False), 0),
+        # a heading of 180 degrees is upright in both orders
+        (True, [[0.0, 0.0, 0.0, 1.0]], 0),
+        # tilted in both orders
+        (True, TILTED, 0),
+        (True, [], 0),
+        (True, [[0.0, 0.0, 0.0, 0.0]], 0),
+    ],
+)
+def test_upright_boxes_show_the_order_of_their_quaternions(
+    w_first: bool, values: list[list[float]], tilted: int
+) -> None:
+    quaternions = Quaternions(w_first=w_first)
+    for each in values:
+        quaternions.add(each)
+    if tilted == 0:
+        quaternions.require(FILE)
+    else:
+        boxes = "box is" if len(values) == 1 else "boxes are"
+        with pytest.raises(UnitError, match=f"{tilted} of {len(values)} {boxes} tilted, .* 0; write") as caught:
+            quaternions.require(FILE)
+        assert caught.value.kind is UnitKind.QUATERNION
+
+
+def test_a_mirrored_matrix_is_called_left_handed() -> None:
+    turn = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
+    assert rotation_problem(turn, 1e-3) is None
+    assert "left-handed" in (rotation_problem(turn * [1, -1, 1], 1e-3) or "")
+    for wrong in (2 * turn, np.full((3, 3), np.nan)):
+        assert "is not a rotation" in (rotation_problem(wrong, 1e-3) or "")

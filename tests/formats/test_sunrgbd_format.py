@@ -1,0 +1,244 @@
+"""Writing SUN RGB-D: the conventions by hand, round trips, and errors of damaged files."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataset_samples import write
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import loadmat, savemat
+from scipy.spatial.transform import Rotation
+
+from annotator.formats import sunrgbd_table as sunrgbd_meta
+from annotator.formats.dataset_writing import DatasetItem
+from annotator.formats.losses import Losses, Lost
+from annotator.formats.sunrgbd import (
+    calibration_text,
+    dump_label_row,
+    read_extracted_folder,
+)
+from annotator.formats.sunrgbd_table import META, dump_meta, meta_frame, read_meta, upright_frame
+from annotator.geometry.oriented_box import box_corners
+from annotator.types import Box2D, Camera, Frame, Label, OrientedBox, PointCloud, ReviewState, Source
+from annotator.types.errors import FormatError
+
+CAMERA = Camera(40, 30, 50.0, 50.0, 19.5, 14.5)
+DOWN_30 = Rotation.from_euler("x", 30, degrees=True)
+PLACE, FLAT = Path("000001.txt"), Box2D("bed", 0.0, 4.0, 10.0, 24.0)
+
+
+def frame(key: str, up: np.ndarray | None = None, **more: object) -> Frame:
+    xyz = np.array([[0.0, 0.0, 2.0], [0.5, -0.25, 2.5]], np.float32)
+    cloud = PointCloud(xyz, reflectance=np.zeros(2, np.float32))
+    rgb = np.full((30, 40, 3), (51, 102, 255), np.uint8)
+    return Frame(key, 0, CAMERA, rgb, cloud, up=up, **more)  # type: ignore[arg-type]
+
+
+def label(box: OrientedBox, name: str = "bed", **more: object) -> Label:
+    given: dict[str, object] = {"score": None, "source": Source.MANUAL, "state": ReviewState.ACCEPTED, **more}
+    return Label("u", name, box, author="me", time_ns=0, **given)  # type: ignore[arg-type]
+
+
+def test_a_row_equals_the_one_by_hand() -> None:
+    """1.2 m long along +y (away from the camera), 0.8 m wide, 0.5 m high; pixels count from 1."""
+    R = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    box = OrientedBox.from_parts(np.array([0.1, 2.0, -0.5]), R, np.array([1.2, 0.8, 0.5]))
+    numbers = "1.000000 5.000000 10.000000 20.000000 0.100000 2.000000 -0.500000 0.400000 0.600000 0.250000"
+    assert dump_label_row("bed", box, FLAT) == f"bed {numbers} 0.000000000 1.000000000"
+
+
+def test_the_calibration_equals_the_one_by_hand() -> None:
+    """A camera that looks down by 30 degrees: a point on its axis is ahead and below."""
+    up = DOWN_30.apply([0.0, -1.0, 0.0])
+    np.testing.assert_allclose(up, [0, -np.sqrt(0.75), -0.5])
+    T = upright_frame(frame("a", up))
+    np.testing.assert_allclose(T.inv().apply([0.0, 0.0, 2.0]), [0, np.sqrt(3), -1], atol=1e-12)
+    tilt, K = (np.array(line.split(), float) for line in calibration_text(CAMERA, T).splitlines())
+    np.testing.assert_array_equal(K, [50, 0, 0, 0, 50, 0, 20.5, 15.5, 1])
+    # Rtilt, column by column, takes [X, Z, -Y]
+    np.testing.assert_allclose(tilt.reshape(3, 3).T @ [0, 2, 0], [0, np.sqrt(3), -1], atol=1e-11)
+    level = upright_frame(frame("a"))
+    np.testing.assert_allclose(level.apply([1.0, 2.0, 3.0]), [1, -3, 2], atol=1e-12)
+
+
+angles = st.floats(-3.14, 3.14)
+numbers = st.floats(-9, 9)
+sizes = st.tuples(*[st.floats(0.01, 9)] * 3)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(st.tuples(st.text("ab é", min_size=1).filter(str.strip), numbers, sizes, angles, angles), max_size=3),
+    angles,
+)
+def test_the_metadata_table_keeps_any_rotation(
+    tmp_path_factory: pytest.TempPathFactory, objects: list, tilt: float
+) -> None:
+    T = upright_frame(frame("a", Rotation.from_euler("xz", [tilt, 0.3]).apply([0.0, -1.0, 0.0])))
+    boxes = [
+        (
+            name,
+            OrientedBox.from_parts(
+                np.full(3, x), Rotation.from_euler("zyx", [a, b, a - b]).as_matrix(), np.array(size)
+            ),
+            FLAT,
+        )
+        for name, x, size, a, b in objects
+    ]
+    path = tmp_path_factory.mktemp("meta") / META
+    rows = [meta_frame(name, ("depth/1.mat", "image/1.jpg"), CAMERA, T, boxes) for name in ("room/1", "room/2")]
+    savemat(path, dump_meta(rows))
+    first, second = read_meta(path)
+    assert (first.name, second.name) == ("room/1", "room/2")
+    np.testing.assert_allclose(first.T_camera_upright.as_matrix(), T.as_matrix(), atol=1e-9)
+    for truth, (name, box, _) in zip(second.truths, boxes, strict=True):
+        assert truth.label == name
+        np.testing.assert_allclose(truth.box.pose, box.pose, atol=1e-9)
+        np.testing.assert_allclose(truth.box.size_m, box.size_m, atol=1e-9)
+
+
+def test_the_original_table_is_read(tmp_path: Path) -> None:
+    """Its frames are named by paths, sizes are in any order, and `orientation` gives the direction an object faces."""
+    fields = ("basis", "coeffs", "centroid", "classname", "sequenceName", "orientation", "label")
+    bed = np.empty((1, 1), [(name, object) for name in fields])
+    basis, coeffs = np.eye(3), np.array([[-0.4, 0.6, 0.25]])
+    bed[0, 0] = (basis, coeffs, np.array([[1.0, 2, 3]]), "bed", "x", np.array([[-1.0, 0.01, 0]]), 1.0)
+    row = list(meta_frame("SUNRGBD/kv2/align/1", ("d", "i"), CAMERA, upright_frame(frame("a")), []))
+    savemat(tmp_path / META, dump_meta([(*row[:-1], bed)]))
+    (found,) = read_meta(tmp_path / META)
+    assert found.name == "kv2__align__1"
+    (truth,) = found.truths
+    np.testing.assert_allclose(truth.box.size_m, [0.8, 1.2, 0.5])
+    np.testing.assert_allclose(truth.box.rotation, [[-1, 0, 0], [0, -1, 0], [0, 0, 1]], atol=1e-12)
+
+
+def assert_corners_as_in_the_toolbox(out: Path, expected: Sequence[OrientedBox]) -> None:
+    """Checks the last objects of frame 1: field names, and corners computed as in SUNRGBDtoolbox."""
+    frames = loadmat(out / META, squeeze_me=True, struct_as_record=False)["SUNRGBDMeta"]
+    assert list(frames[0]._fieldnames) == list(sunrgbd_meta.FRAME_FIELDS)
+    assert (frames[0].sequenceName, frames[0].rgbname) == ("room/x", "000001.jpg")
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
+    for each, box in zip(frames[0].groundtruth3DBB[-len(expected) :], expected, strict=True):
+        found = each.centroid + signs * np.abs(each.coeffs) @ each.basis
+        ours = box_corners(box)
+        gaps = np.linalg.norm(found[:, None] - ours, axis=2)
+        assert (each.classname, np.linalg.det(each.basis)) == ("bed", pytest.approx(1.0))
+        assert gaps.min(axis=0).max() < 1e-9
+
+
+def test_a_folder_reads_back_and_its_losses_are_counted(tmp_path: Path) -> None:
+    up = DOWN_30.apply([0.0, -1.0, 0.0])
+    upright = upright_frame(frame("a", up))
+    lying = OrientedBox.from_parts(np.array([0.0, 0, 2]), upright.rotation.as_matrix(), np.array([0.4, 0.5, 0.6]))
+    leaning = OrientedBox.from_parts(
+        np.array([0.0, 0, 2]), np.eye(3) @ Rotation.from_euler("x", -100, degrees=True).as_matrix(), np.ones(3)
+    )
+    labels = [
+        label(lying, "night stand", score=0.5, track_id=3),
+        label(leaning, state=ReviewState.EDITED),
+        label(OrientedBox.from_parts(np.array([0.0, 0, -2]), np.eye(3), np.ones(3))),
+    ]
+    items = [
+        DatasetItem("room", frame("x", up, timestamp_ns=1), labels, "train"),
+        DatasetItem("room", frame("y"), [], "val"),
+    ]
+    losses, classes, out = Losses(), ("bed", "night stand"), tmp_path / "out"
+    assert write("sunrgbd", out, items, losses, classes=classes).counts == {"night stand": 1, "bed": 1}
+    once = (Lost.TILT, Lost.SCORE, Lost.TRACK, Lost.STATE, Lost.OUTSIDE, Lost.NAME, Lost.TIME, Lost.LEVEL)
+    assert {loss.kind: loss.count for loss in losses.report()} == {**dict.fromkeys(once, 1), Lost.REFLECTANCE: 2}
+    assert (out / "train_data_idx.txt").read_text() == "1\n"
+    assert (out / "val_data_idx.txt").read_text() == "2\n"
+    points = loadmat(out / "depth" / "000001.mat")["instance"]
+    assert points.dtype == np.float32
+    np.testing.assert_allclose(points[0], [0, np.sqrt(3), -1, 0.2, 0.4, 1], atol=1e-6)
+    found = read_extracted_folder(out)
+    assert {name: [t.label for t in each.truths] for name, each in found.items()} == {
+        "room/x": ["night stand", "bed"],
+        "room/y": [],
+    }
+    first, second = read_meta(out / META)
+    assert (first.name, second.name, second.truths) == ("room/x", "room/y", ())
+    assert_corners_as_in_the_toolbox(out, [leaning.transformed(upright.inv())])
+    np.testing.assert_allclose(
+        first.truths[1].box.transformed(first.T_camera_upright).rotation, leaning.rotation, atol=1e-9
+    )
+
+
+ROW = "bed 1 2 30 20 0.4 2.5 -0.3 0.3 0.5 0.4 0.6 0.8\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (ROW + "bed 1 2\n", r"000001\.txt:2: a label row has 13 fields"),
+        (ROW.replace("0.3 0.5", "-0.3 0.5"), r"000001\.txt:1: bed: box sizes must be positive"),
+        (ROW.replace("0.6 0.8", "0 0"), r"000001\.txt:1: the orientation of 'bed' has length 0"),
+    ],
+)
+def test_broken_rows_are_named_with_their_line(tmp_path: Path, text: str, problem: str) -> None:
+    (tmp_path / "label").mkdir()
+    (tmp_path / "label" / "000001.txt").write_text(text)
+    with pytest.raises(FormatError, match=problem):
+        read_extracted_folder(tmp_path)
+
+
+def table(fields: Sequence[str], **values: object) -> bytes | dict[str, np.ndarray]:
+    rows = np.empty((1, 1), [(name, object) for name in fields])
+    rows[0, 0] = tuple(values[name] for name in fields)
+    return {"SUNRGBDMeta": rows}
+
+
+def bomb() -> bytes:
+    """5 MiB of zeros, compressed to a few kilobytes."""
+    packer, zeros = zlib.compressobj(9), bytes(2**20)
+    packed = b"".join([*(packer.compress(zeros) for _ in range(5)), packer.flush()])
+    return b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(packed)) + packed
+
+
+FRAME = {"sequenceName": "a/b", "Rtilt": np.eye(3), "groundtruth3DBB": np.zeros((0, 0))}
+BOX = {"basis": np.eye(3), "coeffs": np.ones(3), "centroid": np.ones(3), "classname": "bed"}
+
+
+def with_box(**changed: object) -> bytes | dict[str, np.ndarray]:
+    box = table(tuple(BOX), **{**BOX, **changed})
+    assert isinstance(box, dict)
+    return table(tuple(FRAME), **{**FRAME, "groundtruth3DBB": box["SUNRGBDMeta"]})
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "is not a MATLAB file"),
+        (bomb, "has more than 4 MiB when unpacked"),
+        (b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, 4) + b"abcd", "is damaged"),
+        (b"MATLAB 5.0".ljust(124) + b"\x00\x01IM" + b"\xff" * 64, "has a damaged element"),
+        ({"SUNRGBDMeta": np.eye(3)}, "SUNRGBDMeta is not a struct array"),
+        ({"other": np.eye(3)}, "has no variable SUNRGBDMeta"),
+        (table(("Rtilt",), Rtilt=np.eye(3)), "frame 1 has no field sequenceName"),
+        (table(tuple(FRAME), **{**FRAME, "Rtilt": np.ones((3, 3))}), "frame 1, Rtilt is not a rotation"),
+        (table(tuple(FRAME), **{**FRAME, "groundtruth3DBB": np.ones(3)}), "frame 1, groundtruth3DBB is not a struct"),
+        (with_box(coeffs=np.ones(2)), "frame 1, object 1, coeffs must have 3 numbers"),
+        (with_box(coeffs=np.zeros(3)), "frame 1, object 1: box sizes must be positive"),
+        (with_box(centroid=np.full(3, np.nan)), "object 1, centroid has a number that is not finite"),
+        (with_box(classname=3.0), "object 1, classname must be text"),
+        (with_box(basis=np.ones((3, 3))), "object 1, basis is not a rotation"),
+    ],
+)
+def test_errors_of_broken_tables_name_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: object, problem: str
+) -> None:
+    path = tmp_path / META
+    monkeypatch.setattr(sunrgbd_meta, "MAX_BYTES", 2**22)
+    content = content() if callable(content) else content
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    else:
+        savemat(path, content)
+    with pytest.raises(FormatError, match=problem):
+        read_meta(path)
