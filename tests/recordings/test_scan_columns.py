@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.column_scans import OTHERS, make_set
 from cloud_samples import SCAN, put_image
 from column_scans import OTHERS, make_set
 from hypothesis import given, settings
