@@ -15,9 +15,8 @@ from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.evaluating.evaluate_files import read_frame_names
-from annotator.workflows.recorded.frame_subset import share_of
-from annotator.workflows.recorded.kitti_rows import TRACKING
-from annotator.workflows.recorded.reading import frame_number, label_file
+from annotator.workflows.recorded.boxes_from_3d import share_of
+from annotator.workflows.recorded.reading import TRACKING, frame_number, label_file
 
 # By format: the folders with one file per frame, and the files that all frames share.
 LAYOUTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {

@@ -19,7 +19,7 @@ from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
-from annotator.workflows.recorded.labelled_frames import labels_beside
+from annotator.workflows.recorded.own_labels import labels_beside
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import TrainPlan, train
 from benchmarks.paper_frames import FrameSplit, labelled_classes, link_frames

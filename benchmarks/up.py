@@ -33,14 +33,8 @@ from annotator.synthetic.snapshots import snapshot
 from annotator.synthetic.writer import PRESETS
 from annotator.types import Frame, OrientedBox
 from annotator.types.errors import FrameError
+from annotator.workflows.recorded.adjusting import LEAST_CERTAINTY, MOST_BOXES, MOST_FRAMES, agreed_up, up_of_boxes
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.recorded.up_direction import (
-    LEAST_CERTAINTY,
-    MOST_BOXES,
-    MOST_FRAMES,
-    agreed_up,
-    up_of_boxes,
-)
 from annotator.workflows.workbench.review_queue import Order, queue
 from benchmarks.report import Table, finish, guarded
 from benchmarks.review_operator import Operator

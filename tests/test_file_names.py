@@ -18,7 +18,7 @@ from annotator.formats.rcv.read import _inside as of_rcv
 from annotator.formats.yolo_read import read_yolo
 from annotator.recordings.tum_rgbd import TumRgbd
 from annotator.types.errors import AnnotatorError, FormatError
-from annotator.workflows.importing.picture_labels import PictureLabels
+from annotator.workflows.importing.pictures import PictureLabels
 
 NFC, NFD = "café", unicodedata.normalize("NFD", "café")
 PARTS = ["..", ".", "", "a.txt", "deep", "in", "out", "set", "secret", "C:", "~", NFC, NFD, "b c", "x" * 300, "\0"]

@@ -13,7 +13,7 @@ from annotator.project import Project
 from annotator.types.amounts import amount
 from annotator.workflows.importing import BoxFormat, read_labels
 from annotator.workflows.recorded.boxes_from_3d import BoxesFrom3d, boxes_from_3d
-from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
+from annotator.workflows.recorded.own_labels import KnownLabels, labels_beside, labels_from
 
 
 def import_as_2d(

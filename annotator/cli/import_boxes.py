@@ -25,19 +25,19 @@ from annotator.workflows.importing import (
     FlatFormat,
     LabelSet,
     Renamed,
-    class_names,
     format_of,
     import_image_boxes,
     import_labels,
     import_proposals,
     import_view_boxes,
-    new_attributes,
+    placing,
     read_labels,
+    values,
     without_effect,
 )
 from annotator.workflows.importing.label_set import ProposalSet, classes_of
-from annotator.workflows.importing.new_attributes import FoundValues, values_of_labels, values_of_pictures
-from annotator.workflows.importing.picture_labels import read_pictures
+from annotator.workflows.importing.pictures import read_pictures
+from annotator.workflows.importing.values import FoundValues, values_of_labels, values_of_pictures
 
 FLAT = tuple(FlatFormat)
 ADVICE = (
@@ -122,7 +122,7 @@ def run(
     if angles is not None and path is None:
         raise ConfigError("--angles is for a file or folder of 3D boxes; give its path")
     with open_named(project, projects) as opened:
-        names = {} if classes is None else class_names(classes, opened)
+        names = {} if classes is None else placing(classes, opened)
         if path is None:
             if as_ is not As.FLAT:
                 raise ConfigError(
@@ -171,7 +171,7 @@ def _check_names(names: Mapping[str, str], present: Collection[str]) -> None:
 
 
 def _add(project: Project, found: FoundValues) -> None:
-    for each in new_attributes.add_attributes(project, found):
+    for each in values.add_attributes(project, found):
         print_line(f"added: attribute {each.name} of a {each.of}: {each.values_text()}")
 
 

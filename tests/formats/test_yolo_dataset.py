@@ -16,7 +16,7 @@ from annotator.formats.yolo_dataset import YoloWriter
 from annotator.formats.yolo_read import read_yolo
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, FormatError
-from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, read_pictures
+from annotator.workflows.importing.pictures import FlatFormat, PictureLabels, read_pictures
 
 BOX = Box2D("no", 0.5, 0.5, 2.5, 1.5)
 ROW = "1 0.5000000 0.5000000 0.5000000 0.5000000\n"

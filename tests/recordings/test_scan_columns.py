@@ -18,7 +18,7 @@ from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.scan_columns import weigh_columns
 from annotator.recordings.scan_file import Scans, said_columns
 from annotator.types.errors import ConfigError, FrameError, UnclearError
-from annotator.workflows.checking.check import check_datasets
+from annotator.workflows.checking.dataset_check import check_datasets
 from benchmarks.column_scans import OTHERS, make_set
 
 RANDOM = np.random.default_rng(3)

@@ -40,10 +40,10 @@ from annotator.workflows.importing import (
     import_image_boxes,
     import_labels,
     import_proposals,
-    new_attributes,
     read_labels,
+    values,
 )
-from annotator.workflows.importing.new_attributes import values_of_labels, values_of_pictures
+from annotator.workflows.importing.values import values_of_labels, values_of_pictures
 from annotator.workflows.proposing.annotate import annotate_with
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.choose import EngineName, make_engine
@@ -200,7 +200,7 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
         given = boxes_of_file(project, upload.path, upload.format, recording, request.names, request.box_kind)
         require_known(view, {box.label for boxes in given.of_frame.values() for box in boxes})
     if request.add_attributes:
-        new_attributes.add_attributes(project, values_of_pictures(upload.format, upload.path), job.operator)
+        values.add_attributes(project, values_of_pictures(upload.format, upload.path), job.operator)
     done = import_image_boxes(
         project,
         upload.path,
@@ -229,7 +229,7 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
     job.progress("read the file")
     dataset, importer = read_labels(format, path), Importer(job.operator, new_action())
     if request.add_attributes:
-        new_attributes.add_attributes(job.project, values_of_labels(dataset), job.operator)
+        values.add_attributes(job.project, values_of_labels(dataset), job.operator)
     progress = job.counter("store the boxes")
     done: ImportedProposals | ImportedLabels
     if request.become == "proposals":

@@ -1,4 +1,4 @@
-"""Checks one dataset, frame by frame, and then all frames together.
+"""`annotator check PATH`: checks the datasets at a path, frame by frame, and then all frames of each together.
 
 Frames are read one at a time; after an unreadable frame the check continues. The size and place of each label are
 kept in memory until the end, because only then is the usual size of its class known.
@@ -14,31 +14,122 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv.export import MANIFEST
-from annotator.types import Frame
+from annotator.formats.units import Angles
+from annotator.geometry.point_index import PointIndex
+from annotator.types import Frame, OrientedBox
 from annotator.types.amounts import amount
-from annotator.types.errors import AnnotatorError, FormatError, UnclearError
+from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
 from annotator.types.names import folded
-from annotator.workflows.checking import rules
+from annotator.workflows.checking import findings
 from annotator.workflows.checking.alignment import FRAMES, Alignment
-from annotator.workflows.checking.box_rules import heading_jumps, odd_size_message, usual_sizes
-from annotator.workflows.checking.box_sets import BoxSet, rule_of
-from annotator.workflows.checking.camera_rules import camera_rules, cloud_rules
-from annotator.workflows.checking.findings import Findings
-from annotator.workflows.checking.label_files import FoundLabel
-from annotator.workflows.checking.label_rules import (
+from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_size_message, usual_sizes
+from annotator.workflows.checking.findings import (
+    ANGLE_UNIT,
+    BROKEN_LABEL,
+    LENGTH_UNIT,
+    MIRRORED_BOXES,
+    QUATERNION_ORDER,
+    SIZE_ORDER,
+    UNCHECKED_DATASET,
+    UNREADABLE_DATASET,
+    Finding,
+    Findings,
+    Rule,
+    Severity,
+)
+from annotator.workflows.checking.frame_rules import (
     Breach,
+    camera_rules,
+    cloud_rules,
     is_plausible,
     rules_among_labels,
     rules_in_frame,
     rules_of_labels,
 )
-from annotator.workflows.checking.rules import Rule
-from annotator.workflows.checking.sources import RecordingSource, Source
-from annotator.workflows.checking.unmatched_names import stray_names
+from annotator.workflows.checking.label_files import FoundLabel, stray_names
+from annotator.workflows.checking.sources import OtherSoftwareDataset, RecordingSource, Source, find_sources
+from annotator.workflows.importing.report import SizeDoubts
 from annotator.workflows.recorded.reading import has_masks, load_mask
+
+RULE_OF = {
+    UnitKind.ANGLE: ANGLE_UNIT,
+    UnitKind.LENGTH: LENGTH_UNIT,
+    UnitKind.QUATERNION: QUATERNION_ORDER,
+}
+# Two boxes without points are seldom both mirror images of objects by chance.
+LEAST_MIRRORED = 2
+# The axes of the camera frame that may be mirrored; a box mirrored in the third one is behind the camera.
+MIRRORED = {0: "left and right", 1: "up and down"}
+
+
+def rule_of(error: AnnotatorError) -> Rule:
+    """Returns the rule that a label file breaks which cannot be read."""
+    return RULE_OF[error.kind] if isinstance(error, UnitError) else BROKEN_LABEL
+
+
+def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
+    """Adds what the sizes of a dataset's boxes show to `findings`."""
+    if (problem := sizes.lengths.problem()) is not None:
+        findings.add(LENGTH_UNIT, path, problem)
+    elif (problem := sizes.orders.problem()) is not None:
+        findings.add(SIZE_ORDER, path, problem)
+
+
+class BoxSet:
+    """The boxes of a dataset so far."""
+
+    def __init__(self) -> None:
+        self._angles, self._sizes = Angles(), SizeDoubts()
+        self._boxes = 0
+        self._mirrored: Counter[int] = Counter()
+
+    def add(self, entry: FoundLabel) -> None:
+        """Adds the numbers of a label."""
+        if entry.row is not None and entry.line is not None:
+            self._angles.radians(entry.row.rotation_y, entry.file, entry.line)
+        self._sizes.add(entry.truth.label, entry.truth.box.size_m)
+
+    def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
+        """Adds a frame.
+
+        Args:
+            xyz_m: its points.
+            boxes: how many boxes it has.
+            empty: those of them without points.
+        """
+        self._boxes += boxes
+        if empty:
+            index = PointIndex.of(xyz_m)
+            for axis in MIRRORED:
+                self._mirrored[axis] += sum(index.count(mirrored(box, axis)) >= LEAST_POINTS for box in empty)
+
+    def report(self, findings: Findings, path: Path) -> None:
+        """Adds what the boxes show to `findings`; `path` is the dataset."""
+        try:
+            self._angles.require()
+        except UnitError as error:
+            findings.add_error(ANGLE_UNIT, error, path)
+        report_sizes(self._sizes, findings, path)
+        axis, number = max(self._mirrored.items(), key=lambda each: each[1], default=(0, 0))
+        if number >= LEAST_MIRRORED and number * 2 > self._boxes:
+            message = (
+                f"{number} of {amount(self._boxes, 'box')} hold no points, but their mirror images do, with "
+                f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
+            )
+            findings.add(MIRRORED_BOXES, path, message)
+
+
+def mirrored(box: OrientedBox, axis: int) -> OrientedBox:
+    """Returns the mirror image of a box in the plane through the origin across an axis of its frame."""
+    flip = np.ones(3)
+    flip[axis] = -1
+    # a box is its own mirror image along its width, which keeps the rotation proper
+    return OrientedBox.from_parts(flip * box.center_m, flip[:, None] * box.rotation * [1.0, -1.0, 1.0], box.size_m)
+
 
 CALIBRATION_FOLDERS, CALIBRATION_NAMES = ("calib", "extrinsics"), ("calib", "camera_", "intrinsics")
 # With at least this many boxes, a fault of more than half of them is reported for the dataset.
@@ -114,12 +205,12 @@ class DatasetCheck:
             return self.source.read(index)
         except AnnotatorError as error:
             file = getattr(error, "path", self.source.path)
-            rule = rules.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
+            rule = findings.UNCLEAR_FILE if isinstance(error, UnclearError) else _rule_of_file(file)
             self.findings.add_error(rule, error, self.source.path, frame=key)
         except Exception as error:
             # a bug of a reader in one frame must not stop the check of the others
             message = f"frame {key}: {type(error).__name__}: {error}; this is a bug of annotator's reader"
-            self.findings.add(rules.UNREADABLE_FILE, self.source.path, message, frame=key)
+            self.findings.add(findings.UNREADABLE_FILE, self.source.path, message, frame=key)
         return None
 
     def _camera(self, index: int, key: str, frame: Frame) -> None:
@@ -133,7 +224,7 @@ class DatasetCheck:
                 if has_masks(self.source.recording):
                     load_mask(self.source.recording, frame)
             except AnnotatorError as error:
-                self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
+                self.findings.add_error(findings.UNREADABLE_MASK, error, file, frame=key)
 
     def _time(self, index: int, key: str, frame: Frame) -> None:
         if not self.source.in_time_order or frame.timestamp_ns is None:
@@ -142,7 +233,7 @@ class DatasetCheck:
             message = (
                 f"frame {key} is {(self.time_ns - frame.timestamp_ns) / 1e9:.3f} s earlier than the previous frame"
             )
-            self.findings.add(rules.TIME_BACKWARDS, self.source.path, message, frame=key)
+            self.findings.add(findings.TIME_BACKWARDS, self.source.path, message, frame=key)
         self.time_ns = frame.timestamp_ns
 
     def _labels(self, index: int, key: str, frame: Frame | None) -> None:
@@ -151,7 +242,7 @@ class DatasetCheck:
             return
         labels = files.of(index, key, frame)
         if labels.missing is not None:
-            self.findings.add(rules.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
+            self.findings.add(findings.MISSING_LABELS, labels.missing, f"frame {key} has no label file", frame=key)
         for error in labels.problems:
             self.findings.add_error(rule_of(error), error, self.source.path, frame=key)
         # in two steps: the geometry of the second cannot handle implausible boxes
@@ -163,7 +254,7 @@ class DatasetCheck:
             self.seen += len(objects)
             self.with_row += sum(each.row is not None for each in objects)
             in_frame = list(rules_in_frame(frame, objects))
-            empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is rules.EMPTY_BOX]
+            empty = [objects[number].truth.box for rule, number, _ in in_frame if rule is findings.EMPTY_BOX]
             self.boxes.add_points(frame.cloud.xyz_m, len(objects), empty)
             self._add_all(key, objects, in_frame)
             self._add_all(key, valid, self._since_before(index, valid))
@@ -188,13 +279,13 @@ class DatasetCheck:
         truths, earlier = [each.truth for each in labels], [each.truth for each in before[1]]
         if self.source.in_time_order or self.source.format == "rcv":
             for number, message in heading_jumps(truths, earlier, tracked_only=not self.source.in_time_order):
-                yield rules.HEADING_JUMP, number, message
+                yield findings.HEADING_JUMP, number, message
         classes = {truth.track_id: truth.label for truth in earlier}
         for number, truth in enumerate(truths):
             earlier_class = classes.get(truth.track_id, truth.label)
             if truth.track_id is not None and earlier_class != truth.label:
                 message = f"track {truth.track_id} is a {truth.label} but was a {earlier_class} in the previous frame"
-                yield rules.TRACK_CLASS, number, message
+                yield findings.TRACK_CLASS, number, message
 
     def _whole_files(self) -> None:
         files = self.source.labels
@@ -205,33 +296,33 @@ class DatasetCheck:
         for strays in (of_labels, of_recording):
             try:
                 for file, line, name in strays:
-                    self.findings.add(rules.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
+                    self.findings.add(findings.STRAY_FILE, file, f"there is no frame {name}", line=line, frame=name)
             except FormatError as error:  # a list that is not text
-                self.findings.add_error(rules.UNREADABLE_FILE, error, self.source.path)
+                self.findings.add_error(findings.UNREADABLE_FILE, error, self.source.path)
 
     def _whole_dataset(self) -> None:
         usual = usual_sizes((each.label, each.size_m) for each in self.sizes)
         for each in self.sizes:
             if each.label in usual and usual[each.label].odd(each.size_m):
                 message = odd_size_message(each.label, each.size_m, usual[each.label])
-                self.findings.add(rules.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
+                self.findings.add(findings.ODD_SIZE, each.file, message, line=each.line, frame=each.frame)
         path = self.source.path
         self.boxes.report(self.findings, path)
         if self.flat:
             message = f"{amount(self.flat, 'row has', 'rows have')} a 2D box and no 3D box, and are not used as labels"
-            self.findings.add(rules.FLAT_LABEL, path, message)
+            self.findings.add(findings.FLAT_LABEL, path, message)
         for names in _spellings({each.label for each in self.sizes}):
-            self.findings.add(rules.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
+            self.findings.add(findings.CLASS_SPELLING, path, f"{' and '.join(names)} look like one class")
         for rule, kind, among, message in (
             (
-                rules.BOXES_OFF_CLOUD,
-                rules.EMPTY_BOX,
+                findings.BOXES_OFF_CLOUD,
+                findings.EMPTY_BOX,
                 self.seen,
                 "boxes contain no point; check that labels, clouds and calibration belong together",
             ),
             (
-                rules.BOXES_OFF_IMAGE,
-                rules.IMAGE_BOX_OFF,
+                findings.BOXES_OFF_IMAGE,
+                findings.IMAGE_BOX_OFF,
                 self.with_row,
                 "2D boxes do not match their 3D boxes; check that the calibration is the right one",
             ),
@@ -241,19 +332,19 @@ class DatasetCheck:
         declared = self.source.declared_objects
         if declared is not None and declared != len(self.sizes) and not self.wrong_files:
             message = f"declares {amount(declared, 'object')}, but has {len(self.sizes)}"
-            self.findings.add(rules.MANIFEST_MISMATCH, path / MANIFEST, message)
+            self.findings.add(findings.MANIFEST_MISMATCH, path / MANIFEST, message)
         problem = self.alignment.problem()
         if problem is not None:
-            self.findings.add(rules.CALIBRATION_OFF, self.source.calibration(0), problem)
+            self.findings.add(findings.CALIBRATION_OFF, self.source.calibration(0), problem)
 
 
 def _rule_of_file(file: Path) -> Rule:
     """Returns the rule that an unreadable file of a frame breaks."""
     if not file.exists():
-        return rules.MISSING_FILE
+        return findings.MISSING_FILE
     if file.parent.name in CALIBRATION_FOLDERS or file.name.startswith(CALIBRATION_NAMES):
-        return rules.UNREADABLE_CALIBRATION
-    return rules.UNREADABLE_FILE
+        return findings.UNREADABLE_CALIBRATION
+    return findings.UNREADABLE_FILE
 
 
 def _spellings(names: set[str]) -> Iterator[list[str]]:
@@ -262,3 +353,61 @@ def _spellings(names: set[str]) -> Iterator[list[str]]:
     for name in sorted(names):
         groups.setdefault(folded(name), []).append(name)
     return (group for group in groups.values() if len(group) > 1)
+
+
+class DatasetReport(BaseModel):
+    """The findings by file and line, and the number of each severity and rule, including those that are not listed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    datasets: tuple[DatasetFacts, ...]
+    findings: tuple[Finding, ...]
+    counts: dict[Severity, int]
+    by_rule: dict[str, int]
+
+
+def check_datasets(path: Path, progress: Progress | None = None) -> DatasetReport:
+    """Checks every dataset at or below a path.
+
+    Args:
+        progress: called with (frames checked, frames of this dataset).
+
+    Raises:
+        RecordingError: there is no dataset.
+    """
+    findings, facts = Findings(), []
+    for source in find_sources(path):
+        if isinstance(source, tuple):
+            findings.add_error(UNREADABLE_DATASET, source[1], source[0])
+        elif isinstance(source, OtherSoftwareDataset):
+            facts += _read_other_software(source, findings)
+        else:
+            facts.append(DatasetCheck(source, findings).run(progress))
+    return DatasetReport(
+        datasets=tuple(facts), findings=findings.all(), counts=findings.counts(), by_rule=findings.by_rule()
+    )
+
+
+def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> list[DatasetFacts]:
+    """Reads a dataset of other software; returns no facts if a part of it cannot be read."""
+    frames = labels = faults = 0
+    sizes = SizeDoubts()
+
+    def on_fault(fault: FormatError) -> None:
+        nonlocal faults
+        findings.add_error(rule_of(fault), fault, dataset.path)
+        faults += 1
+
+    for part in dataset.parts(on_fault):
+        frames, labels = frames + part.frames, labels + part.labels
+        for label, size_m in part.sizes:
+            sizes.add(label, size_m)
+    if faults:
+        return []
+    report_sizes(sizes, findings, dataset.path)
+    findings.add(
+        UNCHECKED_DATASET,
+        dataset.path,
+        f"{dataset.format}: read, but their boxes are not compared with clouds and images",
+    )
+    return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]

@@ -21,7 +21,7 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import base_titles, lifted_from
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.recorded.kitti_rows import dont_care_rows
+from annotator.workflows.recorded.reading import dont_care_rows
 from annotator.workflows.tracks.propose_boxes import next_track_id
 
 UNREGISTERED = "unregistered"

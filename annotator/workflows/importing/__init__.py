@@ -1,15 +1,12 @@
 """Imports labels for a project's frames: 3D boxes in one of the formats of `table.py`, and 2D boxes."""
 
 from annotator.workflows.importing.boxes_2d import Imported, import_image_boxes, import_view_boxes
-from annotator.workflows.importing.boxes_3d import ImportedLabels, Importer, import_labels
-from annotator.workflows.importing.class_names import class_names, without_effect
-from annotator.workflows.importing.frame_finder import Renamed
+from annotator.workflows.importing.boxes_3d import ImportedLabels, ImportedProposals, import_labels, import_proposals
 from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.picture_labels import FlatFormat
+from annotator.workflows.importing.pictures import FlatFormat
+from annotator.workflows.importing.placing import Importer, Renamed, class_names, without_effect
 from annotator.workflows.importing.preview import Preview, Preview3D, preview, preview_3d
-from annotator.workflows.importing.proposals_3d import ImportedProposals, import_proposals
-from annotator.workflows.importing.recognise import format_of
-from annotator.workflows.importing.table import BoxFormat, read_labels
+from annotator.workflows.importing.table import BoxFormat, format_of, read_labels
 
 __all__ = [
     "BoxFormat",

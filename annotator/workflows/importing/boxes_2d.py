@@ -13,13 +13,19 @@ from pathlib import Path
 from annotator.project import Project
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import FormatError
-from annotator.workflows.importing.boxes_3d import PROGRAM, Importer
-from annotator.workflows.importing.class_names import NO_NAMES, how_to_map
-from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
-from annotator.workflows.importing.image_values import ImageValues, TakenValues
-from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
-from annotator.workflows.importing.view_boxes import checked_views, store_on_view
+from annotator.workflows.importing.pictures import (
+    FlatFormat,
+    PictureLabels,
+    PictureSet,
+    Stored,
+    checked_images,
+    checked_views,
+    read_pictures,
+    store_on_image,
+    store_on_view,
+)
+from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer, Renamed, how_to_map
+from annotator.workflows.importing.values import ImageValues, TakenValues
 from annotator.workflows.views.places import ViewPlace, read_places
 
 
@@ -67,7 +73,7 @@ def import_image_boxes(
     """Imports boxes of camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg`: 000012).
 
     An image without boxes is stored as empty. Attributes of the boxes go to the 3D labels that they show
-    (`image_values.py`). Finalised frames stay unchanged; on all others the boxes replace existing
+    (`values.py`). Finalised frames stay unchanged; on all others the boxes replace existing
     ones, and replaced boxes of other authors are counted. If a box is removed, the boxes on the
     pseudo-views that were rendered from it are removed, too. Images listed in a `views.json` beside them are
     pseudo-views, imported as in `import_view_boxes`.

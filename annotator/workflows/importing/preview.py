@@ -8,11 +8,9 @@ from pathlib import Path
 
 from annotator.project import Project, StoredFrame
 from annotator.types import Source
-from annotator.workflows.importing.boxes_3d import found_frames, none_of
-from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
-from annotator.workflows.importing.image_boxes import frames_of, no_frame, same_frame
 from annotator.workflows.importing.label_set import FoundInProject, ScoreRange
-from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
+from annotator.workflows.importing.pictures import FlatFormat, frames_of, no_frame, read_pictures, same_frame
+from annotator.workflows.importing.placing import FrameFinder, Renamed, found_frames, none_of
 from annotator.workflows.importing.table import BoxFormat, read_labels
 
 

@@ -24,7 +24,7 @@ from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine
 from annotator.workflows.proposing.engines.sources import GivenDetectors
 from annotator.workflows.proposing.engines.tasks import FrameAnswer, FrameSpec, Identity, Task, pickle_exactly
-from annotator.workflows.recorded.up_direction import learn_up
+from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.previous_boxes import seeds_of
 
 # Frames per task, which go through the recursion together: enough for full detector batches, few enough for memory.

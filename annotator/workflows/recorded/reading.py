@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +15,15 @@ from annotator.file_names import normal, spelled
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.frames_csv import read_frames
-from annotator.formats.kitti.label_files import read_object_labels, read_tracking_labels
+from annotator.formats.kitti.box_rows import kitti_row
+from annotator.formats.kitti.label_files import (
+    DONT_CARE,
+    KittiLabel,
+    read_object_labels,
+    read_tracking_areas,
+    read_tracking_labels,
+)
+from annotator.formats.kitti.label_folders import read_kitti_file
 from annotator.formats.kitti.tracklets import read_tracklets
 from annotator.formats.labelcloud.model import CLASSES_FILE
 from annotator.formats.labelcloud.read import read_labelcloud_file
@@ -25,6 +33,7 @@ from annotator.formats.nuscenes import ANNOTATIONS, NuScenesBox, is_seen, read_s
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.rcv.read import RcvDataset, read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_labels, read_scene_labels
+from annotator.geometry.occlusion import Sight
 from annotator.recordings import Recording
 from annotator.recordings.argoverse.log import ArgoverseLog
 from annotator.recordings.clouds.cloud_folder import CloudFolder
@@ -35,10 +44,9 @@ from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes.recording import NuScenes
 from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
-from annotator.types import Box2D, Frame, Truth
+from annotator.types import Box2D, Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.importing.readers.frame_boxes import of_labelcloud
-from annotator.workflows.importing.readers.reviewed_boxes import OpenLabelLabels, RcvLabels, openlabel_labels
+from annotator.workflows.importing.readers import OpenLabelLabels, RcvLabels, of_labelcloud, openlabel_labels
 
 # Generated recordings have their truth in a separate folder.
 TRUTH_FOLDER = "truth"
@@ -348,3 +356,49 @@ _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
     "openlabel": _from_openlabel,
     "cloud_folder": _from_labelcloud,
 }
+
+
+# The only format whose labels have the difficulty fields of KITTI's evaluation.
+OBJECT = "kitti_object"
+# The labels of this format have DontCare areas, too.
+TRACKING = "kitti_tracking"
+
+
+def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[KittiLabel]:
+    """Returns the true rows of a frame with DontCare areas: KITTI's own rows if there are any, else made from boxes.
+
+    Raises:
+        RecordingError, FormatError: as `load_truth`.
+    """
+    file = label_file(recording, frame.key)
+    if recording.format == OBJECT and file is not None:
+        return read_kitti_file(file, scored=False)
+    rows = rows_of_truth(((truth.label, truth.box) for truth in load_truth(recording, index, frame)), frame)
+    return [*rows, *dont_care_rows(recording, frame.key)]
+
+
+def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
+    """Returns the DontCare (unlabelled) areas of a frame; none if it has no label file.
+
+    Raises:
+        FormatError: its label file is broken.
+    """
+    file = label_file(recording, key) if recording.format in (OBJECT, TRACKING) else None
+    # a label folder may lack files of some frames
+    if file is None or not file.is_file():
+        return []
+    if recording.format == TRACKING:
+        return list(_areas(file, *file_version(file)).get(frame_number(file, key), ()))
+    return [row for row in read_kitti_file(file, scored=False) if row.label == DONT_CARE]
+
+
+def rows_of_truth(boxes: Iterable[tuple[str, OrientedBox]], frame: Frame) -> list[KittiLabel]:
+    """Returns true boxes (class and box, camera frame) as rows; occlusion is computed from the frame's cloud."""
+    sight = Sight(frame.cloud.xyz_m)
+    return [kitti_row(label, box, None, frame, sight) for label, box in boxes]
+
+
+@lru_cache(maxsize=4)
+def _areas(path: Path, changed_ns: int, size: int) -> dict[int, list[KittiLabel]]:
+    """Reads the areas of a whole recording; cached, so that the file is not parsed again for every frame."""
+    return read_tracking_areas(path)

@@ -21,7 +21,7 @@ from annotator.types import DetectorKind
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
-from annotator.workflows.recorded.up_direction import learn_up
+from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.agnostic_samples import MOST_DRAWS, agnostic_samples, with_generated
 from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups

@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.formats.kitti.label_files import KittiLabel, dump_label_line, label_box
 from annotator.types import OrientedBox
-from annotator.workflows.checking.box_sets import mirrored
-from annotator.workflows.checking.check import check_datasets
-from annotator.workflows.importing.size_doubts import SizeOrders
+from annotator.workflows.checking.dataset_check import check_datasets, mirrored
+from annotator.workflows.importing.report import SizeOrders
 
 CALIB = (
     "P2: 150 0 119.5 0 0 150 59.5 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"

@@ -21,10 +21,9 @@ from annotator.formats.kitti.label_files import KittiLabel, label_box
 from annotator.recordings import open_recording
 from annotator.types import Camera
 from annotator.types.errors import RecordingError
-from annotator.workflows.checking.check import check_datasets
-from annotator.workflows.checking.findings import Findings
-from annotator.workflows.checking.rules import RULES, Severity
-from annotator.workflows.checking.unmatched_names import stray_names
+from annotator.workflows.checking.dataset_check import check_datasets
+from annotator.workflows.checking.findings import RULES, Findings, Severity
+from annotator.workflows.checking.label_files import stray_names
 
 WIDTH, HEIGHT, F = 240, 120, 150.0
 CAMERA = Camera(WIDTH, HEIGHT, F, F, 119.5, 59.5)

@@ -15,7 +15,7 @@ from annotator.recordings import open_recording
 from annotator.types import OrientedBox, ReviewState
 from annotator.types.errors import RecordingError
 from annotator.workflows.add_recordings import add_recordings
-from annotator.workflows.evaluating.demo_scores import score_project
+from annotator.workflows.evaluating.evaluate_project import score_project
 from annotator.workflows.recorded.reading import load_truth
 
 

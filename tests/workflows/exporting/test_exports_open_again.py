@@ -15,7 +15,7 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import Recording, detect_format, open_recording
 from annotator.types import Frame, Source
 from annotator.types.errors import FrameError, RecordingError
-from annotator.workflows.checking.check import check_datasets
+from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, Split, export_project
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.own_labels import import_own_labels

@@ -21,10 +21,8 @@ from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
-from annotator.workflows.recorded.kitti_rows import true_kitti_rows
-from annotator.workflows.recorded.labelled_frames import labels_from
-from annotator.workflows.recorded.own_labels import import_own_labels
-from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.recorded.own_labels import import_own_labels, labels_from
+from annotator.workflows.recorded.reading import load_truth, true_kitti_rows
 
 MakeProject = Callable[..., Project]
 CLASSES = ("Car", "Pedestrian", "Cyclist", "Van")

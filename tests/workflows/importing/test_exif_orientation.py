@@ -20,7 +20,7 @@ from annotator.recordings import open_recording
 from annotator.types import Box2D
 from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.importing.boxes_2d import import_image_boxes
-from annotator.workflows.importing.picture_labels import FlatFormat
+from annotator.workflows.importing.pictures import FlatFormat
 from annotator.workflows.recorded.reading import load_mask
 
 WIDTH, HEIGHT = 48, 32

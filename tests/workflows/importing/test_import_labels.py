@@ -15,8 +15,9 @@ from annotator.types import BoxKind, Frame, OrientedBox, ReviewState, Source, Tr
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project
 from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
-from annotator.workflows.importing.boxes_3d import AUTHOR, create_if_unlabelled
+from annotator.workflows.importing.boxes_3d import create_if_unlabelled
 from annotator.workflows.importing.label_set import LeftOut
+from annotator.workflows.importing.placing import AUTHOR
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))

@@ -17,8 +17,8 @@ from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types.errors import FormatError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
-from annotator.workflows.importing.new_attributes import add_attributes, values_of_labels
-from annotator.workflows.recorded.labelled_frames import labels_from
+from annotator.workflows.importing.values import add_attributes, values_of_labels
+from annotator.workflows.recorded.own_labels import labels_from
 from annotator.workflows.recorded.reading import load_truth
 
 

@@ -17,7 +17,7 @@ from annotator.formats.units import AngleUnit
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.types import OrientedBox
 from annotator.types.errors import ConfigError, FormatError, UnitError, UnitKind
-from annotator.workflows.checking.check import check_datasets
+from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.importing import (
     BoxFormat,

@@ -19,9 +19,8 @@ from annotator.types import Box2D, BoxKind, DetectorKind, Frame, OrientedBox, So
 from annotator.types.errors import ConfigError, FrameError
 from annotator.workflows.importing import BoxFormat, read_labels
 from annotator.workflows.importing.label_set import LeftOut
-from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d
-from annotator.workflows.recorded.frame_subset import share_of
-from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from
+from annotator.workflows.recorded.boxes_from_3d import AUTHOR, boxes_from_3d, share_of
+from annotator.workflows.recorded.own_labels import KnownLabels, labels_beside, labels_from
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.samples import DRAWN, SampleConfig, gather, image_samples, view_samples
 from annotator.workflows.views.places import spans_m

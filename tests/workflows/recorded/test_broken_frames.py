@@ -13,7 +13,7 @@ from annotator.recordings import open_recording
 from annotator.types.errors import RecordingError
 from annotator.workflows import add_recordings as adding
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
-from annotator.workflows.recorded.broken_frames import broken_frames
+from annotator.workflows.recorded.condition import broken_frames
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 BROKEN = ["000001", "000003", "000004"]

@@ -26,7 +26,7 @@ from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source
 from annotator.types.errors import ConfigError, FormatError, ProjectError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import Imported, image_boxes, import_image_boxes, import_view_boxes
+from annotator.workflows.importing import Imported, import_image_boxes, import_view_boxes, pictures
 from annotator.workflows.simulate import draw_frame, visible_objects
 from annotator.workflows.training.samples import drawn_objects, gather, taught_by_drags
 from annotator.workflows.views.places import read_places
@@ -380,7 +380,7 @@ def test_replaced_drawn_boxes_are_counted_and_finalised_frames_are_kept(
     for frame in (first, second):
         people.boxes.set_on_image(frame.id, [mine], BoxKind.SILHOUETTE, WriteContext(0, "ann", Source.MANUAL))
     people.log.append(second.id, [FrameFinalised()], WriteContext(1, "ann", Source.MANUAL))
-    read, changed = image_boxes.read_page, []
+    read, changed = pictures.read_page, []
 
     def read_and_change(project: Project, frame_id: int) -> FramePage:
         page = read(project, frame_id)
@@ -388,7 +388,7 @@ def test_replaced_drawn_boxes_are_counted_and_finalised_frames_are_kept(
             changed.append(project.boxes.set_on_image(frame_id, [mine], BoxKind.SILHOUETTE, WriteContext(0, "bob")))
         return page
 
-    monkeypatch.setattr(image_boxes, "read_page", read_and_change)
+    monkeypatch.setattr(pictures, "read_page", read_and_change)
     done = imported(people, tmp_path, *(image(f"{frame.key}.jpg", BOX) for frame in (first, second, third)))
     assert done == Imported(2, 2, {}, replaced=2, finalised=1)
     assert changed

@@ -1,30 +1,158 @@
-"""Matches labelled camera images with the project's frames, and stores their boxes."""
+"""Labelled images of COCO and YOLO datasets, and the project's frames and pseudo-views that they show."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, field
+from enum import Enum, StrEnum
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from annotator.exif import UPRIGHT, Size, box_as_stored, described, orientation_of, turned_size
-from annotator.files import open_file
+from annotator.file_names import OutsideError, inside, is_absolute, normal, stem_of
+from annotator.files import open_file, read_file
+from annotator.formats.attributes import Values
+from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
+from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.reading import read_picture
-from annotator.image_bytes import declared_size
-from annotator.project import FramePart, Project, StoredFrame, WriteContext
+from annotator.formats.yolo_read import YoloPicture, read_yolo
+from annotator.image_bytes import PNG_SIGNATURE, declared_size
+from annotator.project import FramePart, Project, StoredFrame, ViewGeometry, WriteContext
 from annotator.project.event_types import ImageBoxesSet
 from annotator.project.overview import read_page
 from annotator.project.records import storable
 from annotator.types import Box2D, BoxKind, Camera, Frame, Source
 from annotator.types.errors import FormatError, FrameError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import Importer
-from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
-from annotator.workflows.importing.picture_labels import PictureLabels, PictureSet
+from annotator.workflows.importing.placing import AUTHOR, FrameFinder, Importer, Renamed
 from annotator.workflows.views.follow_image_boxes import view_followers
+from annotator.workflows.views.places import ViewPlace
+
+
+class FlatFormat(StrEnum):
+    """Formats of 2D boxes."""
+
+    COCO = "coco"
+    YOLO = "yolo"
+
+
+@dataclass(frozen=True, eq=False)
+class PictureLabels:
+    """The boxes of one image.
+
+    Attributes:
+        file_name: the image's name in the dataset.
+        folder: the folder of `file_name`.
+        labels: class of each box.
+        size_px: width and height from the dataset; None if boxes are fractions of the image size.
+        box_kind: what the boxes enclose, if the dataset says so.
+        boxes_on: returns the boxes on an image of the given width and height, pixels.
+        values: attributes of each box; () if none has any.
+        attributes: of the image.
+        around: number of boxes that are the rectangles around turned boxes or polygons.
+    """
+
+    file_name: str
+    folder: Path
+    labels: tuple[str, ...]
+    size_px: tuple[int, int] | None
+    boxes_on: Callable[[int, int], tuple[Box2D, ...]]
+    box_kind: BoxKind | None = None
+    values: tuple[Values, ...] = ()
+    attributes: Values = field(default_factory=dict)
+    around: int = 0
+
+    @property
+    def stem(self) -> str:
+        """The file's `normal` name without folder and suffix."""
+        return normal(stem_of(self.file_name))
+
+    def file(self, path: Path) -> Path | None:
+        """Returns the image file; None if it does not exist, such as one that was on another computer.
+
+        Args:
+            path: the dataset, for the message.
+
+        Raises:
+            FormatError: the name is invalid or leads out of its folder.
+        """
+        try:
+            file = inside(self.folder, self.file_name)
+        except OutsideError as error:
+            if is_absolute(self.file_name):
+                return None
+            raise FormatError(path, str(error)) from error
+        # labels without an image have the name of their label file, which may be in this folder
+        return file if file.is_file() and file.suffix.lower() != ".txt" else None
+
+
+@dataclass(frozen=True, eq=False)
+class PictureSet:
+    """All labelled images of a file or dataset, read and checked.
+
+    Attributes:
+        path: the file or folder that was read.
+        pictures: the images in its order.
+        origins: the frames of camera images from `frames.csv`, by stem.
+    """
+
+    path: Path
+    pictures: tuple[PictureLabels, ...]
+    origins: dict[str, FrameOrigin]
+
+
+def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) -> PictureSet:
+    """Reads the labelled images at `path`.
+
+    Args:
+        path: an annotation file, or the folder of a dataset.
+        folder: the image folder; None = the dataset's own.
+
+    Raises:
+        FormatError: the dataset does not follow the format.
+    """
+    if format is FlatFormat.COCO:
+        root = dataset_folder(path)
+        pictures = [
+            PictureLabels(
+                image.file_name,
+                folder or image_folder,
+                tuple(box.label for box in image.boxes),
+                (image.width_px, image.height_px),
+                lambda _w, _h, boxes=image.boxes: boxes,  # type: ignore[misc]
+                image.box_kind,
+                image.values,
+                image.attributes,
+                image.around,
+            )
+            for image_folder, images in read_coco_dataset(path)
+            for image in images
+        ]
+    else:
+        root = path if path.is_dir() else path.parent
+        pictures = [_of_yolo(picture, folder) for picture in read_yolo(path)]
+    return PictureSet(path, tuple(pictures), read_frames(root))
+
+
+def _of_yolo(picture: YoloPicture, folder: Path | None) -> PictureLabels:
+    name = picture.file_name
+    if folder is not None and picture.picture is None:
+        # labels without an image belong to a pseudo-view, which is a PNG file
+        name = f"{stem_of(name)}.png"
+    return PictureLabels(
+        name,
+        folder or picture.folder,
+        tuple(box.label for box in picture.boxes),
+        None,
+        lambda width_px, height_px: tuple(box.on(width_px, height_px) for box in picture.boxes),
+        picture.box_kind,
+        around=sum(box.is_around for box in picture.boxes),
+    )
+
 
 # Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
 ROUNDED_PX = 0.01
@@ -251,3 +379,95 @@ def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
 
 def _is_rounded(box: Box2D, known: Box2D) -> bool:
     return box.label == known.label and bool(np.allclose(box.xyxy, known.xyxy, rtol=0, atol=ROUNDED_PX))
+
+
+@dataclass(frozen=True)
+class OnView:
+    """Boxes of a pseudo-view with the image `file`; frame, step and geometry are None if unknown."""
+
+    file: Path
+    boxes: tuple[Box2D, ...]
+    frame_id: int | None
+    step: int | None
+    geometry: ViewGeometry | None
+    box_kind: BoxKind | None = None
+
+    @property
+    def image_box(self) -> Box2D | None:
+        """The box on the camera image from which the view was rendered."""
+        return None if self.geometry is None else self.geometry.image_box
+
+
+def checked_views(
+    project: Project, path: Path, pictures: Sequence[tuple[PictureLabels, ViewPlace | None]]
+) -> tuple[OnView, ...]:
+    """Checks the views of a dataset and finds their frames.
+
+    Args:
+        path: the dataset, for messages.
+        pictures: the images, with their places if known.
+
+    Raises:
+        FormatError: an image is missing, not PNG, occurs twice, or has another size.
+        NotFoundError: a frame that the project does not have.
+    """
+    views: list[OnView] = []
+    # repeated images are refused: their boxes would replace those of the first
+    names: dict[tuple[str, int | None], str] = {}
+    for picture, place in pictures:
+        file, size_px, digest = _checked_picture(path, picture)
+        frame_id = None
+        if place is not None and place.recording is not None and place.frame is not None:
+            frame_id = project.frames.find(project.recordings.find(place.recording).id, place.frame).id
+        step, geometry = (None, None) if place is None else (place.step, place.geometry)
+        if (digest, frame_id) in names:
+            raise FormatError(
+                path, f"{names[digest, frame_id]} and {picture.file_name} are the same image; keep one of them"
+            )
+        names[digest, frame_id] = picture.file_name
+        views.append(OnView(file, picture.boxes_on(*size_px), frame_id, step, geometry, picture.box_kind))
+    return tuple(views)
+
+
+def _checked_picture(path: Path, picture: PictureLabels) -> tuple[Path, tuple[int, int], str]:
+    """Returns the image file, its width and height in pixels, and the hash of its content."""
+    file = picture.file(path)
+    if file is None:
+        raise FormatError(path, f"{picture.file_name} is not in {picture.folder}; give the folder of the images")
+    content, bgr = read_picture(file)
+    if not content.startswith(PNG_SIGNATURE):
+        raise FormatError(file, "is not a PNG image; save pseudo-views as PNG")
+    height_px, width_px = bgr.shape[:2]
+    if picture.size_px is not None and picture.size_px != (width_px, height_px):
+        raise FormatError(
+            path,
+            f"{picture.file_name} is {width_px} x {height_px} pixels, but the label file says {picture.size_px[0]} x "
+            f"{picture.size_px[1]}; label the image itself, not a scaled copy",
+        )
+    return file, (width_px, height_px), hashlib.sha256(content).hexdigest()
+
+
+def store_on_view(
+    project: Project, view: OnView, boxes: Sequence[Box2D], kind: BoxKind, revisions: Mapping[str, int]
+) -> Stored:
+    """Copies the image into the project and stores its boxes, unless the frame is finalised.
+
+    Args:
+        revisions: revisions of the project's views without a frame, by id.
+    """
+    if view.frame_id is not None and project.frames.get(view.frame_id).finalised:
+        return Stored.LEFT_ALONE
+    view_id = project.views.store(read_file(view.file))
+    set_boxes = partial(
+        project.boxes.set_on_view, view_id, boxes, kind, frame_id=view.frame_id, step=view.step, geometry=view.geometry
+    )
+    if view.frame_id is None:
+        set_boxes(context=WriteContext(revisions.get(view_id, 0), AUTHOR, Source.IMPORTED))
+        return Stored.KEPT
+    while not (frame := project.frames.get(view.frame_id)).finalised:
+        context = WriteContext(frame.revision, AUTHOR, Source.IMPORTED)
+        # retried if the frame was changed since it was read
+        with suppress(StaleRevisionError):
+            set_boxes(context=context)
+            return Stored.KEPT
+    return Stored.LEFT_ALONE
