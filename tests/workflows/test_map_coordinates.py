@@ -155,7 +155,7 @@ def test_a_box_that_stands_still_does_so_after_export_and_import(
     elsewhere = tuple(np.add(inspect_recording(folder).origin, [-37.5, 12.25, 3.0]).tolist())
     add_recordings(other, [folder], options=ReaderOptions(origin=elsewhere))
     boxes = read_labels(BoxFormat(format), tmp_path / "out")
-    assert import_labels(other, boxes).labels == {"car": 2}
+    assert import_labels(other, boxes).boxes == {"car": 2}
     assert_stands_still(in_map(other), 2)
     third = cars()
     add_recordings(third, [folder], options=ReaderOptions(origin=elsewhere))
@@ -194,7 +194,7 @@ def test_a_format_without_a_place_for_it_says_that_the_origin_is_lost(
     other = cars()
     add_recordings(other, [tmp_path / "drive"])
     done = import_labels(other, read_labels(BoxFormat(format), tmp_path / "out"))
-    assert done.labels == {"car": 2}
+    assert done.boxes == {"car": 2}
     assert_stands_still(in_map(other), 2, 0.01)
 
 
@@ -280,7 +280,7 @@ def test_labels_in_map_coordinates_land_where_they_are(cars: Callable[[], Projec
     project = cars()
     add_recordings(project, [scans(tmp_path / "drive", 0, 4)])
     IN_MAP[format](tmp_path / "labels")
-    assert import_labels(project, read_labels(BoxFormat(format), tmp_path / "labels")).labels == {"car": 2}
+    assert import_labels(project, read_labels(BoxFormat(format), tmp_path / "labels")).boxes == {"car": 2}
     assert_stands_still(in_map(project), 2)
 
 

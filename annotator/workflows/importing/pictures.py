@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import Enum, StrEnum
-from functools import partial
+from enum import StrEnum
 from pathlib import Path
-
-import numpy as np
 
 from annotator.exif import UPRIGHT, Size, box_as_stored, described, orientation_of, turned_size
 from annotator.file_names import OutsideError, inside, is_absolute, normal, stem_of
-from annotator.files import open_file, read_file
+from annotator.files import open_file
 from annotator.formats.attributes import Values
 from annotator.formats.coco_dataset import dataset_folder, read_coco_dataset
 from annotator.formats.frames_csv import FrameOrigin, read_frames
 from annotator.formats.reading import read_picture
 from annotator.formats.yolo_read import YoloPicture, read_yolo
 from annotator.image_bytes import PNG_SIGNATURE, declared_size
-from annotator.project import FramePart, Project, StoredFrame, ViewGeometry, WriteContext
-from annotator.project.event_types import ImageBoxesSet
-from annotator.project.overview import read_page
-from annotator.project.records import storable
-from annotator.types import Box2D, BoxKind, Camera, Frame, Source
-from annotator.types.errors import FormatError, FrameError, StaleRevisionError
+from annotator.project import Project, ViewGeometry
+from annotator.types import Box2D, BoxKind, Camera, Frame
+from annotator.types.errors import FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.placing import AUTHOR, FrameFinder, Importer, Renamed
-from annotator.workflows.views.follow_image_boxes import view_followers
+from annotator.workflows.importing.placing import Matched, Place, Renamed, match
 from annotator.workflows.views.places import ViewPlace
 
 
@@ -154,8 +146,6 @@ def _of_yolo(picture: YoloPicture, folder: Path | None) -> PictureLabels:
     )
 
 
-# Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
-ROUNDED_PX = 0.01
 # Of a JPEG file, this holds the segment with its EXIF orientation, which has at most 64 KiB and is one of the first.
 HEAD_BYTES = 1 << 18
 
@@ -173,17 +163,6 @@ class OnImage:
     labels: PictureLabels
     boxes: tuple[Box2D, ...]
     camera: Camera | None
-
-
-class Stored(Enum):
-    """The outcome of storing the boxes of an image."""
-
-    # stored, without replacing boxes of another author
-    KEPT = "kept"
-    # stored, in place of boxes drawn by another author
-    REPLACED = "replaced"
-    # not stored: the frame is finalised
-    LEFT_ALONE = "left alone"
 
 
 @dataclass(frozen=True)
@@ -216,10 +195,10 @@ def checked_images(
             orientation that its boxes may take into account or not; or no image has a frame in the project.
         NotFoundError: no such recording.
     """
-    matched, unmatched, renamed = _matched(project, dataset, pictures, recording)
+    placed = placed_pictures(project, dataset, pictures, recording).require_clear(dataset.path)
     source = FrameSource(project)
     ready, unreadable = [], []
-    for picture, stored in matched:
+    for picture, stored in placed.matched:
         try:
             frame = source.read(stored)
         except FrameError as error:
@@ -230,55 +209,24 @@ def checked_images(
                 unreadable.append(f"{stored.key}: {error}")
             continue
         ready.append(OnImage(stored.id, picture, _boxes_on(dataset.path, picture, frame), frame.camera))
-    return CheckedImages(tuple(ready), tuple(unmatched), tuple(unreadable), renamed)
+    return CheckedImages(tuple(ready), placed.unmatched, tuple(unreadable), placed.renamed)
 
 
-def _matched(
+def placed_pictures(
     project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
-) -> tuple[list[tuple[PictureLabels, StoredFrame]], list[str], Renamed | None]:
-    """Returns the images with their frames, the names of images without one, and the renamed recording."""
-    path = dataset.path
-    frames = FrameFinder(project, recording, {origin.recording for origin in dataset.origins.values()})
-    matched: dict[int, tuple[PictureLabels, StoredFrame]] = {}
-    unmatched: list[str] = []
+) -> Matched[PictureLabels]:
+    """Finds the frames of images; some may fit several recordings. Arguments and errors as `checked_images`."""
+    places = []
     for picture in pictures:
-        key, fitting = frames_of(dataset, picture, frames)
-        if len(fitting) > 1:
-            raise FormatError(
-                path,
-                f"{picture.file_name}: {len(fitting)} recordings have a frame {key}; choose one of these",
-            )
-        if not fitting:
-            unmatched.append(picture.file_name)
-        elif fitting[0].id in matched:
-            raise same_frame(path, matched[fitting[0].id][0].file_name, picture.file_name, key)
-        else:
-            matched[fitting[0].id] = (picture, fitting[0])
-    if not matched:
-        raise no_frame(path)
-    named = (stored for picture, stored in matched.values() if picture.stem in dataset.origins)
-    return list(matched.values()), unmatched, frames.renamed(named)
-
-
-def frames_of(dataset: PictureSet, picture: PictureLabels, frames: FrameFinder) -> tuple[str, list[StoredFrame]]:
-    """Returns the key that an image names, and the frames with it: several if several recordings have the key."""
-    origin = dataset.origins.get(picture.stem)
-    key = picture.stem if origin is None else origin.key
-    return key, frames.find(None if origin is None else origin.recording, key)
-
-
-def same_frame(path: Path, file_name: str, other: str, key: str) -> FormatError:
-    """The error for two images of one frame."""
-    return FormatError(path, f"{file_name} and {other} both match frame {key}; keep one of them")
-
-
-def no_frame(path: Path) -> FormatError:
-    """The error for a dataset without an image of the project."""
-    return FormatError(
-        path,
+        origin = dataset.origins.get(picture.stem)
+        at, key = (None, picture.stem) if origin is None else (origin.recording, origin.key)
+        places.append(Place(picture, picture.file_name, at, key))
+    nothing = FormatError(
+        dataset.path,
         "none of the dataset's images has a frame in the project; name image files after the frames' keys "
         "(000012.jpg for the frame 000012)",
     )
+    return match(project, dataset.path, places, recording, nothing)
 
 
 def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, ...]:
@@ -339,46 +287,6 @@ def _fits(size: Size, other: Size, is_exact: bool) -> bool:
     if is_exact:
         return size == other
     return abs(size[0] * other[1] - size[1] * other[0]) <= max(other)
-
-
-def store_on_image(
-    project: Project,
-    path: Path,
-    image: OnImage,
-    boxes: Sequence[Box2D],
-    kind: BoxKind,
-    drawn_from: Sequence[Box2D],
-    importer: Importer,
-) -> Stored:
-    """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
-
-    Args:
-        path: the dataset, for messages.
-        drawn_from: boxes on this image that imported views were rendered from.
-    """
-    while True:
-        page = read_page(project, image.frame_id)
-        if page.frame.finalised:
-            return Stored.LEFT_ALONE
-        before = () if page.image_boxes is None else page.image_boxes.boxes
-        with storable(f"{path}: {image.labels.file_name}"):
-            on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
-        context = WriteContext(page.frame.revision, importer.author, Source.IMPORTED)
-        part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)
-        # retried if the frame was changed since it was read
-        with suppress(StaleRevisionError):
-            project.log.append_to_frames([part], importer.action)
-            is_drawn = page.image_boxes is not None and page.image_boxes.source is not Source.IMPORTED
-            return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
-
-
-def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
-    """Returns the known box for each box that a file has only rounded, so that views rendered from it stay valid."""
-    return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
-
-
-def _is_rounded(box: Box2D, known: Box2D) -> bool:
-    return box.label == known.label and bool(np.allclose(box.xyxy, known.xyxy, rtol=0, atol=ROUNDED_PX))
 
 
 @dataclass(frozen=True)
@@ -445,29 +353,3 @@ def _checked_picture(path: Path, picture: PictureLabels) -> tuple[Path, tuple[in
             f"{picture.size_px[1]}; label the image itself, not a scaled copy",
         )
     return file, (width_px, height_px), hashlib.sha256(content).hexdigest()
-
-
-def store_on_view(
-    project: Project, view: OnView, boxes: Sequence[Box2D], kind: BoxKind, revisions: Mapping[str, int]
-) -> Stored:
-    """Copies the image into the project and stores its boxes, unless the frame is finalised.
-
-    Args:
-        revisions: revisions of the project's views without a frame, by id.
-    """
-    if view.frame_id is not None and project.frames.get(view.frame_id).finalised:
-        return Stored.LEFT_ALONE
-    view_id = project.views.store(read_file(view.file))
-    set_boxes = partial(
-        project.boxes.set_on_view, view_id, boxes, kind, frame_id=view.frame_id, step=view.step, geometry=view.geometry
-    )
-    if view.frame_id is None:
-        set_boxes(context=WriteContext(revisions.get(view_id, 0), AUTHOR, Source.IMPORTED))
-        return Stored.KEPT
-    while not (frame := project.frames.get(view.frame_id)).finalised:
-        context = WriteContext(frame.revision, AUTHOR, Source.IMPORTED)
-        # retried if the frame was changed since it was read
-        with suppress(StaleRevisionError):
-            set_boxes(context=context)
-            return Stored.KEPT
-    return Stored.LEFT_ALONE

@@ -6,11 +6,15 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Generic, NamedTuple, TypeVar
 
 from annotator.file_names import normal
 from annotator.project import Project, StoredFrame
 from annotator.types.errors import ConfigError, FormatError
 from annotator.types.names import alternatives, folded, nearest
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
@@ -82,6 +86,9 @@ class Renamed:
     named: str
     taken_for: tuple[str, ...]
 
+    def __str__(self) -> str:
+        return f"{self.named} of the labels was assigned to {', '.join(self.taken_for)}"
+
 
 class FrameFinder:
     """The frames of a project by recording and key.
@@ -152,76 +159,115 @@ class Importer:
 PROGRAM = Importer()
 
 
-@dataclass(frozen=True)
-class MatchedFrames:
-    """A dataset's frames in a project.
+class Place(NamedTuple, Generic[T]):
+    """What a dataset says of the place of one of its frames or images.
 
     Attributes:
-        matched: each name with the project's frame, in the project's order.
-        unmatched: names of frames that the project does not have.
-        renamed: the dataset's only recording, if it was matched with one of another name.
+        thing: the frame or image.
+        name: its name in the dataset, for messages.
+        recording: name of its recording; None if the dataset does not say it.
+        key: of the frame.
     """
 
-    matched: tuple[tuple[str, StoredFrame], ...]
-    unmatched: tuple[str, ...]
-    renamed: Renamed | None
+    thing: T
+    name: str
+    recording: str | None
+    key: str
 
 
-def match_frames(project: Project, path: Path, names: Sequence[str], recording: str | None = None) -> MatchedFrames:
-    """Finds the project's frames of a dataset's frame names.
+@dataclass(frozen=True)
+class Matched(Generic[T_co]):
+    """A dataset's frames or images with their frames in a project.
+
+    Attributes:
+        matched: each with the project's frame, in the project's order.
+        unmatched: names of those without a frame in the project.
+        renamed: the dataset's only recording, if it was matched with one of another name.
+        ambiguous: those that fit frames of several recordings, with the names of these.
+    """
+
+    matched: tuple[tuple[T_co, StoredFrame], ...]
+    unmatched: tuple[str, ...] = ()
+    renamed: Renamed | None = None
+    ambiguous: tuple[tuple[T_co, str, tuple[str, ...]], ...] = ()
+
+    def require_clear(self, path: Path) -> Matched[T_co]:
+        """Returns itself. Raises FormatError: something fits frames of several recordings."""
+        for _, name, recordings in self.ambiguous:
+            several = ", ".join(recordings)
+            raise FormatError(path, f"{name} is a frame of several recordings ({several}); choose one with --recording")
+        return self
+
+
+MatchedFrames = Matched[str]
+"""The frames of a dataset by their names."""
+
+
+def match(
+    project: Project, path: Path, places: Sequence[Place[T]], recording: str | None, nothing: FormatError
+) -> Matched[T]:
+    """Finds the project's frames of a dataset's frames or images.
 
     Args:
         path: the dataset, for messages.
-        names: "RECORDING/KEY", or "KEY" alone; all different.
-        recording: the only recording to look in.
+        recording: name of the only recording to look in.
+        nothing: the error if the project has no frame of the dataset.
 
     Raises:
-        FormatError: a name fits frames of several recordings, two names fit one frame, or none fits any.
+        FormatError: two fit one frame, or none fits any.
         NotFoundError: no such recording.
     """
-    found, finder = found_frames(project, names, recording)
-    matched: dict[int, tuple[str, StoredFrame]] = {}
-    unmatched = []
-    for name, frames in found.items():
+    finder = FrameFinder(project, recording, {each.recording for each in places if each.recording is not None})
+    matched: dict[int, tuple[Place[T], StoredFrame]] = {}
+    unmatched, ambiguous, named = [], [], list[StoredFrame]()
+    for place in places:
+        frames = finder.find(place.recording, place.key)
+        named += frames if place.recording is not None else []
         if len(frames) > 1:
-            several = ", ".join(map(finder.recording_of, frames))
-            raise FormatError(path, f"{name} is a frame of several recordings ({several}); choose one with --recording")
-        if not frames:
-            unmatched.append(name)
+            ambiguous.append((place.thing, place.name, tuple(map(finder.recording_of, frames))))
+        elif not frames:
+            unmatched.append(place.name)
         elif frames[0].id in matched:
-            raise FormatError(path, f"{matched[frames[0].id][0]} and {name} both match frame {frames[0].key}; keep one")
+            other = matched[frames[0].id][0].name
+            raise FormatError(path, f"{other} and {place.name} both match frame {frames[0].key}; keep one of them")
         else:
-            matched[frames[0].id] = (name, frames[0])
-    if not matched:
-        raise none_of(path, names)
-    keys = {stored.key for _, stored in matched.values()}
-    renamed = finder.renamed(stored for name, stored in matched.values() if name not in keys)
-    order = {frame.id: place for place, frame in enumerate(project.frames.of())}
+            matched[frames[0].id] = (place, frames[0])
+    if not matched and not ambiguous:
+        raise nothing
+    order = {frame.id: number for number, frame in enumerate(project.frames.of())}
     in_order = sorted(matched.values(), key=lambda pair: order[pair[1].id])
-    return MatchedFrames(tuple(in_order), tuple(unmatched), renamed)
+    return Matched(
+        tuple((place.thing, stored) for place, stored in in_order),
+        tuple(unmatched),
+        finder.renamed(named),
+        tuple(ambiguous),
+    )
 
 
-def found_frames(
-    project: Project, names: Sequence[str], recording: str | None
-) -> tuple[dict[str, list[StoredFrame]], FrameFinder]:
-    """Returns the project's frames that each name fits, and what found them. Arguments as `match_frames`."""
+def match_frames(project: Project, path: Path, names: Sequence[str], recording: str | None = None) -> MatchedFrames:
+    """Finds the project's frames of a dataset's frame names; some may be of several recordings.
+
+    Args:
+        names: "RECORDING/KEY", or "KEY" alone; all different.
+
+    Raises:
+        FormatError, NotFoundError: as `match`.
+    """
     keys = {normal(frame.key) for frame in project.frames.of()}
     # a recording's name cannot contain "/", a key can
-    places = {name: (None, name) if normal(name) in keys or "/" not in name else _place(name) for name in names}
-    finder = FrameFinder(project, recording, {place[0] for place in places.values() if place[0] is not None})
-    return {name: finder.find(*place) for name, place in places.items()}, finder
+    places = [
+        Place(name, name, None, name)
+        if normal(name) in keys or "/" not in name
+        else Place(name, name, *name.split("/", 1))
+        for name in names
+    ]
+    return match(project, path, places, recording, _none_of(path, names))
 
 
-def none_of(path: Path, names: Sequence[str]) -> FormatError:
-    """The error for a dataset without a frame of the project."""
+def _none_of(path: Path, names: Sequence[str]) -> FormatError:
     if not names:
         return FormatError(path, "has no frames, so there is nothing to import")
     shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
     return FormatError(
         path, f"the project has none of the dataset's frames ({shown}); first add their recording (`annotator add`)"
     )
-
-
-def _place(name: str) -> tuple[str, str]:
-    recording, _, key = name.partition("/")
-    return recording, key

@@ -1,4 +1,4 @@
-"""What a file of boxes would give, before it is imported."""
+"""What a file of boxes would give, before it is imported: no frame is read, and nothing is stored."""
 
 from __future__ import annotations
 
@@ -6,121 +6,93 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from annotator.project import Project, StoredFrame
+from annotator.project import Project
 from annotator.types import Source
-from annotator.workflows.importing.label_set import FoundInProject, ScoreRange
-from annotator.workflows.importing.pictures import FlatFormat, frames_of, no_frame, read_pictures, same_frame
-from annotator.workflows.importing.placing import FrameFinder, Renamed, found_frames, none_of
+from annotator.types.amounts import amount
+from annotator.workflows.importing.label_set import ScoreRange
+from annotator.workflows.importing.pictures import FlatFormat, placed_pictures, read_pictures
+from annotator.workflows.importing.placing import Matched
+from annotator.workflows.importing.report import MOST_NAMES
 from annotator.workflows.importing.table import BoxFormat, read_labels
 
 
 @dataclass(frozen=True)
 class Preview:
-    """What a dataset of 2D boxes has.
+    """What a dataset of boxes has.
 
     Attributes:
-        images: number of its images.
-        unmatched: names of those without a frame in the project.
-        ambiguous: number of those that fit frames of several recordings.
-        boxes: number of boxes on the others, by class name.
-        replaced: number of images with boxes drawn in the project, which the import replaces.
-        renamed: the dataset's only recording, if it was matched with one of another name.
+        is_3d: False for 2D boxes.
+        frames: number of its frames or images with a frame in the project.
+        ambiguous: number of those that fit frames of several recordings: one of these must be chosen.
+        boxes: number of boxes on `frames`, by class.
+        scores: the lowest and the highest score of 3D boxes, if there are any.
+        notes: sentences about what an import would leave out, replace or not change.
     """
 
-    images: int
-    unmatched: tuple[str, ...]
+    is_3d: bool
+    frames: int
     ambiguous: int
     boxes: dict[str, int]
-    replaced: int
-    renamed: Renamed | None
-
-
-@dataclass(frozen=True)
-class Preview3D(Preview):
-    """What a dataset of 3D boxes has; its images are frames, and `replaced` is 0.
-
-    Attributes:
-        labelled: number of the frames that an import as labels leaves unchanged: those with labels in any state, also
-            proposed or rejected ones, and finalised ones.
-        finalised: number of the frames that an import as proposals leaves unchanged.
-        scores: the lowest and the highest score, if there are any.
-    """
-
-    labelled: int
-    finalised: int
     scores: ScoreRange | None
+    notes: tuple[str, ...]
+
+    @property
+    def found(self) -> str:
+        """A sentence about what the dataset has for the project."""
+        number = sum(self.boxes.values())
+        if self.is_3d:
+            return f"{amount(number, '3D box')} in {amount(self.frames, 'frame')} of this project."
+        return f"{amount(number, 'box')} on {amount(self.frames, 'image')} of this project's frames."
 
 
-def preview_3d(project: Project, path: Path, format: BoxFormat, recording: str | None) -> Preview3D:
-    """Reads 3D boxes and matches them with the project's frames; nothing is stored, and no frame is read.
-
-    Args:
-        recording: name of the only recording to search; None = all.
-
-    Raises:
-        FormatError: not in this format, or no frame is in the project.
-        NotFoundError, RecordingError: as `import_labels`.
-    """
-    dataset = read_labels(format, path)
-    dataset = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
-    found, finder = found_frames(project, dataset.frames, recording)
-    unmatched = tuple(name for name, frames in found.items() if not frames)
-    if len(unmatched) == len(found):
-        raise none_of(path, dataset.frames)
-    boxes = Counter(label for name, frames in found.items() if frames for label in dataset.classes(name))
-    labelled = project.labels.frames()
-    matched = [frames[0] for frames in found.values() if len(frames) == 1]
-    return Preview3D(
-        len(found),
-        unmatched,
-        sum(len(frames) > 1 for frames in found.values()),
-        dict(sorted(boxes.items())),
-        0,
-        finder.renamed(frames[0] for name, frames in found.items() if frames and name != frames[0].key),
-        sum(frame.finalised or frame.id in labelled for frame in matched),
-        sum(frame.finalised for frame in matched),
-        dataset.scores,
-    )
-
-
-def preview(project: Project, path: Path, format: FlatFormat, recording: str | None) -> Preview:
-    """Reads a dataset and matches its images with the project's frames; nothing is stored, and no frame is read.
+def preview(project: Project, path: Path, format: FlatFormat | BoxFormat, recording: str | None) -> Preview:
+    """Reads a dataset and matches it with the project's frames.
 
     Args:
         recording: name of the only recording to search; None = all.
 
     Raises:
-        FormatError: not in this format, an image occurs twice, or no image has a frame in the project.
+        FormatError: not in this format, an image occurs twice, or no frame is in the project.
         NotFoundError: no such recording.
+        RecordingError: a recording has been moved.
     """
+    if isinstance(format, FlatFormat):
+        return _of_pictures(project, path, format, recording)
+    dataset = read_labels(format, path).in_project(project)
+    placed = dataset.placed(project, recording)
+    names = [name for name, _ in placed.matched] + [name for name, *_ in placed.ambiguous]
+    labelled, notes = project.labels.frames(), []
+    finalised = sum(stored.finalised for _, stored in placed.matched)
+    if worked_on := sum(stored.id in labelled and not stored.finalised for _, stored in placed.matched):
+        frames = amount(worked_on, "of these frames has", "of these frames have")
+        notes.append(f"{frames} labels or proposals, and can only take proposals.")
+    if finalised:
+        frames = amount(finalised, "of these frames is", "of these frames are")
+        notes.append(f"{frames} finalised, and left unchanged.")
+    boxes = Counter(label for name in names for label in dataset.classes(name))
+    return _preview(True, placed, boxes, dataset.scores, notes)
+
+
+def _of_pictures(project: Project, path: Path, format: FlatFormat, recording: str | None) -> Preview:
     dataset = read_pictures(format, path)
-    frames = FrameFinder(project, recording, {origin.recording for origin in dataset.origins.values()})
-    boxes, unmatched, ambiguous = Counter[str](), list[str](), 0
-    matched: dict[int, tuple[str, StoredFrame]] = {}
-    named: list[StoredFrame] = []
-    for picture in dataset.pictures:
-        key, fitting = frames_of(dataset, picture, frames)
-        if not fitting:
-            unmatched.append(picture.file_name)
-            continue
-        boxes.update(picture.labels)
-        named += fitting if picture.stem in dataset.origins else []
-        if len(fitting) > 1:
-            ambiguous += 1
-            continue
-        (frame,) = fitting
-        if frame.id in matched:
-            raise same_frame(path, matched[frame.id][0], picture.file_name, key)
-        matched[frame.id] = (picture.file_name, frame)
-    if len(unmatched) == len(dataset.pictures):
-        raise no_frame(path)
+    placed = placed_pictures(project, dataset, dataset.pictures, recording)
+    pictures = [picture for picture, _ in placed.matched] + [picture for picture, *_ in placed.ambiguous]
     drawn = {one.frame_id for one in project.boxes.on_images() if one.boxes and one.source is not Source.IMPORTED}
-    replaced = sum(frame.id in drawn and not frame.finalised for _, frame in matched.values())
-    return Preview(
-        len(dataset.pictures),
-        tuple(unmatched),
-        ambiguous,
-        dict(sorted(boxes.items())),
-        replaced,
-        frames.renamed(named),
-    )
+    replaced = sum(stored.id in drawn and not stored.finalised for _, stored in placed.matched)
+    notes = [f"The import replaces the boxes drawn on {amount(replaced, 'image')}."] if replaced else []
+    boxes = Counter(label for picture in pictures for label in picture.labels)
+    return _preview(False, placed, boxes, None, notes)
+
+
+def _preview(
+    is_3d: bool, placed: Matched[object], boxes: Counter[str], scores: ScoreRange | None, notes: list[str]
+) -> Preview:
+    thing = "frame" if is_3d else "image"
+    if (renamed := placed.renamed) is not None:
+        notes.append(f"The file names a recording {renamed.named}, taken for {', '.join(renamed.taken_for)}.")
+    if placed.unmatched:
+        names = ", ".join(placed.unmatched[:MOST_NAMES])
+        left_out = amount(len(placed.unmatched), thing)
+        notes.append(f"Left out: {left_out} without a frame of the same name, such as {names}.")
+    frames = len(placed.matched) + len(placed.ambiguous)
+    return Preview(is_3d, frames, len(placed.ambiguous), dict(sorted(boxes.items())), scores, tuple(notes))

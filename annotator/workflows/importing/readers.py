@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
@@ -21,7 +19,7 @@ from annotator.formats.kitti.label_folders import KittiRows, each_kitti_frame, r
 from annotator.formats.kitti.tracking_folder import read_kitti_tracks
 from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
 from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results, read_world_poses
-from annotator.formats.openlabel import OpenLabelBox, OpenLabelFrame, read_openlabel
+from annotator.formats.openlabel import OpenLabelBox, read_openlabel
 from annotator.formats.packed_truths import PackedTruths
 from annotator.formats.rcv import read_rcv
 from annotator.formats.sunrgbd.labels import read_extracted_folder
@@ -29,24 +27,15 @@ from annotator.formats.sunrgbd.meta_table import read_meta
 from annotator.formats.sunrgbd.upright_depth import upright_frame
 from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
 from annotator.formats.units import Angles, AngleUnit
-from annotator.project import REVIEWED, Project
+from annotator.project import Project
 from annotator.recordings.argoverse.log import ArgoverseLog
 from annotator.recordings.look_around import LookAround
 from annotator.recordings.nuscenes.recording import NuScenes
 from annotator.recordings.sunrgbd.calibration import read_extracted_calibration
-from annotator.types import Frame, Label, ReviewState, Truth
+from annotator.types import Frame, Label, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.label_set import (
-    LeftOut,
-    PlacedBoxes,
-    Pose,
-    ScoreRange,
-    lost_scores,
-    moved_in_world,
-    transformed,
-    with_confidences,
-)
+from annotator.workflows.importing.label_set import LabelSet, PlacedBoxes, Pose, moved_in_world, transformed
 
 # Two cameras with matrices that differ less, as a share of the focal length, are the same.
 SAME_CAMERA = 0.01
@@ -183,16 +172,15 @@ def _by_camera(cameras: tuple[SceneCamera, ...], frame: Frame) -> RigidTransform
 
 
 @dataclass(frozen=True)
-class _SampleBoxes:
+class _SampleBoxes(PlacedBoxes):
     """Boxes around a vehicle, of which each camera's frame gets those that its image shows.
 
+    `objects` are by their sample, in the frame of the recordings' own labels.
+
     Attributes:
-        samples: objects by their sample, in the frame of the recordings' own labels.
-        places: the sample of each of a project's frames, by "RECORDING/KEY"; see `FoundInProject`.
+        places: the sample of each of a project's frames, by "RECORDING/KEY"; see `in_project`.
     """
 
-    path: Path
-    samples: PackedTruths
     places: Mapping[str, str] = field(default_factory=dict)
     # the places of the boxes that are in an image, by sample
     _seen: defaultdict[str, set[int]] = field(default_factory=lambda: defaultdict(set), init=False)
@@ -200,45 +188,27 @@ class _SampleBoxes:
     @property
     def frames(self) -> Sequence[str]:
         found = set(self.places.values())
-        return (*self.places, *(sample for sample in self.samples if sample not in found))
-
-    @cached_property
-    def scores(self) -> ScoreRange | None:
-        return ScoreRange.of(self.samples.scores)
-
-    @property
-    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
-        return self.samples.sizes_m
-
-    def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return with_confidences(self.suggested(name, lambda: frame), self.scores)
-
-    def values_of_boxes(self, name: str) -> Sequence[Values]:
-        return [each.attributes for each in self.samples[self.places.get(name, name)]]
-
-    def classes(self, name: str) -> list[str]:
-        return [each.label for each in self.samples[self.places.get(name, name)]]
-
-    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        frame = read()
-        K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
-        sample = self.places.get(name, name)
-        truths = transformed(self.samples[sample], frame.T_camera_label)
-        seen = [place for place, truth in enumerate(truths) if is_seen(truth.box, K, *size)]
-        self._seen[sample].update(seen)
-        return [truths[place] for place in seen]
+        return (*self.places, *(sample for sample in self.objects if sample not in found))
 
     def unseen(self) -> int:
-        return sum(len(self.samples[sample]) - len(seen) for sample, seen in self._seen.items())
+        return sum(len(self.objects[sample]) - len(seen) for sample, seen in self._seen.items())
 
-    def left_out_of(self, name: str) -> LeftOut:
-        return LeftOut(scores=lost_scores(self.samples[self.places.get(name, name)], self.scores))
+    def _objects(self, name: str) -> Sequence[Truth]:
+        return self.objects[self.places.get(name, name)]
+
+    def _in_camera(self, name: str, truths: Sequence[Truth], read: Callable[[], Frame]) -> list[Truth]:
+        frame = read()
+        K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
+        moved = transformed(truths, frame.T_camera_label)
+        seen = [place for place, truth in enumerate(moved) if is_seen(truth.box, K, *size)]
+        self._seen[self.places.get(name, name)].update(seen)
+        return [moved[place] for place in seen]
 
 
 class NuScenesResults(_SampleBoxes):
     """The boxes of a detector or tracker, in the global frame, by the token of their sample."""
 
-    def in_project(self, project: Project) -> NuScenesResults:
+    def in_project(self, project: Project) -> LabelSet:
         """Returns the boxes by the project's frames: those of each camera of the samples' recordings."""
         source, places = FrameSource(project), dict[str, str]()
         for stored in project.recordings.all():
@@ -249,13 +219,18 @@ class NuScenesResults(_SampleBoxes):
             if isinstance(base, NuScenes):
                 samples = {key: base.sample(key) for key in base.keys}
                 found = {f"{stored.name}/{key}": each for key, each in samples.items() if each is not None}
-                places |= {name: each for name, each in found.items() if each in self.samples}
+                places |= {name: each for name, each in found.items() if each in self.objects}
         if not places:
             problem = (
-                f"the project has none of its samples ({len(self.samples)}); add their scenes to the project first"
+                f"the project has none of its samples ({len(self.objects)}); add their scenes to the project first"
             )
             raise FormatError(self.path, problem)
         return replace(self, places=places)
+
+
+def nuscenes_labels(path: Path) -> PlacedBoxes:
+    """Reads a file of results, or a folder of tables. Raises FormatError as `read_results` and `nuscenes_tables`."""
+    return nuscenes_results(path) if path.is_file() else nuscenes_tables(path)
 
 
 def nuscenes_results(path: Path) -> NuScenesResults:
@@ -266,7 +241,7 @@ def nuscenes_results(path: Path) -> NuScenesResults:
 class ArgoverseLabels(_SampleBoxes):
     """The annotations of an Argoverse 2 log, in the ego frame, by the time of their sweep."""
 
-    def in_project(self, project: Project) -> ArgoverseLabels:
+    def in_project(self, project: Project) -> LabelSet:
         """Returns the boxes by the project's frames: those of each camera of the log."""
         names = {
             stored.id: stored.name
@@ -274,9 +249,9 @@ class ArgoverseLabels(_SampleBoxes):
             if stored.format in (ArgoverseLog.format, LookAround.format)
         }
         frames = project.frames.of(tuple(names))
-        places = {f"{names[each.recording_id]}/{each.key}": each.key for each in frames if each.key in self.samples}
+        places = {f"{names[each.recording_id]}/{each.key}": each.key for each in frames if each.key in self.objects}
         if not places:
-            problem = f"the project has none of its sweeps ({len(self.samples)}); add their log to the project first"
+            problem = f"the project has none of its sweeps ({len(self.objects)}); add their log to the project first"
             raise FormatError(self.path, problem)
         return replace(self, places=places)
 
@@ -291,66 +266,7 @@ def argoverse_labels(path: Path) -> ArgoverseLabels:
     return ArgoverseLabels(path, PackedTruths(sweeps))
 
 
-@dataclass(frozen=True)
-class RcvLabels:
-    """Accepted and edited labels; proposals and rejected boxes are left out."""
-
-    path: Path
-    labels: dict[str, tuple[Label, ...]]
-    values: Mapping[str, Values] = field(default_factory=dict)
-    poses: Mapping[str, RigidTransform | None] = field(default_factory=dict)
-
-    @property
-    def frames(self) -> Sequence[str]:
-        return tuple(self.labels)
-
-    def values_of_boxes(self, name: str) -> Sequence[Values]:
-        return [each.attributes for each in self.labels[name]]
-
-    def truths(self, name: str, frame: Frame) -> list[Truth]:
-        return self._truths(name, [label for label in self.labels[name] if label.state in REVIEWED], lambda: frame)
-
-    def values_of(self, name: str) -> Values:
-        return self.values.get(name, {})
-
-    def left_out_of(self, name: str) -> LeftOut:
-        states = [label.state for label in self.labels[name]]
-        return LeftOut(
-            not_reviewed=sum(state not in REVIEWED for state in states), rejected=states.count(ReviewState.REJECTED)
-        )
-
-    @property
-    def scores(self) -> ScoreRange | None:
-        return ScoreRange.of(label.score for labels in self.labels.values() for label in labels)
-
-    @property
-    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
-        return (label.box.size_m for labels in self.labels.values() for label in labels)
-
-    def classes(self, name: str) -> list[str]:
-        return [each.label for each in self.labels[name] if each.state is not ReviewState.REJECTED]
-
-    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        labels = [label for label in self.labels[name] if label.state is not ReviewState.REJECTED]
-        return self._truths(name, labels, read)
-
-    def _truths(self, name: str, labels: Sequence[Label], read: Callable[[], Frame]) -> list[Truth]:
-        return transformed([_truth(label) for label in labels], moved_in_world(self.poses.get(name), read))
-
-
-def _truth(label: Label) -> Truth:
-    return Truth(
-        label.label,
-        label.box,
-        label.track_id,
-        label.score,
-        box_kind=label.box_kind,
-        attributes=label.attributes,
-        said=label.said,
-    )
-
-
-def rcv_labels(path: Path) -> RcvLabels:
+def rcv_labels(path: Path) -> PlacedBoxes:
     """Reads an `rcv` dataset.
 
     Raises FormatError: not an `rcv` dataset, or a label file that does not follow the format.
@@ -359,79 +275,55 @@ def rcv_labels(path: Path) -> RcvLabels:
     frames = [dataset.named_labels(i) for i in range(len(dataset))]
     values = {name: values for name, _, values, _ in frames}
     poses = {name: pose for name, *_, pose in frames}
-    return RcvLabels(path, {name: labels for name, labels, *_ in frames}, values, poses)
+    return _reviewed(
+        path,
+        {name: labels for name, labels, *_ in frames},
+        lambda name, read: moved_in_world(poses[name], read),
+        values,
+    )
 
 
-@dataclass(frozen=True)
-class OpenLabelLabels:
-    """Accepted and edited boxes, and boxes without a review state; others are left out."""
-
-    path: Path
-    by_frame: Mapping[str, OpenLabelFrame]
-
-    @property
-    def frames(self) -> Sequence[str]:
-        return tuple(self.by_frame)
-
-    @cached_property
-    def scores(self) -> ScoreRange | None:
-        return ScoreRange.of(box.score for each in self.by_frame.values() for box in each.boxes)
-
-    @property
-    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
-        return (box.box.size_m for each in self.by_frame.values() for box in each.boxes)
-
-    def values_of_boxes(self, name: str) -> Sequence[Values]:
-        return [each.attributes for each in self.by_frame[name].boxes]
-
-    def truths(self, name: str, frame: Frame) -> list[Truth]:
-        boxes = [each for each in self.by_frame[name].boxes if _is_imported(each)]
-        truths = self._truths(name, boxes, lambda: frame)
-        return with_confidences(truths, self.scores)
-
-    def classes(self, name: str) -> list[str]:
-        return [each.label for each in self._suggested(name)]
-
-    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
-        return self._truths(name, self._suggested(name), read)
-
-    def _suggested(self, name: str) -> list[OpenLabelBox]:
-        return [each for each in self.by_frame[name].boxes if each.state is not ReviewState.REJECTED]
-
-    def _truths(self, name: str, boxes: Sequence[OpenLabelBox], read: Callable[[], Frame]) -> list[Truth]:
-        own = self.by_frame[name]
-        T = moved_in_world(own.T_world_sensor, read) if own.of_camera else read().T_camera_label
-        truths = [
-            Truth(
-                each.label,
-                each.box,
-                each.track_id,
-                each.score,
-                box_kind=each.box_kind,
-                attributes=each.attributes,
-                said=each.said,
-            )
-            for each in boxes
-        ]
-        return transformed(truths, T)
-
-    def values_of(self, name: str) -> Values:
-        return self.by_frame[name].attributes
-
-    def left_out_of(self, name: str) -> LeftOut:
-        boxes = self.by_frame[name].boxes
-        imported = [each for each in boxes if _is_imported(each)]
-        rejected = len(boxes) - len(self._suggested(name))
-        return LeftOut(len(boxes) - len(imported), rejected, lost_scores(imported, self.scores))
+def of_rcv(path: Path, key: str, labels: Sequence[Label]) -> PlacedBoxes:
+    """The labels of one frame of an `rcv` dataset, in its camera frame."""
+    return _reviewed(path, {key: labels}, None, {})
 
 
-def _is_imported(box: OpenLabelBox) -> bool:
-    return box.state is None or box.state in REVIEWED
-
-
-def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> OpenLabelLabels:
+def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
     """Reads OpenLABEL documents.
 
     Raises FormatError: not an OpenLABEL document, or one that does not follow the standard.
     """
-    return OpenLabelLabels(path, read_openlabel(path, angles))
+    frames = read_openlabel(path, angles)
+
+    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
+        own = frames[name]
+        return moved_in_world(own.T_world_sensor, read) if own.of_camera else read().T_camera_label
+
+    boxes = {name: each.boxes for name, each in frames.items()}
+    return _reviewed(path, boxes, pose, {name: each.attributes for name, each in frames.items()})
+
+
+def _reviewed(
+    path: Path, frames: Mapping[str, Sequence[Label | OpenLabelBox]], pose: Pose | None, values: Mapping[str, Values]
+) -> PlacedBoxes:
+    """The formats whose boxes have a review state."""
+    objects = (
+        (
+            name,
+            [
+                Truth(
+                    each.label,
+                    each.box,
+                    each.track_id,
+                    each.score,
+                    box_kind=each.box_kind,
+                    attributes=each.attributes,
+                    said=each.said,
+                )
+                for each in boxes
+            ],
+        )
+        for name, boxes in frames.items()
+    )
+    states = {name: tuple(each.state for each in boxes) for name, boxes in frames.items()}
+    return PlacedBoxes(path, PackedTruths(objects), pose, states=states, values=values)

@@ -1,12 +1,12 @@
-"""Whether the sizes of boxes are in metres, and in the order length, width, height.
-
-The usual sizes of well-known classes show their order.
-"""
+"""What an import of boxes tells: what it stored, left out and doubts, in sentences for the command and the page."""
 
 from __future__ import annotations
 
 from collections import Counter
-from itertools import permutations
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import islice, permutations
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,6 +14,192 @@ from jaxtyping import Float64
 from annotator.formats.units import Lengths
 from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
 from annotator.types.amounts import amount
+from annotator.types.names import nearest
+
+
+class Become(StrEnum):
+    """What 3D boxes become."""
+
+    LABELS = "labels"
+    PROPOSALS = "proposals"
+    FLAT = "2d"
+
+
+class Note(StrEnum):
+    """What an import tells beside the boxes that it stored; `_WORDS` says what is counted.
+
+    Some have a detail: DOUBT, UNREADABLE (`key: reason`), RENAMED and SCALED a text; OTHER_CLASS, WITHOUT_VIEWS,
+    OUTSIDE and HIDDEN the class; VALUE the attribute, with the reason; the unmatched ones the name.
+    """
+
+    MERGED = "merged"
+    AROUND = "around"
+    REPLACED = "replaced"
+    WITHOUT_VIEWS = "without_views"
+    OUTSIDE = "outside"
+    HIDDEN = "hidden"
+    ALREADY = "already"
+    FINALISED = "finalised"
+    DRAWN = "drawn"
+    OTHERS_VIEWS = "others_views"
+    FILLED = "filled"
+    SHOWN = "shown"
+    CONTRADICTED = "contradicted"
+    COVERED = "covered"
+    UNSURE = "unsure"
+    REJECTED = "rejected"
+    NOT_REVIEWED = "not_reviewed"
+    UNSEEN = "unseen"
+    OTHER_CAMERA = "other_camera"
+    PARTIAL = "partial"
+    FLAT = "flat"
+    DOUBT = "doubt"
+    CONFLICT = "conflict"
+    UNSCORED = "unscored"
+    SCALED = "scaled"
+    SCORE = "score"
+    TRACK = "track"
+    UNREADABLE = "unreadable"
+    RENAMED = "renamed"
+    VALUE = "value"
+    OTHER_CLASS = "other_class"
+    UNMATCHED = "unmatched"
+    UNMATCHED_IMAGE = "unmatched_image"
+
+
+# The noun of what is counted, and the sentence: {n} is the number with the noun, {by} the number of each detail,
+# {names} the first details. A sentence with {of} is one for each detail.
+_WORDS = {
+    Note.MERGED: ("box", "merged: {n} with proposals of other sources"),
+    Note.AROUND: ("box", "turned or polygons: {n}; the rectangles around them were imported"),
+    Note.REPLACED: ("camera image", "replaced: the boxes on {n}"),
+    Note.WITHOUT_VIEWS: ("box", "on the image only, too few points for pseudo-views: {by}"),
+    Note.OUTSIDE: ("box", "outside the image: {by}"),
+    Note.HIDDEN: ("box", "hidden, without points of their own: {by}"),
+    Note.ALREADY: (
+        "frame",
+        "unchanged: {n} with labels or proposals already, or finalised; boxes imported as proposals come beside labels",
+    ),
+    Note.FINALISED: ("finalised frame", "unchanged: {n}"),
+    Note.DRAWN: ("frame", "unchanged: {n} with drawn boxes, or finalised"),
+    Note.OTHERS_VIEWS: ("pseudo-view", "unchanged: {n} with boxes from elsewhere"),
+    Note.FILLED: ("value", "attributes: {n} for labels and frames that had none"),
+    Note.SHOWN: ("value", "attributes: {n} for the 3D labels and frames that these images show"),
+    Note.CONTRADICTED: ("value", "unchanged: {n} of labels and frames in conflict with the file"),
+    Note.COVERED: ("box", "skipped: {n} of reviewed objects"),
+    Note.UNSURE: ("box", "skipped: {n} with a lower score"),
+    Note.REJECTED: ("box", "skipped: {n} rejected before"),
+    Note.NOT_REVIEWED: ("box", "skipped: {n} not accepted"),
+    Note.UNSEEN: ("box", "skipped: {n} outside the images of these frames"),
+    Note.OTHER_CAMERA: ("box", "skipped: {n} left to other cameras of the rig"),
+    Note.PARTIAL: ("box", "no labels imported: those of the recording are only of what its own camera sees"),
+    Note.FLAT: ("row", "skipped: {n} with a 2D box and no 3D box (its height, width and length are -1)"),
+    Note.DOUBT: ("box", "doubtful: {of}"),
+    Note.CONFLICT: ("value", "in conflict with other sources: {n}; those of the surer boxes are shown"),
+    Note.UNSCORED: ("box", "the boxes have no scores, so --min-score has no effect"),
+    Note.SCALED: ("score", "scaled: scores from {of} are now 0 to 1"),
+    Note.SCORE: ("score", "dropped: {n} outside 0..1"),
+    Note.TRACK: ("track id", "dropped: {n} that an earlier box of the same frame has"),
+    Note.UNREADABLE: ("frame", "unreadable: {of}"),
+    Note.RENAMED: ("recording", "recording {of}"),
+    Note.VALUE: ("value", "skipped: {n} of attribute {of}"),
+    Note.OTHER_CLASS: ("box", "skipped: {n} of class {of}, which is not in the project"),
+    Note.UNMATCHED: ("frame", "skipped: {n} without a match in the project: {names}"),
+    Note.UNMATCHED_IMAGE: ("image", "skipped: {n} without a match in the project: {names}"),
+}
+# Names that a sentence shows.
+MOST_NAMES = 5
+
+
+@dataclass
+class ImportReport:
+    """The report of one import.
+
+    Attributes:
+        become: what the boxes became.
+        classes: of the project, for "did you mean".
+        source: of proposals: the name under which the boxes are known.
+        frames: number of frames that got boxes, or are empty in the dataset; for 2D boxes, of camera images.
+        views: number of pseudo-views, likewise.
+        boxes: number of boxes stored, by class.
+        notes: numbers by detail, "" without one.
+    """
+
+    become: Become
+    classes: tuple[str, ...] = ()
+    source: str = ""
+    frames: int = 0
+    views: int = 0
+    boxes: Counter[str] = field(default_factory=Counter)
+    notes: dict[Note, Counter[str]] = field(default_factory=dict)
+
+    def add(self, note: Note, number: int = 1, of: str = "") -> None:
+        """Counts something."""
+        if number:
+            self.notes.setdefault(note, Counter())[of] += number
+
+    def add_all(self, note: Note, of: Iterable[str]) -> None:
+        """Counts each of some details once."""
+        for each in of:
+            self.add(note, of=each)
+
+    def __getitem__(self, note: Note) -> int:
+        return self.of(note).total()
+
+    def of(self, note: Note) -> Counter[str]:
+        """The numbers by detail."""
+        return self.notes.get(note, Counter())
+
+    def include(self, other: ImportReport) -> None:
+        """Adds the numbers of another import."""
+        self.frames, self.views = self.frames + other.frames, self.views + other.views
+        self.boxes.update(other.boxes)
+        for note, numbers in other.notes.items():
+            self.notes.setdefault(note, Counter()).update(numbers)
+
+    def headline(self) -> str:
+        """What was stored."""
+        if self.become is Become.LABELS:
+            return f"imported as labels: {by_class(self.boxes)} in {amount(self.frames, 'frame')}"
+        if self.become is Become.PROPOSALS:
+            return f"proposed by {self.source}: {by_class(self.boxes)} in {amount(self.frames, 'frame')}"
+        counts = {"camera image": self.frames, "pseudo-view": self.views}
+        where = " and ".join(amount(number, what) for what, number in counts.items() if number) or "no image"
+        return f"imported as 2D boxes: {by_class(self.boxes)} on {where}"
+
+    def sentences(self, most: int | None = None) -> list[str]:
+        """All other sentences, in the order of `Note`.
+
+        Args:
+            most: number of details with a sentence of their own; None = all.
+        """
+        return [line for note in Note if self.notes.get(note) for line in self._lines(note, most)]
+
+    def text(self, most: int = MOST_NAMES) -> str:
+        """The report in one line; `most` as for `sentences`."""
+        return "; ".join([self.headline(), *self.sentences(most)])
+
+    def _lines(self, note: Note, most: int | None) -> Iterable[str]:
+        noun, words = _WORDS[note]
+        numbers = self.of(note)
+        if "{of}" not in words:
+            more = " ..." if len(numbers) > MOST_NAMES else ""
+            names = ", ".join(islice(numbers, MOST_NAMES)) + more
+            yield words.format(n=amount(numbers.total(), noun), by=by_class(numbers), names=names)
+            return
+        details = sorted(numbers.items()) if note in (Note.VALUE, Note.OTHER_CLASS) else list(numbers.items())
+        for of, number in details[:most]:
+            near = nearest(of, self.classes) if note is Note.OTHER_CLASS else None
+            meant = "" if near is None else f"; did you mean {near!r}?"
+            yield words.format(n=amount(number, noun), of=of) + meant
+        if most is not None and len(details) > most:
+            yield f"and {len(details) - most} more like this"
+
+
+def by_class(counts: Mapping[str, int]) -> str:
+    """Numbers with their classes, such as "2 car, 3 person"."""
+    return ", ".join(f"{number} {name}" for name, number in sorted(counts.items())) or "no box"
+
 
 # Factor by which a side may differ from the usual one, and standard deviations of its class if these are larger.
 SIZE_FACTOR, SIZE_DEVIATIONS = 1.6, 3.0

@@ -35,7 +35,7 @@ from annotator.formats.yolo_read import CLASSES
 from annotator.text import decoded
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.importing import readers
-from annotator.workflows.importing.label_set import ProposalSet
+from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.pictures import FlatFormat
 
 
@@ -55,19 +55,15 @@ class BoxFormat(StrEnum):
     BOX_CSV = "box-csv"
 
 
-def _nuscenes(path: Path) -> ProposalSet:
-    return readers.nuscenes_results(path) if path.is_file() else readers.nuscenes_tables(path)
-
-
-READERS: dict[BoxFormat, Callable[[Path], ProposalSet]] = {
+READERS: dict[BoxFormat, Callable[[Path], LabelSet]] = {
     BoxFormat.RCV: readers.rcv_labels,
     BoxFormat.SUNRGBD: readers.sunrgbd_labels,
-    BoxFormat.NUSCENES: _nuscenes,
+    BoxFormat.NUSCENES: readers.nuscenes_labels,
     BoxFormat.ARGOVERSE2: readers.argoverse_labels,
     BoxFormat.BOXES: readers.boxes_labels,
 }
 # The formats that write angles, and their readers, which take the unit; None: as the format says.
-WITH_ANGLES: dict[BoxFormat, Callable[[Path, AngleUnit | None], ProposalSet]] = {
+WITH_ANGLES: dict[BoxFormat, Callable[[Path, AngleUnit | None], LabelSet]] = {
     BoxFormat.KITTI: readers.kitti_labels,
     BoxFormat.KITTI_TRACKING: readers.kitti_tracking_labels,
     BoxFormat.OPENLABEL: readers.openlabel_labels,
@@ -77,7 +73,7 @@ WITH_ANGLES: dict[BoxFormat, Callable[[Path, AngleUnit | None], ProposalSet]] = 
 }
 
 
-def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> ProposalSet:
+def read_labels(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> LabelSet:
     """Reads and checks all labels at `path`.
 
     Args:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,9 +21,10 @@ from annotator.project.sources.covering import covered_by
 from annotator.types import ReviewState, Source
 from annotator.types.errors import StaleRevisionError
 from annotator.types.label import AttributeValue
-from annotator.workflows.importing.label_set import HasFrameValues, LabelSet
+from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.pictures import FlatFormat, OnImage, PictureLabels, read_pictures
 from annotator.workflows.importing.placing import AUTHOR, Importer
+from annotator.workflows.importing.report import ImportReport, Note
 from annotator.workflows.views.outlines import drawn_of, outlines
 
 # Texts that repeat are a choice, if there are at most so many different ones.
@@ -47,8 +48,7 @@ def values_of_labels(dataset: LabelSet) -> FoundValues:
     for name in dataset.frames:
         for values in dataset.values_of_boxes(name):
             _add(found.of_boxes, values.items())
-        if isinstance(dataset, HasFrameValues):
-            _add(found.of_frames, dataset.values_of(name).items())
+        _add(found.of_frames, dataset.values_of(name).items())
     return found
 
 
@@ -143,35 +143,16 @@ def give_missing_values(
             return sum(map(len, missing.values()))
 
 
-@dataclass
-class TakenValues:
-    """What became of the attributes in a dataset of 2D boxes.
-
-    Attributes:
-        set: number of values that labels and frames got.
-        kept: number of values of labels and frames that differ from those of the dataset, and stay.
-        left_out: values that no label can hold, by attribute, with the reason in brackets.
-    """
-
-    set: int = 0
-    kept: int = 0
-    left_out: Counter[str] = field(default_factory=Counter)
-
-
 class ImageValues:
-    """The values of one import.
+    """The values of one import of 2D boxes.
 
     2D boxes have no attributes in a project. So those of the dataset go to the 3D labels whose outlines the boxes are,
     where these lack them.
-
-    Attributes:
-        taken: of the images so far.
     """
 
-    def __init__(self, project: Project) -> None:
-        self._project = project
+    def __init__(self, project: Project, report: ImportReport) -> None:
+        self._project, self._report = project, report
         self._reader = ValueReader(project.config.attributes)
-        self.taken = TakenValues(left_out=self._reader.left_out)
 
     def take(self, image: OnImage, names: Mapping[str, str], importer: Importer) -> None:
         """Stores the values of an image and of its boxes.
@@ -199,13 +180,20 @@ class ImageValues:
             with suppress(StaleRevisionError):
                 if payloads:
                     self._project.log.append_to_frames([FramePart(frame.id, payloads, context)], importer.action)
-                self.taken.set += number
-                self.taken.kept += kept
+                self._report.add(Note.SHOWN, number)
+                self._report.add(Note.CONTRADICTED, kept)
                 return
 
     def leave_out(self, view: PictureLabels) -> None:
         """Counts the values of the boxes on a pseudo-view, which belong to no label."""
-        self.taken.left_out.update(f"{name} (of boxes on pseudo-views)" for each in view.values for name in each)
+        self._report.add_all(
+            Note.VALUE, (f"{name} (of boxes on pseudo-views)" for each in view.values for name in each)
+        )
+
+    def report_left_out(self) -> None:
+        """Counts the values that the project's attributes cannot hold, once all images are read."""
+        for what, number in self._reader.left_out.items():
+            self._report.add(Note.VALUE, number, what)
 
     def _of_labels(self, image: OnImage, names: Mapping[str, str]) -> dict[str, Values]:
         """Returns the values of the boxes by the uid of the label that each shows; counts those of other boxes."""
@@ -219,7 +207,7 @@ class ImageValues:
             if place in shown:
                 found[shown[place]] = self._reader.of_label(labels[shown[place]].label, values)
             else:
-                self.taken.left_out.update(f"{name} (of 2D boxes without a 3D label)" for name in values)
+                self._report.add_all(Note.VALUE, (f"{name} (of 2D boxes without a 3D label)" for name in values))
         return found
 
 

@@ -46,7 +46,8 @@ from annotator.recordings.rig import Scanned
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
 from annotator.types import Box2D, Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.importing.readers import OpenLabelLabels, RcvLabels, of_labelcloud, openlabel_labels
+from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.readers import of_labelcloud, of_rcv, openlabel_labels
 
 # Generated recordings have their truth in a separate folder.
 TRUTH_FOLDER = "truth"
@@ -265,7 +266,7 @@ def _from_scene(path: Path, key: str, frame: Frame) -> list[Truth]:
 def _from_rcv(path: Path, key: str, frame: Frame) -> list[Truth]:
     manifest = path.parent.parent / MANIFEST
     labels = _rcv(manifest, *file_version(manifest)).labels(frame.index)
-    return RcvLabels(path, {key: labels}).truths(key, frame)
+    return of_rcv(path, key, labels).truths(key, frame)
 
 
 def _from_openlabel(path: Path, key: str, frame: Frame) -> list[Truth]:
@@ -320,7 +321,7 @@ def _rcv(path: Path, changed_ns: int, size: int) -> RcvDataset:
 
 
 @lru_cache(maxsize=4)
-def _openlabel(path: Path, changed_ns: int, size: int) -> tuple[OpenLabelLabels, dict[str, str]]:
+def _openlabel(path: Path, changed_ns: int, size: int) -> tuple[LabelSet, dict[str, str]]:
     """As `_boxes` for a document; also returns the frames' names in it, by key."""
     origins = read_frames(path.parent) or read_frames(path.parent.parent)
     return openlabel_labels(path), {key: origin.name for key, origin in origins.items()}

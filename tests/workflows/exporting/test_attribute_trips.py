@@ -17,7 +17,7 @@ from annotator.project.classes.attributes import Attribute
 from annotator.types import OrientedBox
 from annotator.types.amounts import amount
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing import BoxFormat, Note, import_labels, read_labels
 from benchmarks.trips import trip
 
 TRIPS = 10
@@ -128,7 +128,7 @@ def test_values_that_the_project_cannot_hold_are_reported(make: Callable[[], Pro
     with project.store.write() as connection:
         connection.exec_driver_sql("DELETE FROM labels")
     done = import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out"))
-    assert done.values == {
+    assert done.of(Note.VALUE) == {
         "helmet (not an attribute of the project)": 2,
         "occlusion must be a whole number from 0 to 2, not 3": 1,
     }

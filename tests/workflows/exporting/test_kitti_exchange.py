@@ -19,9 +19,9 @@ from annotator.recordings import open_recording
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
-from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing import BoxFormat, Note, import_labels, read_labels
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
-from annotator.workflows.recorded.own_labels import import_own_labels, labels_from
+from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth, true_kitti_rows
 
 MakeProject = Callable[..., Project]
@@ -52,7 +52,7 @@ def test_a_kitti_export_can_be_imported_and_opened_as_a_recording(
 
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat.KITTI, out / "training" / "label_2"))
-    assert (done.frames, done.labels["person"], done.unmatched) == (5, report.objects, ())
+    assert (done.frames, done.boxes["person"], tuple(done.of(Note.UNMATCHED))) == (5, report.objects, ())
     again = export_project(other, tmp_path / "again", ExportFormat.KITTI, choose=ALL)
     assert "tilt" not in {loss.kind.value for loss in again.losses}
     for file in (out / "training" / "label_2").iterdir():
@@ -154,7 +154,7 @@ def test_imported_labels_are_shifted_by_the_calibration_beside_them(
         import_labels(make_project(generated / "people"), read_labels(BoxFormat.KITTI, folder))
     with pytest.raises(FormatError, match="training: 000000: a box must be within"):
         project = make_project(generated / "people")
-        boxes_from_3d(project, labels_from(project, read_labels(BoxFormat.KITTI, folder)))
+        boxes_from_3d(project, read_labels(BoxFormat.KITTI, folder))
 
     for text, problem in (
         ("P0: 1", "has no P2"),

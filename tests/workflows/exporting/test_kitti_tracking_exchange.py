@@ -14,7 +14,7 @@ from annotator.recordings import ReaderOptions, open_recording
 from annotator.types.errors import ConfigError, FormatError
 from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
-from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing import BoxFormat, Note, import_labels, read_labels
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 MakeProject = Callable[..., Project]
@@ -58,7 +58,7 @@ def test_a_tracking_export_can_be_imported_with_its_track_ids(
 
     other = make_project(generated / "people", generated / "hands", classes=("person", "hand"))
     done = import_labels(other, read_labels(BoxFormat.KITTI_TRACKING, out))
-    assert (done.frames, sum(done.labels.values()), done.unmatched) == (10, report.objects, ())
+    assert (done.frames, sum(done.boxes.values()), tuple(done.of(Note.UNMATCHED))) == (10, report.objects, ())
     for mine, theirs in zip(project.frames.of(), other.frames.of(), strict=True):
         if mine.id != frame.id:
             wanted = [label.track_id for label in project.labels.of_frame(mine.id)]
@@ -73,7 +73,7 @@ def test_a_tracking_export_can_be_imported_with_its_track_ids(
     added = add_recordings(opened, [out], scenes=["all"])
     assert [(each.recording.name, each.new_frames) for each in added] == [("0000", 5), ("0001", 5)]
     imported = [import_own_labels(opened, each.recording.id) for each in added]
-    assert sum(sum(each.labels.values()) for each in imported) == report.objects
+    assert sum(each.boxes.total() for each in imported) == report.objects
     for mine, theirs in zip(project.labels.select(), opened.labels.select(), strict=True):
         np.testing.assert_allclose(theirs.label.box.center_m, mine.label.box.center_m, atol=0.01)
     with pytest.raises(ConfigError, match="has no scene 7; it has 0000, 0001"):
@@ -130,7 +130,7 @@ def test_kittis_tracking_labels_are_exported_unchanged(make_project: MakeProject
     folder.mkdir(parents=True)
     (folder / "0000.txt").write_bytes((drive / "label_02.txt").read_bytes())
     other = make_project(drive, classes=("Van", "Cyclist", "Pedestrian"))
-    assert sum(import_labels(other, read_labels(BoxFormat.KITTI_TRACKING, folder.parent)).labels.values()) == len(solid)
+    assert sum(import_labels(other, read_labels(BoxFormat.KITTI_TRACKING, folder.parent)).boxes.values()) == len(solid)
     ids = {stored.label.track_id for stored in other.labels.select()}
     assert ids == {int(row[1]) for row in wanted} - {-1}
     assert open_recording(drive).format == "kitti_tracking"

@@ -21,7 +21,7 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import Label, OrientedBox, ReviewState, Source
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, Split, export_project
-from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing import BoxFormat, Note, import_labels, read_labels
 from annotator.workflows.recorded.reading import load_truth
 
 # Each format's precision, metres and radians.
@@ -68,7 +68,7 @@ def test_exported_boxes_are_imported_unchanged(
     assert "tilt" not in {loss.kind for loss in report.losses}
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat(format), tmp_path / "out"))
-    assert (done.frames, done.labels, done.unmatched) == (4, {"person": 8}, ())
+    assert (done.frames, done.boxes, tuple(done.of(Note.UNMATCHED))) == (4, {"person": 8}, ())
     assert_same(people, other, precision, tracks=format is not ExportFormat.LABELCLOUD)
 
 
@@ -94,13 +94,13 @@ def test_unaccepted_boxes_are_not_imported(
     assert report.objects == 12
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat.OPENLABEL, tmp_path / "out"))
-    assert (done.labels, done.not_reviewed, done.scores) == ({"person": 8}, 4, 0)
+    assert (done.boxes, done[Note.NOT_REVIEWED], done[Note.SCORE]) == ({"person": 8}, 4, 0)
     assert [x.score for x in other.labels.of_frame(other.frames.of()[0].id)] == [0.5, None]
 
     (document,) = (tmp_path / "out").glob("*.json")
     document.write_text(re.sub(r'("name":\s*"score",\s*"val":\s*)0\.5', r"\g<1>7.5", document.read_text(), count=1))
     raw = make_project(generated / "people")
-    assert import_labels(raw, read_labels(BoxFormat.OPENLABEL, tmp_path / "out")).scores == 4
+    assert import_labels(raw, read_labels(BoxFormat.OPENLABEL, tmp_path / "out"))[Note.SCORE] == 4
     assert {x.score for stored in raw.frames.of() for x in raw.labels.of_frame(stored.id)} == {None}
 
 

@@ -14,7 +14,7 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import open_recording
 from annotator.types import OrientedBox, Source
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
-from annotator.workflows.importing import BoxFormat, import_labels, read_labels
+from annotator.workflows.importing import BoxFormat, Note, import_labels, read_labels
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
 
@@ -56,7 +56,7 @@ def test_a_sunrgbd_export_can_be_imported_and_opened_as_a_recording(
     assert report.objects == len(seen)
     from_table, from_labels = make_project(generated / "people"), make_project(generated / "people")
     done = import_labels(from_table, read_labels(BoxFormat.SUNRGBD, out / META))
-    assert (done.frames, done.unmatched) == (5, ())
+    assert (done.frames, tuple(done.of(Note.UNMATCHED))) == (5, ())
     assert_same(boxes(from_table), seen, 1e-9)
     import_labels(from_labels, read_labels(BoxFormat.SUNRGBD, out))
     again = export_project(from_labels, tmp_path / "again", ExportFormat.SUNRGBD, choose=ALL)

@@ -14,7 +14,7 @@ from annotator.project import Project
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.types.errors import FormatError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
+from annotator.workflows.importing import BoxFormat, Note, format_of, import_labels, import_proposals, read_labels
 from annotator.workflows.recorded.reading import load_truth
 
 AHEAD, BEHIND = "REGULAR_VEHICLE", "PEDESTRIAN"
@@ -31,7 +31,7 @@ def test_annotations_are_placed_like_the_recordings_own(make_project: Callable[.
     register_recording(project, recordings[0], options=ReaderOptions(camera=next(iter(CAMERAS))))
     done = import_labels(project, read_labels(BoxFormat.ARGOVERSE2, file))
     # the front camera sees one of the two boxes of each sweep
-    assert (done.frames, done.labels, done.unseen, len(done.unmatched)) == (3, {AHEAD: 3}, 3, 1)
+    assert (done.frames, done.boxes, done[Note.UNSEEN], len(tuple(done.of(Note.UNMATCHED)))) == (3, {AHEAD: 3}, 3, 1)
     for number, stored in enumerate(project.frames.of()):
         (label,) = project.labels.of_frame(stored.id)
         (own,) = load_truth(recordings[0], number, recordings[0].frame(number))
@@ -39,4 +39,4 @@ def test_annotations_are_placed_like_the_recordings_own(make_project: Callable[.
         assert (label.label, label.track_id) == (own.label, own.track_id)
     register_recording(project, recordings[1], options=ReaderOptions(camera=list(CAMERAS)[1]))
     proposed = import_proposals(project, read_labels(BoxFormat.ARGOVERSE2, file.parent))
-    assert (proposed.frames, proposed.proposals, proposed.covered, proposed.unseen) == (6, {BEHIND: 3}, 3, 0)
+    assert (proposed.frames, proposed.boxes, proposed[Note.COVERED], proposed[Note.UNSEEN]) == (6, {BEHIND: 3}, 3, 0)

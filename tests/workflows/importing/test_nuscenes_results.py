@@ -16,9 +16,8 @@ from annotator.project import Project
 from annotator.recordings import ReaderOptions, Recording, open_recording
 from annotator.types.errors import FormatError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.importing import BoxFormat, format_of, import_labels, import_proposals, read_labels
+from annotator.workflows.importing import BoxFormat, Note, format_of, import_labels, import_proposals, read_labels
 from annotator.workflows.importing.values import add_attributes, values_of_labels
-from annotator.workflows.recorded.own_labels import labels_from
 from annotator.workflows.recorded.reading import load_truth
 
 
@@ -53,8 +52,8 @@ def test_results_of_the_real_sample_are_its_boxes_in_every_camera(
     path = results(tmp_path / "results.json", tmp_path / "set" / "v1.0-mini", attribute_name="vehicle.moving")
     assert format_of(path) is BoxFormat.NUSCENES
     done = import_proposals(project, read_labels(BoxFormat.NUSCENES, path), min_score=0.1)
-    assert (done.source, done.frames, done.unmatched) == ("results", 6, ("elsewhere",))
-    assert done.unsure > 0 and done.proposals.total() > 50
+    assert (done.source, done.frames, tuple(done.of(Note.UNMATCHED))) == ("results", 6, ("elsewhere",))
+    assert done[Note.UNSURE] > 0 and done.boxes.total() > 50
     proposed = {}
     for frame, recording in zip(project.frames.of(), recordings, strict=True):
         truths = load_truth(recording, 0, recording.frame(0))
@@ -64,7 +63,7 @@ def test_results_of_the_real_sample_are_its_boxes_in_every_camera(
             near = [np.abs(box_corners(each.box) - box_corners(label.box)).max() for each in truths]
             best = truths[int(np.argmin(near))]
             assert min(near) < 1e-6 and best.label == label.label and label.score is not None and label.score >= 0.1
-    assert sum(proposed.values()) == done.proposals.total()
+    assert sum(proposed.values()) == done.boxes.total()
 
 
 @pytest.mark.parametrize("task", ["detection", "tracking"])
@@ -80,19 +79,19 @@ def test_results_find_their_frames_and_trackers_their_tracks(
     added(project, data, scene="scene-0000", camera=CAMERAS[0])
     done = import_proposals(project, read_labels(BoxFormat.NUSCENES, path))
     # two samples of the six frames; the box of the other camera is not in its image
-    assert (done.frames, done.proposals) == (2, {"car": 2})
+    assert (done.frames, done.boxes) == (2, {"car": 2})
     stored = project.labels.select()
     assert {each.label.track_id for each in stored} == ({0} if task == "tracking" else {None})
-    assert done.unseen == 2
+    assert done[Note.UNSEEN] == 2
     # as labels, on frames without any, and as 2D boxes
     labelled = make_project(classes=("car",))
     added(labelled, data, scene="scene-0000", camera=CAMERAS[1])
-    assert len(labels_from(labelled, read_labels(BoxFormat.NUSCENES, path)).frames) == 2
+    assert len(read_labels(BoxFormat.NUSCENES, path).in_project(labelled).placed(labelled).matched) == 2
     imported = import_labels(labelled, read_labels(BoxFormat.NUSCENES, path))
-    assert (imported.labels, imported.unseen) == ({"car": 2}, 2)
+    assert (imported.boxes, imported[Note.UNSEEN]) == ({"car": 2}, 2)
     # no box is outside both cameras
     added(project, data, scene="scene-0000", camera=CAMERAS[1])
-    assert import_proposals(project, read_labels(BoxFormat.NUSCENES, path)).unseen == 0
+    assert import_proposals(project, read_labels(BoxFormat.NUSCENES, path))[Note.UNSEEN] == 0
 
 
 def test_attributes_of_results_can_be_added_to_the_project(
@@ -103,9 +102,9 @@ def test_attributes_of_results_can_be_added_to_the_project(
     added(project, data, scene="scene-0000", camera=CAMERAS[0])
     path = results(tmp_path / "theirs.json", next(data.glob("v1.0-*")), attribute_name="vehicle.moving")
     dataset = read_labels(BoxFormat.NUSCENES, path)
-    assert import_proposals(project, dataset).values == {"vehicle (not an attribute of the project)": 2}
+    assert import_proposals(project, dataset).of(Note.VALUE) == {"vehicle (not an attribute of the project)": 2}
     assert [each.name for each in add_attributes(project, values_of_labels(dataset))] == ["vehicle"]
-    assert not import_proposals(project, dataset).values
+    assert not import_proposals(project, dataset)[Note.VALUE]
     assert {each.label.attributes["vehicle"] for each in project.labels.select()} == {"moving"}
 
 

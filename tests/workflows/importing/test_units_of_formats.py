@@ -21,6 +21,7 @@ from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFormat, export_project
 from annotator.workflows.importing import (
     BoxFormat,
+    Note,
     format_of,
     import_image_boxes,
     import_labels,
@@ -117,8 +118,6 @@ WITH_ANGLES = [
 def boxes(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> list[OrientedBox]:
     """The boxes in the labels' own frame."""
     labels: Any = read_labels(format, path, angles)
-    if format is BoxFormat.OPENLABEL:
-        return [each.box for frame in labels.by_frame.values() for each in frame.boxes]
     return [truth.box for name in sorted(labels.frames) for truth in labels.objects[name]]
 
 
@@ -281,10 +280,10 @@ def test_rows_of_2d_boxes_are_left_out_and_counted(
     put(tmp_path / f"label_2/{first}.txt", FLAT + solid + FLAT)
     put(tmp_path / f"label_2/{second}.txt", FLAT.replace("-1 -1 -1 -1000", "0 0 0 -1000"))
     proposed = import_proposals(project, read_labels(BoxFormat.KITTI, tmp_path), "detector")
-    assert (proposed.proposals, proposed.flat) == ({"person": 1}, 3)
+    assert (proposed.boxes, proposed[Note.FLAT]) == ({"person": 1}, 3)
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat.KITTI, tmp_path))
-    assert (done.frames, done.labels, done.flat) == (2, {"person": 1}, 3)
+    assert (done.frames, done.boxes, done[Note.FLAT]) == (2, {"person": 1}, 3)
     again = make_project(generated / "people")
     again.close()
     assert main(["import", again.path.name, str(tmp_path), "--projects", str(again.path.parent)]) == 0
@@ -300,7 +299,7 @@ def test_exchanged_sizes_are_said_by_every_import(
         put(tmp_path / f"label_2/{stored.key}.txt", kitti_row(0.3, "4 2 1.6") + FLAT)
     said = "2 of 2 boxes of well-known classes have the usual size of the class only if length and height are exchanged"
     proposed = import_proposals(project, read_labels(BoxFormat.KITTI, tmp_path), "detector")
-    assert proposed.doubt is not None and said in proposed.doubt
+    assert said in next(iter(proposed.of(Note.DOUBT)))
     other = make_project(generated / "people", classes=("Car",))
     other.close()
     assert main(["import", other.path.name, str(tmp_path), "--projects", str(other.path.parent)]) == 0
@@ -308,7 +307,7 @@ def test_exchanged_sizes_are_said_by_every_import(
     again = make_project(generated / "people", classes=("Car",))
     for file in (tmp_path / "label_2").iterdir():
         file.write_text(kitti_row(0.3))
-    assert import_labels(again, read_labels(BoxFormat.KITTI, tmp_path)).doubt is None
+    assert import_labels(again, read_labels(BoxFormat.KITTI, tmp_path))[Note.DOUBT] == 0
 
 
 def test_the_report_counts_turned_2d_boxes(
@@ -324,7 +323,7 @@ def test_the_report_counts_turned_2d_boxes(
     }
     path = put(tmp_path / "coco.json", content)
     done = import_image_boxes(project, path, None)
-    assert (done.boxes, done.around, done.values.left_out) == (1, 1, {})
+    assert (done.boxes, done[Note.AROUND], done[Note.VALUE]) == ({"person": 1}, 1, 0)
     (on_image,) = project.boxes.on_images()
     assert on_image.boxes[0].xyxy == pytest.approx((109.5, 69.5, 129.5, 109.5))
     project.close()
@@ -351,7 +350,7 @@ def test_labels_beside_a_recording_are_judged_together(
     assert not project.labels.select()
     put(tmp_path / f"label_2/{keys[1]}.txt", kitti_row(-1.5) + FLAT)
     done = import_own_labels(project, project.recordings.all()[0].id)
-    assert (done.labels, done.flat, done.unreadable) == ({"Car": 2}, 1, [])
+    assert (done.boxes, done[Note.FLAT], list(done.of(Note.UNREADABLE))) == ({"Car": 2}, 1, [])
     put(tmp_path / f"label_2/{keys[1]}.txt", kitti_row(-90.0))
     project.close()
     assert main(["add", project.path.name, str(tmp_path), "--projects", str(project.path.parent)]) == 2
