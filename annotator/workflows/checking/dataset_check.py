@@ -398,10 +398,11 @@ def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> l
         findings.add_error(rule_of(fault), fault, dataset.path)
         faults += 1
 
-    for part in dataset.parts(on_fault):
-        frames, labels = frames + part.frames, labels + part.labels
-        for label, size_m in part.sizes:
-            sizes.add(label, size_m)
+    for boxes in dataset.frames(on_fault):
+        frames, labels = frames + 1, labels + len(boxes)
+        for label, size_m in boxes:
+            if size_m is not None:
+                sizes.add(label, size_m)
     if faults:
         return []
     report_sizes(sizes, findings, dataset.path)

@@ -6,12 +6,12 @@ not to the dataset.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -30,13 +30,14 @@ from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import FOLDERS, MANIFEST, SPLITS
 from annotator.formats.rcv.read import RcvDataset
 from annotator.formats.reading import OnFault
+from annotator.formats.yolo import YoloBox
 from annotator.formats.yolo_dataset import DATA_YAML
 from annotator.formats.yolo_read import CLASSES, SUFFIXES, read_yolo
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
-from annotator.types import Frame, OrientedBox, ReviewState, Truth
+from annotator.types import Box2D, Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
 from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, frame_names, label_files
 from annotator.workflows.importing import BoxFormat, FlatFormat, format_of, read_labels
@@ -45,15 +46,8 @@ SNIFFED_BYTES = 256
 # Formats of labels that open as a recording with their images and clouds.
 OF_RECORDINGS = (BoxFormat.KITTI, BoxFormat.KITTI_TRACKING, BoxFormat.SUNRGBD, BoxFormat.BOXES)
 
-Sizes = Sequence[tuple[str, Float64[np.ndarray, "3"]]]
-
-
-class Part(NamedTuple):
-    """A part of a dataset: its numbers of frames and labels, and class and size of each 3D box."""
-
-    frames: int
-    labels: int
-    sizes: Sizes = ()
+Box = tuple[str, Float64[np.ndarray, "3"] | None]
+"""The class and the size of a box; None for 2D boxes."""
 
 
 @dataclass(frozen=True)
@@ -64,22 +58,25 @@ class OtherSoftwareDataset:
         format: the format's name to display.
         is_recording: the folder has clouds or images beside the labels, so it may also be a recording.
         opened_as: format of the recordings whose own labels these are; their boxes are checked there.
-        read: reads the parts one by one, so that a fault in one does not affect the others.
+        read: yields the boxes of each frame; called with what takes each fault.
     """
 
     path: Path
     format: str
     is_recording: bool
-    read: Callable[[Path, OnFault], Iterator[Part]]
+    read: Callable[[Path, OnFault], Iterable[Sequence[Box]]]
     opened_as: str | None = None
 
-    def parts(self, on_fault: OnFault) -> Iterator[Part]:
-        """Yields the counts of each part.
+    def frames(self, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+        """Yields the boxes of each frame.
 
         Args:
             on_fault: called with each fault.
         """
-        return self.read(self.path, on_fault)
+        try:
+            yield from self.read(self.path, on_fault)
+        except FormatError as fault:
+            on_fault(fault)
 
 
 def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
@@ -114,15 +111,12 @@ def labels_alone(path: Path) -> OtherSoftwareDataset | None:
     return OtherSoftwareDataset(path, f"{format} labels", False, partial(_imported, format))
 
 
-def _imported(format: BoxFormat, path: Path, on_fault: OnFault) -> Iterator[Part]:
+def _imported(format: BoxFormat, path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
     """Reads labels as `annotator import` does."""
-    try:
-        labels = read_labels(format, path)
-    except FormatError as fault:
-        on_fault(fault)
-    else:
-        classes = [label for name in labels.frames for label in labels.classes(name)]
-        yield Part(len(labels.frames), len(classes), list(zip(classes, labels.sizes_m, strict=False)))
+    labels = read_labels(format, path)
+    sizes = iter(labels.sizes_m)
+    for name in labels.frames:
+        yield [(label, next(sizes, None)) for label in labels.classes(name)]
 
 
 def _is_openlabel(file: Path) -> bool:
@@ -152,60 +146,38 @@ def _is_yolo(path: Path) -> bool:
     return any(normal(file.stem) in pictures for file in path.glob("*.txt"))
 
 
-def _nuscenes(path: Path, on_fault: OnFault) -> Iterator[Part]:
-    yield from _solid(
-        lambda: [[(box.label, box.box) for box in boxes] for boxes in read_nuscenes(path, on_fault).values()], on_fault
-    )
+def _nuscenes(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return ([(box.label, box.box.size_m) for box in boxes] for boxes in read_nuscenes(path, on_fault).values())
 
 
-def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Part]:
+def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
     """Reads each document; other JSON files must be valid JSON, else they are reported as truncated documents."""
     for file in sorted(path.glob("*.json")):
-        if _is_openlabel(file):
-            yield from _solid(partial(_of_document, file), on_fault)
-            continue
         try:
-            read_json(file)
+            if _is_openlabel(file):
+                yield from (
+                    [(box.label, box.box.size_m) for box in each.boxes] for each in read_openlabel(file).values()
+                )
+            else:
+                read_json(file)
         except FormatError as fault:
             on_fault(fault)
 
 
-def _of_document(file: Path) -> list[list[tuple[str, OrientedBox]]]:
-    return [[(box.label, box.box) for box in frame.boxes] for frame in read_openlabel(file).values()]
+def _labelcloud(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return ([(label, box.size_m) for label, box in each.boxes] for each in read_labelcloud(path, on_fault).values())
 
 
-def _labelcloud(path: Path, on_fault: OnFault) -> Iterator[Part]:
-    yield from _solid(lambda: [frame.boxes for frame in read_labelcloud(path, on_fault).values()], on_fault)
+def _coco(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return (_flat(image.boxes) for _, images in read_coco_dataset(path, on_fault) for image in images)
 
 
-def _coco(path: Path, on_fault: OnFault) -> Iterator[Part]:
-    yield from _part(
-        lambda: [len(image.boxes) for _, images in read_coco_dataset(path, on_fault) for image in images], on_fault
-    )
+def _yolo(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return (_flat(picture.boxes) for picture in read_yolo(path, on_fault))
 
 
-def _yolo(path: Path, on_fault: OnFault) -> Iterator[Part]:
-    yield from _part(lambda: [len(picture.boxes) for picture in read_yolo(path, on_fault)], on_fault)
-
-
-def _part(boxes_of_frames: Callable[[], list[int]], on_fault: OnFault) -> Iterator[Part]:
-    try:
-        counts = boxes_of_frames()
-    except FormatError as fault:
-        on_fault(fault)
-    else:
-        yield Part(len(counts), sum(counts))
-
-
-def _solid(read: Callable[[], Sequence[Sequence[tuple[str, OrientedBox]]]], on_fault: OnFault) -> Iterator[Part]:
-    """Yields the part with the 3D boxes of all frames."""
-    try:
-        frames = read()
-    except FormatError as fault:
-        on_fault(fault)
-    else:
-        sizes = [(label, box.size_m) for boxes in frames for label, box in boxes]
-        yield Part(len(frames), len(sizes), sizes)
+def _flat(boxes: Sequence[Box2D | YoloBox]) -> list[Box]:
+    return [(box.label, None) for box in boxes]
 
 
 MOST_LEVELS = 4
@@ -429,7 +401,7 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
         return None
     if source is None or source.format != dataset.opened_as or source.labels is None:
         return None
-    for _ in dataset.parts(faults.append):
+    for _ in dataset.frames(faults.append):
         pass
     return None if faults else source
 
