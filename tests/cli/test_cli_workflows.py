@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -325,14 +324,6 @@ def test_demo_passes_its_options_on_and_checks_them(
         (["import", "room", "nothing.json"], "nothing.json"),
         (["import", "room", "dogs.json"], "none of the dataset's classes is in the project: the dataset has dog"),
         (
-            ["import", "room", "dogs.json", "--recording", "x"],
-            "none of the dataset's classes is in the project: the dataset has dog",
-        ),
-        (
-            ["import", "room", "dogs.json", "--pictures", "nowhere"],
-            "none of the dataset's classes is in the project: the dataset has dog",
-        ),
-        (
             ["import", "room", "dogs.json", "--pictures", "p", "--recording", "x"],
             "--recording is for boxes on camera images",
         ),
@@ -344,8 +335,6 @@ def test_demo_passes_its_options_on_and_checks_them(
         ),
         (["import", "room", "--as", "2d", "--fraction", "2"], "cannot take a fraction of 2.0 of the frames"),
         (["import", "room", "--as", "2d", "--pictures", "p"], "leave out --pictures"),
-        (["import", "room", "--as", "2d", "--recording", "x"], "no recording 'x'"),
-        (["import", "room", "dogs.json", "--as", "proposals"], "dogs.json is coco, which contains no 3D boxes"),
         (["import", "room", "dogs.json", "--min-score", "0.5"], "--source and --min-score need --as proposals"),
         (["import", "room", "dogs.json", "--classes", "dog=cat"], "the project has no class 'cat'; it has: person"),
         (["import", "room", "dogs.json", "--classes", "dog"], "write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT"),
@@ -391,20 +380,3 @@ def test_annotate_with_unusable_options(trained: str, capsys: Capture, words: li
 def test_debug_shows_the_traceback(project: str) -> None:
     with pytest.raises(ConfigError, match="give 1 or more"):
         main(["simulate", project, "people", "--every", "0", "--debug"])
-
-
-def test_import_names_a_missing_pseudo_view_image(project: str, tmp_path: Path, capsys: Capture) -> None:
-    write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, (Box2D("person", 40.5, 40.5, 120.5, 200.5),))])
-    run(capsys, "import", project, "c.json")
-    run(capsys, "views", project, "pictures")
-    next((tmp_path / "pictures").glob("*side.png")).unlink()
-    drawn = [
-        CocoImage(i.file_name, i.width_px, i.height_px, (Box2D("person", 10.5, 10.5, 60.5, 60.5),))
-        for i in read_coco(tmp_path / "pictures" / "coco.json")
-    ]
-    write_coco(tmp_path / "drawn.json", drawn)
-    said = run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
-    assert "side.png is not in pictures; give the folder of the images" in said
-    assert stats(capsys)["view_boxes"]["boxes"] == 0
-    shutil.rmtree(tmp_path / "pictures")
-    assert "is not in pictures" in run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)

@@ -180,13 +180,6 @@ def test_importing_labels_is_retried_after_a_concurrent_change(
     assert people.boxes.on_image(frame.id) is not None
 
 
-def test_other_classes_are_counted_and_left_out(make_project: Callable[..., Project], generated: Path) -> None:
-    project = make_project(generated / "people", classes=("robot",))
-    found = import_own_labels(project, project.recordings.all()[0].id)
-    assert (found.boxes, found.of(Note.OTHER_CLASS)) == ({}, {"person": 15})
-    assert project.statistics().labels.total == 0
-
-
 def test_a_recording_without_labels_imports_nothing(
     make_project: Callable[..., Project], own_copy: Callable[[str], Path]
 ) -> None:
@@ -255,6 +248,7 @@ def test_labels_of_a_kitti_drive_are_imported(make_project: Callable[..., Projec
     for name in ("Van", "Cyclist"):
         assert found.boxes[name] == sum(line[2] == name for line in lines)
     assert found.of(Note.OTHER_CLASS)["Car"] == sum(line[2] == "Car" for line in lines)
+    assert project.statistics().labels.total == found.boxes.total()
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
@@ -270,14 +264,8 @@ def test_frames_are_read_by_key_not_by_index(
     frame = FrameSource(project).read(stored)
     assert (frame.key, frame.index) == ("000003", 2)
     np.testing.assert_array_equal(frame.rgb, open_recording(folder).frame(2).rgb)
-
-
-def test_a_missing_frame_is_an_error(make_project: Callable[..., Project], own_copy: Callable[[str], Path]) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    remove_frame(folder, "000002")
-    with pytest.raises(FrameError, match="people: frame 000002 no longer exists; restore it, or add the folder"):
-        FrameSource(project).read(project.frames.of()[2])
+    with pytest.raises(FrameError, match="people: frame 000000 no longer exists; restore it, or add the folder"):
+        FrameSource(project).read(project.frames.of()[0])
 
 
 def test_a_frame_removed_while_the_recording_is_open_is_an_error(
@@ -290,19 +278,6 @@ def test_a_frame_removed_while_the_recording_is_open_is_an_error(
     remove_frame(folder, "000002")
     with pytest.raises(FrameError, match=r"000002\.png: missing"):
         source.read(project.frames.of()[2])
-
-
-def test_a_recording_that_was_moved_back_can_be_read(
-    make_project: Callable[..., Project], own_copy: Callable[[str], Path]
-) -> None:
-    folder = own_copy("people")
-    project = make_project(folder)
-    source, stored = FrameSource(project), project.frames.of()[0]
-    folder.rename(folder.with_name("elsewhere"))
-    with pytest.raises(RecordingError, match="people: no such file or folder"):
-        source.read(stored)
-    folder.with_name("elsewhere").rename(folder)
-    assert source.read(stored).key == "000000"
 
 
 def test_the_projects_up_direction_overrides_the_recordings(

