@@ -22,13 +22,12 @@ from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.frame_source import FrameSource, Rigs
 from annotator.workflows.importing import Note
 from annotator.workflows.proposing.batch_store import AnnotateSummary, Batch
 from annotator.workflows.proposing.engines.tasks import FrameAnswer
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.rigs import Rigs
 from annotator.workflows.training.samples import gather, image_samples
 
 MakeProject = Callable[..., Project]

@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 from scipy.spatial.transform import RigidTransform
 
@@ -71,15 +72,16 @@ class FrameLabels:
     flat: int = 0
 
 
-@runtime_checkable
-class LabelFiles(Protocol):
+class LabelFiles(ABC):
     """The label files of a dataset."""
 
+    @abstractmethod
     def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
         """Returns the labels of a frame; `frame` is None if it could not be read."""
 
     def problems(self) -> Sequence[AnnotatorError]:
         """Returns the problems of files that hold the labels of all frames."""
+        return ()
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
         """Yields file, line and frame name of labels whose frame is missing.
@@ -87,6 +89,7 @@ class LabelFiles(Protocol):
         Raises:
             FormatError: a list of frames cannot be read.
         """
+        return iter(())
 
 
 RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | Literal["area", "flat"]]
@@ -94,7 +97,7 @@ RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel |
 
 
 @dataclass(frozen=True)
-class RowFiles:
+class RowFiles(LabelFiles):
     """One text file per frame, one row per object."""
 
     recording: Recording
@@ -122,9 +125,6 @@ class RowFiles:
                 flat += label == "flat"
         return FrameLabels(tuple(objects), tuple(problems), flat=flat)
 
-    def problems(self) -> Sequence[AnnotatorError]:
-        return ()
-
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
         keys = set(map(normal, self.recording.keys))
         for path in sorted(self.folder.glob("*.txt")):
@@ -133,7 +133,7 @@ class RowFiles:
 
 
 @dataclass(frozen=True)
-class TrackingFile:
+class TrackingFile(LabelFiles):
     """KITTI's `label_02.txt`: all frames in one file, kept in memory during the check."""
 
     recording: Recording
@@ -179,7 +179,7 @@ class TrackingFile:
 
 
 @dataclass(frozen=True)
-class BoxesFile:
+class BoxesFile(LabelFiles):
     """`boxes.json`: all frames in one file, kept in memory during the check."""
 
     recording: Recording
@@ -213,7 +213,7 @@ class BoxesFile:
 
 
 @dataclass(frozen=True)
-class WholeFiles:
+class WholeFiles(LabelFiles):
     """Labels of any other format, read file by file: an invalid object makes the whole file invalid."""
 
     recording: Recording
@@ -229,12 +229,6 @@ class WholeFiles:
         except AnnotatorError as error:
             return FrameLabels(problems=(error,))
         return FrameLabels(tuple(FoundLabel(truth, file) for truth in truths))
-
-    def problems(self) -> Sequence[AnnotatorError]:
-        return ()
-
-    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        return iter(())
 
 
 def label_files(recording: Recording) -> LabelFiles | None:

@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -191,126 +190,74 @@ CALIBRATIONS = (
 )
 
 
-@runtime_checkable
-class Source(Protocol):
-    """A dataset: frames that are read one at a time, and labels."""
-
-    @property
-    def path(self) -> Path:
-        """The path that was opened."""
-
-    @property
-    def format(self) -> str:
-        """The recording's format, or "rcv"."""
-
-    @property
-    def keys(self) -> Sequence[str]:
-        """The frames' names."""
-
-    @property
-    def labels(self) -> LabelFiles | None:
-        """The label files; None without labels."""
-
-    @property
-    def has_pictures(self) -> bool:
-        """False if the images are rendered from the clouds."""
-
-    @property
-    def declared_objects(self) -> int | None:
-        """The number of objects in the dataset's manifest; None without a manifest."""
-
-    def place(self, index: int) -> tuple[str, int]:
-        """Returns the original recording of a frame, and its number there."""
-
-    @property
-    def in_time_order(self) -> bool:
-        """True if the frames' numbers are known to be in time order."""
-
-    def read(self, index: int) -> Frame:
-        """Reads a frame; raises an AnnotatorError if it cannot be read."""
-
-    def calibration(self, index: int) -> Path:
-        """Returns the file of a frame's camera."""
-
-
 @dataclass(frozen=True)
-class RecordingSource:
-    """A recording."""
+class Source:
+    """A dataset: frames that are read one at a time, and labels.
 
-    recording: Recording
+    Attributes:
+        path: the path that was opened.
+        format: the recording's format, or "rcv".
+        keys: the frames' names.
+        labels: the label files; None without labels.
+        read: reads a frame by its number; raises an AnnotatorError if it cannot be read.
+        calibration: returns the file of a frame's camera, by the frame's number.
+        place: returns the original recording of a frame, and its number there.
+        in_time_order: True if the frames' numbers are known to be in time order.
+        has_pictures: False if the images are rendered from the clouds.
+        declared_objects: the number of objects in the dataset's manifest; None without a manifest.
+        recording: None for an `rcv` dataset.
+    """
+
+    path: Path
+    format: str
+    keys: Sequence[str]
     labels: LabelFiles | None
-    declared_objects: None = None
-
-    @property
-    def path(self) -> Path:
-        return self.recording.path
-
-    @property
-    def format(self) -> str:
-        return self.recording.format
-
-    @property
-    def keys(self) -> Sequence[str]:
-        return self.recording.keys
-
-    @property
-    def has_pictures(self) -> bool:
-        return not (isinstance(self.recording, CloudFolder) and self.recording.images is None)
-
-    @property
-    def in_time_order(self) -> bool:
-        return self.recording.is_sequence
-
-    def place(self, index: int) -> tuple[str, int]:
-        return self.recording.name, index
-
-    def read(self, index: int) -> Frame:
-        return self.recording.frame(index)
-
-    def calibration(self, index: int) -> Path:
-        if isinstance(self.recording, SunRgbdScenes):
-            return self.recording.scenes[index] / "intrinsics.txt"
-        places = (spelled(self.recording.root, name.format(key=self.keys[index])) for name in CALIBRATIONS)
-        return next((place for place in places if place.is_file()), self.path)
-
-
-@dataclass(frozen=True)
-class RcvSource:
-    """An `rcv` dataset. Its frames may come from several recordings, which need not be sequences."""
-
-    dataset: RcvDataset
-    has_pictures: bool = True
+    read: Callable[[int], Frame]
+    calibration: Callable[[int], Path]
+    place: Callable[[int], tuple[str, int]]
     in_time_order: bool = False
-    format: str = "rcv"
+    has_pictures: bool = True
+    declared_objects: int | None = None
+    recording: Recording | None = None
 
-    @property
-    def path(self) -> Path:
-        return self.dataset.path
 
-    @property
-    def keys(self) -> Sequence[str]:
-        return self.dataset.manifest.frames
+def _of_recording(recording: Recording) -> Source:
+    def calibration(index: int) -> Path:
+        if isinstance(recording, SunRgbdScenes):
+            return recording.scenes[index] / "intrinsics.txt"
+        places = (spelled(recording.root, name.format(key=recording.keys[index])) for name in CALIBRATIONS)
+        return next((place for place in places if place.is_file()), recording.path)
 
-    @property
-    def declared_objects(self) -> int:
-        return self.dataset.manifest.counts.objects
+    return Source(
+        recording.path,
+        recording.format,
+        recording.keys,
+        label_files(recording),
+        recording.frame,
+        calibration,
+        lambda index: (recording.name, index),
+        in_time_order=recording.is_sequence,
+        has_pictures=not (isinstance(recording, CloudFolder) and recording.images is None),
+        recording=recording,
+    )
 
-    @property
-    def labels(self) -> LabelFiles:
-        return RcvLabelFiles(self.dataset)
 
-    def place(self, index: int) -> tuple[str, int]:
-        return self.dataset.place(index)
-
-    def read(self, index: int) -> Frame:
-        return self.dataset.bare_frame(index)
-
-    def calibration(self, index: int) -> Path:
-        return self.dataset.label_path(index)
+def _of_rcv(dataset: RcvDataset) -> Source:
+    """Its frames may come from several recordings, which need not be sequences."""
+    return Source(
+        dataset.path,
+        "rcv",
+        dataset.manifest.frames,
+        RcvLabelFiles(dataset),
+        dataset.bare_frame,
+        dataset.label_path,
+        dataset.place,
+        declared_objects=dataset.manifest.counts.objects,
+    )
 
 
 @dataclass(frozen=True)
-class RcvLabelFiles:
+class RcvLabelFiles(LabelFiles):
     """The label files of an `rcv` dataset."""
 
     dataset: RcvDataset
@@ -331,9 +278,6 @@ class RcvLabelFiles:
                 for each in labels
             )
         )
-
-    def problems(self) -> Sequence[AnnotatorError]:
-        return ()
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
         frames = set(map(normal, self.dataset.manifest.frames))
@@ -407,7 +351,4 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
 
 
 def _open(path: Path) -> Source:
-    if (path / MANIFEST).is_file():
-        return RcvSource(read_rcv(path))
-    recording = open_recording(path)
-    return RecordingSource(recording, label_files(recording))
+    return _of_rcv(read_rcv(path)) if (path / MANIFEST).is_file() else _of_recording(open_recording(path))

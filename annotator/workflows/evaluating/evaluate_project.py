@@ -27,10 +27,9 @@ from annotator.workflows.evaluating.evaluate_files import (
     box_table,
     kitti_of,
 )
-from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.frame_source import FrameSource, Rigs
 from annotator.workflows.recorded.own_labels import AUTHOR
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, rows_of_truth, true_kitti_rows
-from annotator.workflows.rigs import Rigs
 
 
 class Measured(StrEnum):

@@ -12,7 +12,7 @@ from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.names import alternatives
 from annotator.workflows.exporting.split import Split, assign
-from annotator.workflows.rigs import once
+from annotator.workflows.frame_source import once
 
 NOT_REJECTED = (ReviewState.PROPOSED, *REVIEWED)
 

@@ -4,7 +4,7 @@ label_set.py  3D boxes in any format; readers.py reads them, table.py lists and 
 pictures.py   2D boxes in any format
 placing.py    the project's frames and classes of a dataset's
 boxes_3d.py, boxes_2d.py, values.py  what is stored
-report.py     the report, and preview.py what a file would give
+report.py     what an import tells: of a file before it is imported, and the report after it
 """
 
 from annotator.workflows.importing.boxes_2d import import_image_boxes, import_view_boxes
@@ -12,8 +12,7 @@ from annotator.workflows.importing.boxes_3d import import_labels, import_proposa
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.pictures import FlatFormat
 from annotator.workflows.importing.placing import Importer, Renamed, class_names, without_effect
-from annotator.workflows.importing.preview import Preview, preview
-from annotator.workflows.importing.report import Become, ImportReport, Note
+from annotator.workflows.importing.report import Become, ImportReport, Note, Preview, preview
 from annotator.workflows.importing.table import BoxFormat, format_of, read_labels
 
 __all__ = [

@@ -14,9 +14,9 @@ from annotator.project.writing import WriteContext
 from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
 from annotator.types.errors import FinalisedFrameError, ProjectError, StaleRevisionError
+from annotator.workflows.frame_source import Rigs
 from annotator.workflows.proposing.engines.runner import failure
 from annotator.workflows.proposing.engines.tasks import FrameAnswer, RecordingSpec
-from annotator.workflows.rigs import Rigs
 from annotator.workflows.tracks.previous_boxes import followed_tracks
 
 AUTHOR = "rcv"

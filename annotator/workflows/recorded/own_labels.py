@@ -11,14 +11,13 @@ from annotator.recordings import Recording
 from annotator.recordings.look_around import LookAround
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, ConfigError, FormatError, FrameError, UnitError
-from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.frame_source import FrameSource, Rigs
 from annotator.workflows.importing.boxes_3d import import_labels
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.placing import Importer, MatchedFrames
 from annotator.workflows.importing.report import Become, ImportReport, Note
 from annotator.workflows.importing.table import BoxFormat, read_labels
 from annotator.workflows.recorded.reading import has_truth, is_labelled, label_file, load_truth, one_file_a_frame
-from annotator.workflows.rigs import Rigs
 
 # Boxes imported from other datasets have the author "import".
 AUTHOR = "recording"

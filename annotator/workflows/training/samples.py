@@ -26,8 +26,7 @@ from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
-from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.rigs import Rigs
+from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for
 from annotator.workflows.views.outlines import outlines, undrawn
 from annotator.workflows.views.pairs import front_and_side, views_by_object
 from annotator.workflows.views.places import spans_m

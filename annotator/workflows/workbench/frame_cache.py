@@ -16,8 +16,7 @@ from annotator.recordings import Recording
 from annotator.recordings.recording import is_parallel
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, FrameError
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.rigs import Rigs
+from annotator.workflows.frame_source import FrameSource, Rigs
 from annotator.workflows.workbench.open_frame import OpenFrame
 
 LOG = logging.getLogger("annotator.web")

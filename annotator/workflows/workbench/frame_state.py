@@ -14,7 +14,7 @@ from annotator.project import Project, StoredLabel, ViewBoxes
 from annotator.project.overview import FramePage, read_page
 from annotator.project.sources.covering import covered_by
 from annotator.types import Box2D, ReviewState
-from annotator.workflows.rigs import OtherLabel
+from annotator.workflows.frame_source import OtherLabel
 from annotator.workflows.views.outlines import outlines
 from annotator.workflows.views.pairs import ObjectViews, front_and_side, views_by_object
 from annotator.workflows.workbench.open_frame import OpenFrame
