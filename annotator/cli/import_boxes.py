@@ -24,7 +24,6 @@ from annotator.workflows.importing import (
     ImportReport,
     LabelSet,
     Note,
-    class_names,
     format_of,
     import_image_boxes,
     import_labels,
@@ -34,6 +33,7 @@ from annotator.workflows.importing import (
     without_effect,
 )
 from annotator.workflows.importing.pictures import read_pictures
+from annotator.workflows.importing.placing import class_names
 from annotator.workflows.importing.values import FoundValues, add_attributes, values_of_labels, values_of_pictures
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
 from annotator.workflows.recorded.own_labels import RecordedLabels

@@ -29,7 +29,7 @@ from annotator.web.jobs import work
 from annotator.web.jobs.job_context import JobContext
 from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.importing import Preview, preview
+from annotator.workflows.importing import Preview, preview_boxes
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def room(tmp_path: Path, generated: Path) -> Iterator[Project]:
 
 def read(project: Project, name: str, content: bytes) -> Preview:
     upload = uploads.add_upload(project, name, content)
-    return preview(project, upload.path, upload.format, None)
+    return preview_boxes(project, upload.path, upload.format, None)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from annotator.project import Project
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import RowId
 from annotator.web.uploads import Upload, add_upload, find_upload, remove_upload
-from annotator.workflows.importing import BoxFormat, FlatFormat, preview
+from annotator.workflows.importing import BoxFormat, FlatFormat, preview_boxes
 
 router = APIRouter(prefix="/api/projects/{project}/boxes-files", tags=["boxes"])
 
@@ -64,7 +64,7 @@ def look(project: str, id: UploadId, ctx: Ctx, operator: Operator, recording: Ro
 
 def _described(project: Project, upload: Upload, recording: int | None) -> BoxesFile:
     name = None if recording is None else project.recordings.get(recording).name
-    found = preview(project, upload.path, upload.format, name)
+    found = preview_boxes(project, upload.path, upload.format, name)
     return BoxesFile(
         id=upload.id,
         name=upload.path.name,

@@ -11,8 +11,8 @@ from annotator.workflows.importing.boxes_2d import import_image_boxes, import_vi
 from annotator.workflows.importing.boxes_3d import import_labels, import_proposals
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.importing.pictures import FlatFormat
-from annotator.workflows.importing.placing import Importer, Renamed, class_names, without_effect
-from annotator.workflows.importing.report import Become, ImportReport, Note, Preview, preview
+from annotator.workflows.importing.placing import Importer, Renamed, without_effect
+from annotator.workflows.importing.report import Become, ImportReport, Note, Preview, preview_boxes
 from annotator.workflows.importing.table import BoxFormat, format_of, read_labels
 
 __all__ = [
@@ -25,13 +25,12 @@ __all__ = [
     "Note",
     "Preview",
     "Renamed",
-    "class_names",
     "format_of",
     "import_image_boxes",
     "import_labels",
     "import_proposals",
     "import_view_boxes",
-    "preview",
+    "preview_boxes",
     "read_labels",
     "without_effect",
 ]

@@ -321,7 +321,7 @@ class Preview:
         return f"{amount(number, 'box')} on {amount(self.frames, 'image')} of this project's frames."
 
 
-def preview(project: Project, path: Path, format: FlatFormat | BoxFormat, recording: str | None) -> Preview:
+def preview_boxes(project: Project, path: Path, format: FlatFormat | BoxFormat, recording: str | None) -> Preview:
     """Reads a dataset and matches it with the project's frames.
 
     Args:

@@ -53,7 +53,7 @@ def people(make_project: Callable[..., Project], generated: Path) -> Project:
     return make_project(generated / "people")
 
 
-# Argoverse 2 is not exported: test_argoverse_labels.py
+# Argoverse 2 is not exported: test_surround_boxes.py
 @pytest.mark.parametrize("format", [each for each in BoxFormat if each is not BoxFormat.ARGOVERSE2])
 def test_boxes_of_every_format_become_proposals_onto_labelled_frames(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, format: BoxFormat
@@ -165,20 +165,7 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
     ]
 
 
-def test_track_ids_stay_unless_other_labels_of_the_recording_use_them(people: Project, tmp_path: Path) -> None:
-    first, second = people.frames.of()[:2]
-    people.labels.create(first.id, [NewLabel("person", box(0.0), track_id=3)], WriteContext(0, "me"))
-    entry = {"label": "person", "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
-    rows = [entry | {"center": [4.0 * n, 0.2, 3.0], "track": track} for n, track in enumerate((3, 8), 1)]
-    path = tmp_path / "tracks.json"
-    path.write_text(json.dumps({first.key: rows, second.key: rows}))
-    for _ in range(2):
-        import_proposals(people, read_labels(BoxFormat.BOXES, path))
-        ids = [(entry.frame_id, entry.label.track_id) for entry in people.labels.select(states=[ReviewState.PROPOSED])]
-        assert ids == [(first.id, 4), (first.id, 8), (second.id, 4), (second.id, 8)]
-
-
-@pytest.mark.parametrize("source", ["", " ", "annotator", "x" * 201])
+@pytest.mark.parametrize("source", [" ", "annotator", "x" * 201])
 def test_a_source_needs_a_name(people: Project, tmp_path: Path, source: str) -> None:
     path = boxes_file(tmp_path / "b.json", {people.frames.of()[0].key: []})
     with pytest.raises(ConfigError, match="cannot name a source of boxes"):

@@ -24,7 +24,7 @@ from annotator.workflows.importing import (
     Preview,
     import_labels,
     import_proposals,
-    preview,
+    preview_boxes,
     read_labels,
 )
 from annotator.workflows.importing.report import _WORDS
@@ -68,7 +68,7 @@ def test_frames_that_an_import_leaves_unchanged_are_told_before(people: Project,
     import_proposals(people, read_labels(BoxFormat.BOXES, path))
     boxes = {frame.key: [ENTRY | {"label": "person", "score": 0.5}] for frame in (proposed, rejected, finalised, free)}
     path.write_text(json.dumps(boxes | {"elsewhere": []}))
-    found = preview(people, path, BoxFormat.BOXES, None)
+    found = preview_boxes(people, path, BoxFormat.BOXES, None)
     assert (found.is_3d, found.boxes, found.scores and found.scores.low) == (True, {"person": 4}, 0.5)
     assert found.found == "4 3D boxes in 4 frames of this project."
     assert found.notes == (
@@ -89,7 +89,7 @@ def test_images_are_described_before_they_are_imported(
 
     def found(project: Project, *names: str, recording: str | None = None) -> Preview:
         write_coco(tmp_path / "c.json", [CocoImage(name, 320, 240, (box,)) for name in names])
-        return preview(project, tmp_path / "c.json", FlatFormat.COCO, recording)
+        return preview_boxes(project, tmp_path / "c.json", FlatFormat.COCO, recording)
 
     before = people.log.last()
     shown = found(people, f"{first.key}.jpg", "x.jpg")

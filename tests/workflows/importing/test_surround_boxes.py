@@ -1,4 +1,4 @@
-"""Results of nuScenes' detection and tracking tasks become proposals on the frames of their samples."""
+"""Boxes around a vehicle, of nuScenes' results and Argoverse 2's annotations, go to the cameras that see them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from argoverse_samples import CAMERAS as LOG_CAMERAS
+from argoverse_samples import write_log
 from nuscenes_samples import CAMERAS, real, small
 
 from annotator.geometry.oriented_box import box_corners
@@ -123,3 +125,28 @@ def test_damaged_results_are_refused_with_their_place(tmp_path: Path, results: A
     with pytest.raises(FormatError, match=r"results\.json") as raised:
         read_labels(BoxFormat.NUSCENES, path)
     assert problem in str(raised.value)
+
+
+AHEAD, BEHIND = "REGULAR_VEHICLE", "PEDESTRIAN"
+
+
+def test_annotations_are_placed_like_the_recordings_own(make_project: Callable[..., Project], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", sweeps=3)
+    file = write_log(tmp_path / "theirs", sweeps=4, images=False) / "annotations.feather"
+    assert format_of(file) is format_of(file.parent) is BoxFormat.ARGOVERSE2
+    project = make_project(classes=(AHEAD, BEHIND))
+    with pytest.raises(FormatError, match=r"none of its sweeps \(4\); add their log"):
+        import_labels(project, read_labels(BoxFormat.ARGOVERSE2, file))
+    recordings = [open_recording(log, ReaderOptions(camera=camera)) for camera in LOG_CAMERAS]
+    register_recording(project, recordings[0], options=ReaderOptions(camera=next(iter(LOG_CAMERAS))))
+    done = import_labels(project, read_labels(BoxFormat.ARGOVERSE2, file))
+    # the front camera sees one of the two boxes of each sweep
+    assert (done.frames, done.boxes, done[Note.UNSEEN], len(tuple(done.of(Note.UNMATCHED)))) == (3, {AHEAD: 3}, 3, 1)
+    for number, stored in enumerate(project.frames.of()):
+        (label,) = project.labels.of_frame(stored.id)
+        (own,) = load_truth(recordings[0], number, recordings[0].frame(number))
+        np.testing.assert_allclose(box_corners(label.box), box_corners(own.box), atol=1e-9)
+        assert (label.label, label.track_id) == (own.label, own.track_id)
+    register_recording(project, recordings[1], options=ReaderOptions(camera=list(LOG_CAMERAS)[1]))
+    proposed = import_proposals(project, read_labels(BoxFormat.ARGOVERSE2, file.parent))
+    assert (proposed.frames, proposed.boxes, proposed[Note.COVERED], proposed[Note.UNSEEN]) == (6, {BEHIND: 3}, 3, 0)
