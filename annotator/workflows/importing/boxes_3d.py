@@ -6,19 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.completing import ValueReader
-from annotator.project.event_types import FrameAttributesSet
 from annotator.project.records import OWN
 from annotator.project.sources.bring import SourceTracks
 from annotator.types import Frame, Source, Truth
 from annotator.types.errors import ConfigError, StaleRevisionError
-from annotator.types.label import AttributeValue, Said
+from annotator.types.label import Said
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.label_set import LabelSet, near, truths_of
 from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer, renamed_class
 from annotator.workflows.importing.report import Become, ImportReport, Note, SizeDoubts
-from annotator.workflows.importing.values import give_missing_values
+from annotator.workflows.importing.values import give_values, of_covered
 
 # Longest name of a source, characters.
 MOST_NAME = 200
@@ -185,9 +184,8 @@ class _Labels:
                 return
         truths = truths_of(self._dataset, name, self._reader.frames.read(stored))
         if is_labelled:
-            given, importer = self._reader.labels(truths), self._importer
-            filled = give_missing_values(self._project, stored.id, given, importer.author, importer.action)
-            self._report.add(Note.FILLED, filled + self._give_frame(name, stored))
+            boxes = self._reader.labels(truths)
+            self._report.add(Note.FILLED, self._give(name, stored, boxes))
         else:
             self._create(name, stored, truths)
 
@@ -203,7 +201,7 @@ class _Labels:
         if not create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):
             report.add(Note.ALREADY)
             return
-        self._give_frame(name, stored)
+        self._give(name, stored)
         report.frames += 1
         report.boxes.update(label.label for label in new)
         left_out = self._dataset.left_out_of(name)
@@ -217,24 +215,14 @@ class _Labels:
         every = (self._dataset.values_of(name), *self._dataset.values_of_boxes(name))
         return any(self._attributes & values.keys() for values in every)
 
-    def _give_frame(self, name: str, stored: StoredFrame) -> int:
-        values = self._reader.values.of_frame(self._dataset.values_of(name))
-        return _set_values(self._project, stored.id, values, self._importer) if values else 0
-
-
-def _set_values(project: Project, frame_id: int, values: Mapping[str, AttributeValue], importer: Importer) -> int:
-    """Gives a frame the values that it lacks; returns how many."""
-    while True:
-        present = project.frames.attributes_of(frame_id)
-        missing = dict(values) | present
-        if len(missing) == len(present):
+    def _give(self, name: str, stored: StoredFrame, boxes: Sequence[NewLabel] = ()) -> int:
+        """Gives a frame its values, and the labels that these boxes show theirs; returns how many."""
+        of_frame = self._reader.values.of_frame(self._dataset.values_of(name))
+        if not of_frame and not any(each.attributes for each in boxes):
             return 0
-        revision = project.frames.get(frame_id).revision
-        with suppress(StaleRevisionError):
-            context = WriteContext(revision, importer.author, Source.IMPORTED)
-            part = FramePart(frame_id, [FrameAttributesSet(attributes=missing)], context)
-            project.log.append_to_frames([part], importer.action)
-            return len(missing) - len(present)
+        return give_values(
+            self._project, stored.id, of_frame, lambda labels: of_covered(boxes, labels), self._importer
+        )[0]
 
 
 def with_tracks_once(new: Sequence[NewLabel]) -> tuple[list[NewLabel], int]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -90,57 +91,6 @@ class Renamed:
         return f"{self.named} of the labels was assigned to {', '.join(self.taken_for)}"
 
 
-class FrameFinder:
-    """The frames of a project by recording and key.
-
-    Keys such as 000012 occur in many recordings, so frames of another recording do not match. Exception: if the
-    dataset has a single recording and the project has none of this name, it is matched with the project's recordings
-    by key alone, and `renamed` reports it.
-
-    Args:
-        recording: name of the only recording to search; None = all.
-        named: the recordings that the dataset names.
-
-    Raises:
-        NotFoundError: no such recording.
-    """
-
-    def __init__(self, project: Project, recording: str | None, named: Collection[str]) -> None:
-        chosen = None if recording is None else [project.recordings.find(recording).id]
-        self._names = {each.id: each.name for each in project.recordings.all()}
-        self._by_key: dict[str, list[StoredFrame]] = {}
-        self._by_place: dict[tuple[str, str], StoredFrame] = {}
-        for frame in project.frames.of(chosen):
-            self._by_key.setdefault(normal(frame.key), []).append(frame)
-            self._by_place[self._names[frame.recording_id], normal(frame.key)] = frame
-        existing = {place[0] for place in self._by_place}
-        self._unknown = next(iter(named)) if len(set(named)) == 1 and not existing & set(named) else None
-
-    def find(self, recording: str | None, key: str) -> list[StoredFrame]:
-        """Returns the matching frames: more than one if several recordings have the key.
-
-        Args:
-            recording: the recording's name in the dataset; None if the dataset has no names.
-        """
-        if recording is None or recording == self._unknown:
-            return self._by_key.get(normal(key), [])
-        exact = self._by_place.get((recording, normal(key)))
-        return [] if exact is None else [exact]
-
-    def renamed(self, matched: Iterable[StoredFrame]) -> Renamed | None:
-        """Returns the recordings that the dataset's recording was matched with, if the project has none of its name.
-
-        Args:
-            matched: the frames that were matched with it.
-        """
-        taken_for = tuple(dict.fromkeys(map(self.recording_of, matched)))
-        return Renamed(self._unknown, taken_for) if self._unknown is not None and taken_for else None
-
-    def recording_of(self, frame: StoredFrame) -> str:
-        """Returns the name of a frame's recording."""
-        return self._names[frame.recording_id]
-
-
 AUTHOR = "import"
 
 
@@ -208,6 +158,10 @@ def match(
 ) -> Matched[T]:
     """Finds the project's frames of a dataset's frames or images.
 
+    Keys such as 000012 occur in many recordings, so frames of another recording do not match. Exception: if the
+    dataset has a single recording and the project has none of this name, it is matched with the project's recordings
+    by key alone, and `renamed` reports it.
+
     Args:
         path: the dataset, for messages.
         recording: name of the only recording to look in.
@@ -217,21 +171,31 @@ def match(
         FormatError: two fit one frame, or none fits any.
         NotFoundError: no such recording.
     """
-    finder = FrameFinder(project, recording, {each.recording for each in places if each.recording is not None})
+    chosen = None if recording is None else [project.recordings.find(recording).id]
+    names = {each.id: each.name for each in project.recordings.all()}
+    # by recording and key; by None and key, those of all recordings
+    frames: dict[tuple[str | None, str], list[StoredFrame]] = defaultdict(list)
+    for frame in project.frames.of(chosen):
+        for name in (None, names[frame.recording_id]):
+            frames[name, normal(frame.key)].append(frame)
+    named = {each.recording for each in places if each.recording is not None}
+    unknown = named if len(named) == 1 and not named & {name for name, _ in frames} else set[str]()
     matched: dict[int, tuple[Place[T], StoredFrame]] = {}
-    unmatched, ambiguous, named = [], [], list[StoredFrame]()
+    unmatched, ambiguous, taken_for = [], [], dict[str, None]()
     for place in places:
-        frames = finder.find(place.recording, place.key)
-        named += frames if place.recording is not None else []
-        if len(frames) > 1:
-            ambiguous.append((place.thing, place.name, tuple(map(finder.recording_of, frames))))
-        elif not frames:
+        found = frames.get((None if place.recording in unknown else place.recording, normal(place.key)), [])
+        recordings = tuple(names[frame.recording_id] for frame in found)
+        if place.recording is not None:
+            taken_for |= dict.fromkeys(recordings)
+        if len(found) > 1:
+            ambiguous.append((place.thing, place.name, recordings))
+        elif not found:
             unmatched.append(place.name)
-        elif frames[0].id in matched:
-            other = matched[frames[0].id][0].name
-            raise FormatError(path, f"{other} and {place.name} both match frame {frames[0].key}; keep one of them")
+        elif found[0].id in matched:
+            other = matched[found[0].id][0].name
+            raise FormatError(path, f"{other} and {place.name} both match frame {found[0].key}; keep one of them")
         else:
-            matched[frames[0].id] = (place, frames[0])
+            matched[found[0].id] = (place, found[0])
     if not matched and not ambiguous:
         raise nothing
     order = {frame.id: number for number, frame in enumerate(project.frames.of())}
@@ -239,7 +203,7 @@ def match(
     return Matched(
         tuple((place.thing, stored) for place, stored in in_order),
         tuple(unmatched),
-        finder.renamed(named),
+        Renamed(next(iter(unknown)), tuple(taken_for)) if unknown and taken_for else None,
         tuple(ambiguous),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,7 +18,7 @@ from annotator.project.classes.attributes import Attribute, AttributeKind, Attri
 from annotator.project.classes.completing import ValueReader, Values
 from annotator.project.event_types import FrameAttributesSet, LabelAttributesSet, Payload
 from annotator.project.sources.covering import covered_by
-from annotator.types import ReviewState, Source
+from annotator.types import Label, ReviewState, Source
 from annotator.types.errors import StaleRevisionError
 from annotator.types.label import AttributeValue
 from annotator.workflows.importing.label_set import LabelSet
@@ -115,32 +115,49 @@ def _is_choice(text: str) -> bool:
     return 0 < len(text) <= LONGEST_CHOICE
 
 
-def give_missing_values(
-    project: Project, frame_id: int, boxes: Sequence[NewLabel], author: str, action: str | None
-) -> int:
-    """Stores values of boxes in the reviewed labels of their classes that cover them; returns how many.
+def give_values(
+    project: Project,
+    frame_id: int,
+    of_frame: Values,
+    of_labels: Callable[[Sequence[Label]], Mapping[str, Values]],
+    importer: Importer,
+) -> tuple[int, int]:
+    """Gives a frame and its labels the values that they lack.
 
     Args:
-        boxes: of the dataset, with values that the project's attributes can hold.
-        action: as in `Importer`.
+        of_frame: values of the frame; like those of labels, they are such as the project's attributes can hold.
+        of_labels: returns the values by the uid of the label, from the frame's labels.
+
+    Returns:
+        The number of values given, and of those that differ from the present ones, which stay.
     """
     while True:
         revision = project.frames.get(frame_id).revision
-        labels = {label.uid: label for label in project.labels.of_frame(frame_id) if label.state in REVIEWED}
-        missing: dict[str, Values] = {}
-        for box, uid in zip(boxes, covered_by(boxes, labels.values()), strict=True):
-            if uid is not None:
-                has = labels[uid].attributes.keys() | missing.get(uid, {}).keys()
-                if new := {name: value for name, value in box.attributes.items() if name not in has}:
-                    missing.setdefault(uid, {}).update(new)
-        if not missing:
-            return 0
-        payloads: list[Payload] = [LabelAttributesSet(uid=uid, attributes=dict(new)) for uid, new in missing.items()]
+        has, labels = project.frames.attributes_of(frame_id), project.labels.of_frame(frame_id)
+        missing, values = _lacking(of_frame, has), of_labels(labels)
+        payloads: list[Payload] = [FrameAttributesSet(attributes=has | missing)] if missing else []
+        given, kept = len(missing), _differing(of_frame, has)
+        for label in labels:
+            missing = _lacking(values.get(label.uid, {}), label.attributes)
+            payloads += [LabelAttributesSet(uid=label.uid, attributes=dict(missing))] if missing else []
+            given, kept = given + len(missing), kept + _differing(values.get(label.uid, {}), label.attributes)
+        if not payloads:
+            return 0, kept
         # retried if the frame was changed since it was read
         with suppress(StaleRevisionError):
-            context = WriteContext(revision, author, Source.IMPORTED)
-            project.log.append_to_frames([FramePart(frame_id, payloads, context)], action)
-            return sum(map(len, missing.values()))
+            part = FramePart(frame_id, payloads, WriteContext(revision, importer.author, Source.IMPORTED))
+            project.log.append_to_frames([part], importer.action)
+            return given, kept
+
+
+def of_covered(boxes: Sequence[NewLabel], labels: Sequence[Label]) -> dict[str, Values]:
+    """Returns the values of a dataset's boxes by the uid of the reviewed label of its class that covers each."""
+    reviewed = [label for label in labels if label.state in REVIEWED]
+    found: dict[str, Values] = {}
+    for box, uid in zip(boxes, covered_by(boxes, reviewed), strict=True):
+        if uid is not None:
+            found[uid] = dict(box.attributes) | found.get(uid, {})
+    return found
 
 
 class ImageValues:
@@ -164,25 +181,9 @@ class ImageValues:
         if not picture.attributes and not picture.values:
             return
         of_frame, of_labels = self._reader.of_frame(picture.attributes), self._of_labels(image, names)
-        while True:
-            frame = self._project.frames.get(image.frame_id)
-            has = self._project.frames.attributes_of(frame.id)
-            missing = _lacking(of_frame, has)
-            payloads: list[Payload] = [FrameAttributesSet(attributes=has | missing)] if missing else []
-            number, kept = len(missing), _differing(of_frame, has)
-            for label in self._project.labels.of_frame(frame.id):
-                values = of_labels.get(label.uid, {})
-                missing = _lacking(values, label.attributes)
-                payloads += [LabelAttributesSet(uid=label.uid, attributes=dict(missing))] if missing else []
-                number, kept = number + len(missing), kept + _differing(values, label.attributes)
-            context = WriteContext(frame.revision, importer.author, Source.IMPORTED)
-            # retried if the frame was changed since it was read
-            with suppress(StaleRevisionError):
-                if payloads:
-                    self._project.log.append_to_frames([FramePart(frame.id, payloads, context)], importer.action)
-                self._report.add(Note.SHOWN, number)
-                self._report.add(Note.CONTRADICTED, kept)
-                return
+        given, kept = give_values(self._project, image.frame_id, of_frame, lambda labels: of_labels, importer)
+        self._report.add(Note.SHOWN, given)
+        self._report.add(Note.CONTRADICTED, kept)
 
     def leave_out(self, view: PictureLabels) -> None:
         """Counts the values of the boxes on a pseudo-view, which belong to no label."""
