@@ -86,7 +86,7 @@ def run(
                         )
                     except FormatError as error:
                         raise ConfigError(ONLY_ADDED.format(error, added.recording.name, project)) from error
-                if has_labels or imported.notes:
+                if imported.frames or imported.notes:
                     print_report(imported, "  ")
         if not opened.labels.select(states=REVIEWED):
             print_line(f"next: draw boxes (annotator simulate, annotator import), then annotator train {project}")

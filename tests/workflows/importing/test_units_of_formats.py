@@ -215,14 +215,6 @@ def test_quaternions_in_the_other_order_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", ["06_kitti_labels/labels/degrees", "12_labels_of_tools/sustech/degrees_obvious"])
-def test_degrees_of_the_cases_are_refused(shared: Path, name: str) -> None:
-    path = shared / "cases" / name
-    with pytest.raises(UnitError, match="is no angle in radians"):
-        read_labels(format_of(path), path)  # type: ignore[arg-type]
-
-
-@pytest.mark.shared
 def test_nuscenes_boxes_with_w_last_are_refused_and_upright_ones_read(shared: Path) -> None:
     cases = shared / "cases/11_nuscenes_rotation"
     with pytest.raises(UnitError, match="1 of 1 box is tilted"):
