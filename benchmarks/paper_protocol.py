@@ -28,12 +28,11 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.evaluating.evaluate_files import Protocol, read_frame_names
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
+from annotator.workflows.importing import Note
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
-from annotator.workflows.recorded.frame_subset import share_of
-from annotator.workflows.recorded.kitti_rows import TRACKING
-from annotator.workflows.recorded.labelled_frames import labels_beside
-from annotator.workflows.recorded.reading import frame_number, label_file
+from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d, share_of
+from annotator.workflows.recorded.own_labels import RecordedLabels
+from annotator.workflows.recorded.reading import TRACKING, frame_number, label_file
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.train import TrainPlan, train
 from benchmarks.paper_tables import Dataset, kitti_ap, sunrgbd_ap
@@ -359,20 +358,20 @@ class ProjectStages:
 
     def boxes(self) -> Facts:
         """Creates 2D boxes from the 3D boxes on the training frames."""
-        labels = labels_beside(self.project, [self._recording(TRAIN)])
+        labels = RecordedLabels(self.project, [self._recording(TRAIN)], with_files=True)
         done = boxes_from_3d(self.project, labels, fraction=self.fraction, seed=self.seed)
         return {
             "frames": done.frames,
-            "image_boxes": dict(done.image_boxes),
+            "image_boxes": dict(done.boxes),
             "objects": dict(done.objects),
             "views": self._views(),
             "view_boxes": done.view_boxes,
-            "without_views": dict(done.without_views),
-            "outside": dict(done.outside),
-            "hidden": dict(done.hidden),
-            "other_classes": dict(done.other_classes),
-            "drawn": done.drawn,
-            "unreadable": list(done.unreadable),
+            "without_views": dict(done.of(Note.WITHOUT_VIEWS)),
+            "outside": dict(done.of(Note.OUTSIDE)),
+            "hidden": dict(done.of(Note.HIDDEN)),
+            "other_classes": dict(done.of(Note.OTHER_CLASS)),
+            "drawn": done[Note.DRAWN],
+            "unreadable": list(done.of(Note.UNREADABLE)),
         }
 
     def _views(self) -> int:

@@ -32,7 +32,7 @@ from annotator.types import Label
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportOptions, ExportReport, export_project
-from annotator.workflows.importing import BoxFormat, import_image_boxes, import_labels, read_labels
+from annotator.workflows.importing import BoxFormat, Note, import_image_boxes, import_labels, read_labels
 from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth
 from benchmarks.report import Table, finish, guarded
 
@@ -164,9 +164,9 @@ def trip(project: Project, out: Path, format: ExportFormat) -> ExportReport:
         connection.exec_driver_sql("UPDATE labels SET attributes = '{}'" if is_flat else "DELETE FROM labels")
         connection.exec_driver_sql("DELETE FROM frame_attributes")
     if is_flat:
-        left_out = import_image_boxes(project, out, None).values.left_out
+        left_out = import_image_boxes(project, out, None).of(Note.VALUE)
     else:
-        left_out = import_labels(project, read_labels(BoxFormat(format), out)).values
+        left_out = import_labels(project, read_labels(BoxFormat(format), out)).of(Note.VALUE)
     assert not left_out, left_out
     return report
 

@@ -21,7 +21,7 @@ from annotator.formats.yolo import read_yolo
 from annotator.recordings.tum_rgbd import TumRgbd
 from annotator.text import NotTextError, OutsideError, decoded, inside, is_within, normal, spelled, stem_of, to_number
 from annotator.types.errors import AnnotatorError, FormatError
-from annotator.workflows.importing.picture_labels import PictureLabels
+from annotator.workflows.importing.pictures import PictureLabels
 
 TWO_LINES = "0 ä\n1 é\n"
 

@@ -41,7 +41,7 @@ from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import Choice, Measured, evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, ExportReport, export_project
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import ImportedLabels, import_labels
+from annotator.workflows.importing import ImportReport, import_labels
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
@@ -262,7 +262,7 @@ class Project:
         with closing(made):
             return annotate_with(self.stored, made, self._config(), limit=limit)
 
-    def import_labels(self, path: str | Path, format: str) -> ImportedLabels:
+    def import_labels(self, path: str | Path, format: str) -> ImportReport:
         """Imports 3D labels for frames that have none; formats as for `read_labels`.
 
         Raises:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from annotator.cli.import_boxes import REPEATED_TRACKS, flat_rows, left_out_values
+from annotator.cli.import_boxes import print_report
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
@@ -19,9 +18,8 @@ from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.project import REVIEWED
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
-from annotator.types.names import alternatives
 from annotator.workflows.add_recordings import Added, add_recordings
-from annotator.workflows.recorded.own_labels import OwnLabels, has_own_labels, import_own_labels
+from annotator.workflows.recorded.own_labels import has_own_labels, import_own_labels
 
 ONLY_ADDED = (
     "{0}\n{1} is in the project, without the labels beside it; correct them and give this command again, or import "
@@ -88,34 +86,12 @@ def run(
                         )
                     except FormatError as error:
                         raise ConfigError(ONLY_ADDED.format(error, added.recording.name, project)) from error
-                for line in _label_lines(imported, opened.config.classes):
-                    print_line(line)
+                if imported.frames or imported.notes:
+                    print_report(imported, "  ")
         if not opened.labels.select(states=REVIEWED):
             print_line(f"next: draw boxes (annotator simulate, annotator import), then annotator train {project}")
         else:
             print_line(f"next: annotator train {project}")
-
-
-def _label_lines(imported: OwnLabels, classes: Sequence[str]) -> list[str]:
-    counts = sorted(imported.labels.items())
-    lines = [f"  imported as labels: {amount(number, 'box')} of class {label}" for label, number in counts]
-    lines += [
-        f"  skipped: {amount(number, 'box')} of class {label}, which is not in the project; "
-        f"{alternatives(label, classes)}"
-        for label, number in sorted(imported.other_classes.items())
-    ]
-    lines += [f"  {line}" for line in left_out_values(imported.values)]
-    if imported.tracks:
-        lines.append(f"  {REPEATED_TRACKS.format(amount(imported.tracks, 'track id'))}")
-    if imported.are_partial:
-        lines.append("  no labels imported: those of the recording are only of what its own camera sees")
-    if imported.doubt is not None:
-        lines.append(f"  doubtful: {imported.doubt}")
-    if imported.flat:
-        lines.append(f"  {flat_rows(imported.flat)}")
-    if imported.of_other_cameras:
-        lines.append(f"  {amount(imported.of_other_cameras, 'box')} left to other cameras of the rig")
-    return lines + [f"  unreadable: {line}" for line in imported.unreadable]
 
 
 def _summary(added: Added) -> str:

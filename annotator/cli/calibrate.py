@@ -14,7 +14,7 @@ from annotator.cli.projects import open_named
 from annotator.project import Basis
 from annotator.types import NO_CORRECTION
 from annotator.types.errors import ConfigError
-from annotator.workflows.recorded.calibration import correct_calibration
+from annotator.workflows.recorded.adjusting import correct_calibration
 
 AUTHOR = "annotator calibrate"
 Vector = tuple[float, float, float]

@@ -114,8 +114,8 @@ def _print_grouped(lines: Sequence[tuple[str, str]], totals: Mapping[str, int], 
 
 
 def _check_dataset(path: Path, list_all: bool, as_json: bool) -> int:
-    from annotator.workflows.checking.check import check_datasets
-    from annotator.workflows.checking.rules import Severity
+    from annotator.workflows.checking.dataset_check import check_datasets
+    from annotator.workflows.checking.findings import Severity
 
     with counted("checking") as progress:
         report = check_datasets(path, progress)

@@ -8,7 +8,6 @@ from typing import Annotated
 from tyro.conf import arg
 
 from annotator.cli.annotate import summary_lines
-from annotator.cli.import_boxes import print_left_out, print_renamed
 from annotator.cli.options import BackendOption, BoxKindOption, ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
@@ -18,9 +17,10 @@ from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import Detectors, active_model, load_detector
-from annotator.workflows.importing import FlatFormat
+from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
 from annotator.workflows.proposing.annotate import annotate
 from annotator.workflows.proposing.lift import (
+    GivenBoxes,
     RenamedDetector,
     boxes_of_file,
     drawn_boxes,
@@ -86,14 +86,23 @@ def run(
             with counted("lift") as progress:
                 done = lift(opened, given, view, config, progress)
             origin = given.origin
-            print_renamed(given.renamed)
-            print_left_out(given.other_classes, given.unmatched, "image")
-            for reason in given.unreadable:
-                print_line(f"skipped: frame {reason}")
+            for line in _left_out(given).sentences():
+                print_line(line)
     print_line(f"3D boxes from {origin}, measured by: {view.title}")
     for line in summary_lines(done):
         print_line(line)
     return 1 if done.failures else 0
+
+
+def _left_out(given: GivenBoxes) -> ImportReport:
+    report = ImportReport(Become.FLAT)
+    if given.renamed is not None:
+        report.add(Note.RENAMED, of=str(given.renamed))
+    for label, number in given.other_classes.items():
+        report.add(Note.OTHER_CLASS, number, label)
+    report.add_all(Note.UNMATCHED_IMAGE, given.unmatched)
+    report.add_all(Note.UNREADABLE, given.unreadable)
+    return report
 
 
 def _names(pairs: tuple[str, ...]) -> dict[str, str]:

@@ -15,7 +15,7 @@ from annotator.cli.projects import open_named
 from annotator.project import Project
 from annotator.types.errors import ConfigError, GeometryError
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.recorded.up_direction import RecordingUp, estimate_recording_up
+from annotator.workflows.recorded.adjusting import RecordingUp, estimate_recording_up
 
 AUTHOR = "annotator up"
 ORIGINS = {"files": "from the recording's files", "project": "set in the project"}

@@ -18,7 +18,7 @@ from annotator.demo.stages import (
 from annotator.detection.progress import TrainingProgress
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import active_detectors
-from annotator.workflows.evaluating.demo_scores import Scores, score_project
+from annotator.workflows.evaluating.evaluate_project import Scores, score_project
 from annotator.workflows.exporting import ExportReport, export_project
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate
 from annotator.workflows.settings import rcv_config

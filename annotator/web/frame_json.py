@@ -36,7 +36,7 @@ from annotator.web.schemas import (
     ViewJson,
 )
 from annotator.workflows.detectors import base_titles
-from annotator.workflows.rigs import OtherLabel, Rigs, Sibling
+from annotator.workflows.frame_source import OtherLabel, Rigs, Sibling
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import ShownFrame, ShownLabel, ShownObject, show_frame, shown_others
 from annotator.workflows.workbench.review_queue import doubt

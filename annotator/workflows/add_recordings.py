@@ -14,8 +14,14 @@ from annotator.recordings.look_around import RigCamera, Scenes
 from annotator.recordings.recording import origin_of
 from annotator.types import Frame
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.workflows.recorded.broken_frames import SECONDS, BrokenFrames, broken_frames, still_broken
-from annotator.workflows.recorded.moved import fingerprint_of, require_not_moved
+from annotator.workflows.recorded.condition import (
+    SECONDS,
+    BrokenFrames,
+    broken_frames,
+    fingerprint_of,
+    require_not_moved,
+    still_broken,
+)
 
 # If this many frames at the beginning are unreadable, the recording is refused without trying the others.
 FRAMES_TRIED = 5

@@ -14,6 +14,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ArgumentError, DetectionError, NotFoundError, ProjectError
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.importing import Note
 
 Knowing = Callable[..., Detectors]
 
@@ -156,7 +157,7 @@ def test_stored_proposals_can_be_exported_evaluated_and_imported(
     with annotator.create_project(tmp_path / "other", classes=["person"]) as other:
         other.add(people.recordings[0].path, labels=False)
         taken = other.import_labels(people.export(tmp_path / "rcv", states=["proposed"]).out, "rcv")
-        assert taken.not_reviewed == 15
+        assert taken[Note.NOT_REVIEWED] == 15
 
 
 def test_recordings_bring_their_labels(tmp_path: Path, generated: Path) -> None:

@@ -16,7 +16,7 @@ from annotator.project import BoxRotation, Project, open_project
 from annotator.rcv.config import Orientation
 from annotator.types import Correction, Frame, Label
 from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.recorded.calibration import correct_calibration
+from annotator.workflows.recorded.adjusting import correct_calibration
 
 LEVEL = np.array([0.0, -1.0, 0.0])
 

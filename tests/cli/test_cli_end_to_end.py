@@ -25,7 +25,7 @@ def test_from_a_recording_to_a_dataset(
         return printed.out
 
     annotator("new", "room", "--classes", "person")
-    assert "imported as labels: 15 boxes of class person" in annotator("add", "room", generated / "people")
+    assert "imported as labels: 15 person in 5 frames" in annotator("add", "room", generated / "people")
 
     said = annotator(
         *("train", "room", "--epochs", "1", "--image-epochs", "1"),

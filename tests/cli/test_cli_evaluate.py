@@ -49,19 +49,6 @@ def test_kitti_curves_are_written_as_images(tmp_path: Path, capsys: Capture) -> 
     assert list(json.loads(said(capsys, *words, "--json"))) == ["Car"]
 
 
-def test_curve_file_names_are_valid(rooms: list[str], tmp_path: Path, capsys: Capture) -> None:
-    said(capsys, *rooms, "--protocol", "sunrgbd", "--curves", tmp_path / "curves")
-    assert sorted(file.name for file in (tmp_path / "curves").iterdir()) == [
-        "iou_0.15.png",
-        "iou_0.25.png",
-        "iou_0.5.png",
-    ]
-    (tmp_path / "file").write_text("")
-    assert "the curves cannot be written" in said(
-        capsys, *rooms, "--protocol", "sunrgbd", "--curves", tmp_path / "file" / "x", code=2
-    )
-
-
 def test_a_project_instead_of_files(generated: Path, tmp_path: Path, capsys: Capture) -> None:
     root = ["--projects", str(tmp_path / "projects")]
     assert main(["new", "room", "--classes", "person", *root]) == 0

@@ -29,7 +29,7 @@ from annotator.recordings import open_recording
 from annotator.recordings.clouds.cloud_file import read_cloud
 from annotator.types import Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError
-from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
+from annotator.workflows.importing.pictures import FlatFormat, read_pictures
 from annotator.workflows.importing.table import BoxFormat, read_labels
 from annotator.workflows.recorded.reading import has_truth, load_truth
 from benchmarks.bag_writer import BagWriter, structured

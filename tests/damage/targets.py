@@ -51,7 +51,7 @@ from annotator.formats.yolo import YoloWriter  # noqa: E402
 from annotator.recordings import ReaderOptions, open_recording  # noqa: E402
 from annotator.recordings.clouds.cloud_file import read_cloud  # noqa: E402
 from annotator.types import Box2D, Frame, Label, Truth  # noqa: E402
-from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures  # noqa: E402
+from annotator.workflows.importing.pictures import FlatFormat, read_pictures  # noqa: E402
 from annotator.workflows.importing.table import BoxFormat, read_labels  # noqa: E402
 from annotator.workflows.recorded.reading import has_truth, load_truth  # noqa: E402
 from benchmarks.bag_writer import BagWriter  # noqa: E402

@@ -13,7 +13,7 @@ from time_limit import time_limit
 from annotator.recordings import detect_format
 from annotator.recordings.open import READERS
 from annotator.types.errors import RecordingError
-from annotator.workflows.importing.picture_labels import FlatFormat
+from annotator.workflows.importing.pictures import FlatFormat
 from annotator.workflows.importing.table import BoxFormat
 
 FEW = 4

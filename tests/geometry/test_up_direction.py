@@ -12,7 +12,7 @@ from annotator.geometry.projection import unproject_depth
 from annotator.geometry.up_direction import UpEstimate, estimate_up
 from annotator.synthetic.snapshots import snapshot
 from annotator.types import Camera, Frame, PointCloud
-from annotator.workflows.recorded.up_direction import LEAST_CERTAINTY, agreed_up
+from annotator.workflows.recorded.adjusting import LEAST_CERTAINTY, agreed_up
 
 CAMERA = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
 LEVEL = np.array([0.0, -1.0, 0.0])

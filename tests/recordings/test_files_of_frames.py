@@ -10,7 +10,7 @@ import small_recordings as made
 
 from annotator.recordings import ReaderOptions, open_recording
 from annotator.recordings.recording import KeyedFrames
-from annotator.workflows.recorded.broken_frames import broken_frames
+from annotator.workflows.recorded.condition import broken_frames
 
 FILES: list[tuple[Callable[[Path], None], list[str]]] = [
     (made.rcv, ["labels/take-0.json", "images/take-0.png", "clouds/take-0.ply"]),

@@ -14,7 +14,7 @@ import pytest
 from annotator.geometry.projection import project
 from annotator.recordings import open_recording
 from annotator.types.errors import FrameError, UnclearError
-from annotator.workflows.checking.check import check_datasets
+from annotator.workflows.checking.dataset_check import check_datasets
 
 WIDTH, HEIGHT = 12, 8
 INTRINSICS = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}

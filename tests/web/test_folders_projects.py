@@ -158,8 +158,8 @@ def test_a_project_can_be_created_and_filled(live: Live, generated: Path, monkey
     assert (job["kind"], job["project"], job["state"]) == ("import", "two", "queued")
     assert client.get("/api/projects/two").json()["frames"] == 5, "its frames are available at once"
     done = ended(live, job)
-    assert (done["state"], done["message"], done["total"]) == ("done", "15 boxes imported", 5)
-    assert done["result"] == {"labels": {"person": 15}, "left_out": {}, "unreadable": []}
+    assert (done["state"], done["message"], done["total"]) == ("done", "imported as labels: 15 person in 5 frames", 5)
+    assert done["result"] == {"frames": 5, "boxes": 15}
     assert recording["recording"] == {
         "id": 1,
         "name": "people",
@@ -170,7 +170,7 @@ def test_a_project_can_be_created_and_filled(live: Live, generated: Path, monkey
     }
     again = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/people"})
     assert (again.json()["added"][0]["is_new"], again.json()["added"][0]["new_frames"]) == (False, 0)
-    assert ended(live, again.json()["job"])["message"] == "0 boxes imported"
+    assert ended(live, again.json()["job"])["message"] == "imported as labels: no box in 0 frames"
     bare = client.post("/api/projects/two/recordings", json={"path": f"{generated.name}/hands", "labels": False})
     assert bare.json()["job"] is None
     monkeypatch.setattr("annotator.web.jobs.runner.MOST_WAITING", 0)

@@ -16,8 +16,7 @@ from annotator.recordings import open_recording
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import ConfigError
 from annotator.workflows.add_recordings import register_recording
-from annotator.workflows.reviewed_sizes import reviewed_sizes
-from annotator.workflows.settings import editable, rcv_config
+from annotator.workflows.settings import editable, rcv_config, reviewed_sizes
 
 ABOUT_Z = Rotation.from_euler("z", 0.4).as_matrix()
 

@@ -22,12 +22,12 @@ from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.evaluating.evaluate_files import Protocol
 from annotator.workflows.evaluating.evaluate_project import evaluate_project
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.frame_source import FrameSource, Rigs
+from annotator.workflows.importing import Note
 from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.tasks import FrameAnswer
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import load_truth
-from annotator.workflows.rigs import Rigs
 from annotator.workflows.training.samples import gather, image_samples
 
 MakeProject = Callable[..., Project]
@@ -220,9 +220,9 @@ def test_labels_of_all_cameras_are_measured_against_the_true_boxes_of_each(make_
     small(tmp_path / "set", scenes=1)
     added = [
         one.recording.id
-        for one in add_recordings(project, [tmp_path / "set"], options=ReaderOptions(look_around=8), cameras=("all",))
+        for one in add_recordings(project, [tmp_path / "set"], options=ReaderOptions(look_around=4), cameras=("all",))
     ]
-    imported = sum(import_own_labels(project, one, together=added).labels.total() for one in added)
+    imported = sum(import_own_labels(project, one, together=added).boxes.total() for one in added)
     # two objects at two moments, though several cameras see each
     assert imported == 4
     for frame in project.frames.of():
@@ -257,15 +257,15 @@ def test_the_real_boxes_are_imported_once_for_the_camera_that_sees_them_best(
         for T in [frame.T_camera_label.inv() if frame.T_camera_label is not None else None]
         for truth in load_truth(recording, 0, frame)
     }
-    assert sum(one.labels.total() for one in counts) == len(seen) >= 65
-    assert sum(one.of_other_cameras for one in counts) >= 10
+    assert sum(one.boxes.total() for one in counts) == len(seen) >= 65
+    assert sum(one[Note.OTHER_CAMERA] for one in counts) >= 10
     for recording in added:
         (frame,) = project.frames.of([recording])
         siblings = Rigs(project).siblings(frame)
         assert not any(Rigs(project).is_better_seen(each.box, siblings) for each in project.labels.of_frame(frame.id))
         assert len(Rigs(project).others(frame)) + len(project.labels.of_frame(frame.id)) == len(seen)
     # a second import adds nothing
-    assert sum(import_own_labels(project, recording, together=added).labels.total() for recording in added) == 0
+    assert sum(import_own_labels(project, recording, together=added).boxes.total() for recording in added) == 0
 
 
 def cameras(project: Project) -> list[str]:

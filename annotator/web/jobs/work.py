@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import zipfile
-from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,18 +31,16 @@ from annotator.web.uploads import find_upload, remove_upload
 from annotator.workflows.detectors import trained_detectors, used_model
 from annotator.workflows.exporting import ExportFilter, ExportOptions, Split, export_project, parse_shares
 from annotator.workflows.importing import (
+    Become,
     BoxFormat,
-    Imported,
-    ImportedLabels,
-    ImportedProposals,
     Importer,
+    ImportReport,
     import_image_boxes,
     import_labels,
     import_proposals,
-    new_attributes,
     read_labels,
 )
-from annotator.workflows.importing.new_attributes import values_of_labels, values_of_pictures
+from annotator.workflows.importing.values import add_attributes, values_of_labels, values_of_pictures
 from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with
 from annotator.workflows.proposing.engines import EngineName, make_engine
 from annotator.workflows.proposing.lift import boxes_of_file, drawn_boxes, lift, require_known
@@ -198,7 +195,7 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
         given = boxes_of_file(project, upload.path, upload.format, recording, request.names, request.box_kind)
         require_known(view, {box.label for boxes in given.of_frame.values() for box in boxes})
     if request.add_attributes:
-        new_attributes.add_attributes(project, values_of_pictures(upload.format, upload.path), job.operator)
+        add_attributes(project, values_of_pictures(upload.format, upload.path), job.operator)
     done = import_image_boxes(
         project,
         upload.path,
@@ -209,7 +206,7 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
         Importer(job.operator, new_action()),
         job.counter("store the 2D boxes"),
     )
-    message, result = _imported(done)
+    outcome = _imported(done)
     if view is not None:
         # from here on, the import can be undone
         job.progress(LIFT_STAGE)
@@ -217,9 +214,9 @@ def boxes_work(job: JobContext, request: BoxesRequest) -> Outcome:
             lift(project, given, view, rcv_config(project), job.counter(LIFT_STAGE)),
             f", measured by: {view.title}",
         )
-        message, result = f"{message}; {lifted.message}", result | lifted.result
+        outcome = Outcome(f"{outcome.message}; {lifted.message}", outcome.result | lifted.result)
     remove_upload(project, upload.id)
-    return Outcome(message, result)
+    return outcome
 
 
 def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFormat, recording: str | None) -> Outcome:
@@ -227,9 +224,8 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
     job.progress("read the file")
     dataset, importer = read_labels(format, path), Importer(job.operator, new_action())
     if request.add_attributes:
-        new_attributes.add_attributes(job.project, values_of_labels(dataset), job.operator)
+        add_attributes(job.project, values_of_labels(dataset), job.operator)
     progress = job.counter("store the boxes")
-    done: ImportedProposals | ImportedLabels
     if request.become == "proposals":
         done = import_proposals(
             job.project,
@@ -241,86 +237,15 @@ def _boxes_3d(job: JobContext, request: BoxesRequest, path: Path, format: BoxFor
             importer=importer,
             progress=progress,
         )
-        boxes = done.proposals.total()
-        parts = [
-            f"{amount(boxes, 'box')} of {done.source} proposed in {amount(done.frames, 'frame')}",
-            f"{done.merged} of them also seen by other sources" if done.merged else "",
-            f"{amount(done.conflicts, 'value')} in conflict with other sources: the surer box's is shown"
-            if done.conflicts
-            else "",
-            f"{amount(done.covered, 'box')} of reviewed objects left out" if done.covered else "",
-            f"{amount(done.unsure, 'box')} with a lower score left out" if done.unsure else "",
-            f"{amount(done.rejected, 'rejected box')} left out" if done.rejected else "",
-            f"{amount(done.finalised, 'finalised frame')} left unchanged" if done.finalised else "",
-            "" if done.scaled is None else f"scores from {done.scaled.low:g} to {done.scaled.high:g} are now 0 to 1",
-        ]
     else:
         done = import_labels(
             job.project, dataset, recording, progress, request.names, importer, fill=request.add_attributes
         )
-        boxes = done.labels.total()
-        parts = [
-            f"{amount(boxes, 'label')} imported in {amount(done.frames, 'frame')}",
-            f"{amount(done.already, 'frame')} with labels or proposals left unchanged" if done.already else "",
-            f"{amount(done.filled, 'value')} of attributes for labels and frames that had none" if done.filled else "",
-            f"{amount(done.not_reviewed, 'box')} left out as not accepted" if done.not_reviewed else "",
-            f"{amount(done.scores, 'score')} outside 0..1 dropped" if done.scores else "",
-        ]
-    left_out, renamed = done.other_classes.total(), done.renamed
-    parts += [
-        f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
-        f"{amount(left_out, 'box')} of other classes left out ({', '.join(sorted(done.other_classes))})"
-        if left_out
-        else "",
-        f"{amount(done.unseen, 'box')} outside the images of these frames left out" if done.unseen else "",
-        f"doubtful: {done.doubt}" if done.doubt is not None else "",
-        f"{amount(done.flat, '2D box')} without a 3D box left out" if done.flat else "",
-        f"{amount(done.tracks, 'track id')} that an earlier box of the frame has dropped" if done.tracks else "",
-        _left_out(done.values),
-        f"{amount(len(done.unmatched), 'frame')} that the project does not have left out" if done.unmatched else "",
-        f"{amount(len(done.unreadable), 'frame')} could not be read" if done.unreadable else "",
-    ]
-    result: dict[str, object] = {
-        "frames": done.frames,
-        "boxes": boxes,
-        "left_out": done.other_classes,
-        "unmatched": done.unmatched[:MOST_FAILURES],
-        "unreadable": done.unreadable[:MOST_FAILURES],
-    }
-    return Outcome(", ".join(filter(None, parts)), result)
+    return _imported(done)
 
 
-def _imported(done: Imported) -> tuple[str, dict[str, object]]:
-    left_out = sum(done.other_classes.values())
-    renamed = done.renamed
-    parts = [
-        f"{amount(done.boxes, '2D box')} on {amount(done.pictures, 'image')} imported",
-        f"{amount(done.around, 'box')} turned or polygons: the rectangles around them" if done.around else "",
-        f"the drawn boxes on {amount(done.replaced, 'image')} replaced" if done.replaced else "",
-        f"recording {renamed.named} of the file taken for {', '.join(renamed.taken_for)}" if renamed else "",
-        f"{amount(left_out, 'box')} of other classes left out ({', '.join(sorted(done.other_classes))})"
-        if left_out
-        else "",
-        f"{amount(len(done.unmatched), 'image')} without a frame left out" if done.unmatched else "",
-        f"{amount(done.finalised, 'finalised frame')} left unchanged" if done.finalised else "",
-        f"{amount(done.values.set, 'value')} of attributes for 3D labels and frames" if done.values.set else "",
-        f"{amount(done.values.kept, 'value')} in conflict with labels or frames left out" if done.values.kept else "",
-        _left_out(done.values.left_out),
-        f"{amount(len(done.unreadable), 'frame')} could not be read" if done.unreadable else "",
-    ]
-    result: dict[str, object] = {
-        "images": done.pictures,
-        "boxes": done.boxes,
-        "replaced": done.replaced,
-        "left_out": done.other_classes,
-        "unmatched": done.unmatched[:MOST_FAILURES],
-        "unreadable": done.unreadable[:MOST_FAILURES],
-    }
-    return ", ".join(filter(None, parts)), result
-
-
-def _left_out(values: Counter[str]) -> str:
-    return f"{amount(values.total(), 'value')} of attributes left out: {', '.join(sorted(values))}" if values else ""
+def _imported(done: ImportReport) -> Outcome:
+    return Outcome(done.text(), {"frames": done.frames, "boxes": done.boxes.total()})
 
 
 def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
@@ -337,32 +262,11 @@ def _proposed(done: AnnotateSummary, source: str = "") -> Outcome:
 
 def import_work(job: JobContext, request: ImportRequest) -> Outcome:
     """Imports the 3D boxes of recordings."""
-    labels, left_out, values = Counter[str](), Counter[str](), Counter[str]()
-    unreadable, doubts = list[str](), list[str]()
-    tracks = flat = 0
+    every = ImportReport(Become.LABELS, job.project.config.classes)
     for recording in [job.project.recordings.get(number) for number in request.recordings]:
         counter = job.counter(f"read the boxes of {recording.name}")
-        imported = import_own_labels(job.project, recording.id, counter, request.recordings)
-        labels += imported.labels
-        left_out += imported.other_classes
-        values += imported.values
-        tracks += imported.tracks
-        unreadable += imported.unreadable
-        flat += imported.flat
-        doubts += [] if imported.doubt is None else [imported.doubt]
-    message = f"{amount(labels.total(), 'box')} imported"
-    if left_out:
-        message += f", {left_out.total()} of other classes left out ({', '.join(sorted(left_out))})"
-    message += "".join(f", doubtful: {doubt}" for doubt in doubts)
-    if flat:
-        message += f", {amount(flat, '2D box')} without a 3D box left out"
-    if values:
-        message += f", {_left_out(values)}"
-    if tracks:
-        message += f", {amount(tracks, 'track id')} that an earlier box of the frame has dropped"
-    if unreadable:
-        message += f", those of {amount(len(unreadable), 'frame')} could not be read"
-    return Outcome(message, {"labels": labels, "left_out": left_out, "unreadable": unreadable[:MOST_FAILURES]})
+        every.include(import_own_labels(job.project, recording.id, counter, request.recordings))
+    return _imported(every)
 
 
 def copy_work(job: JobContext, request: CopyRequest) -> Outcome:

@@ -14,8 +14,7 @@ from annotator.types import Correction
 from annotator.types.correction import MOST_OFFSET_S, MOST_SHIFT_M
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.schemas import CameraJson, Effort, RowId, Schema, Unit3
-from annotator.workflows.recorded.calibration import correct_calibration
-from annotator.workflows.recorded.up_direction import estimate_recording_up
+from annotator.workflows.recorded.adjusting import correct_calibration, estimate_recording_up
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import alignment
 

@@ -11,49 +11,36 @@ from annotator.project import Project
 from annotator.web.context import Ctx, Operator
 from annotator.web.schemas import RowId
 from annotator.web.uploads import Upload, add_upload, find_upload, remove_upload
-from annotator.workflows.importing import BoxFormat, FlatFormat, preview, preview_3d
+from annotator.workflows.importing import BoxFormat, FlatFormat, preview_boxes
 
 router = APIRouter(prefix="/api/projects/{project}/boxes-files", tags=["boxes"])
 
 UploadId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
 FileName = Annotated[str, Query(min_length=1, max_length=255)]
 Content = Annotated[bytes, Body(media_type="application/octet-stream")]
-# Number of image names that are shown.
-SHOWN = 5
 
 
 class BoxesFile(BaseModel):
     """A file with 2D boxes on camera images, or with 3D boxes.
 
     Attributes:
-        images: number of its images; of 3D boxes, of its frames.
-        unmatched: number of those without a frame in the project; `unmatched_names` are some of them.
-        ambiguous: number of those that fit frames of several recordings: one of these must be chosen.
-        boxes: number of boxes on the others, by class name.
-        replaced: number of images with boxes drawn in the project, which the import replaces.
-        labelled: of 3D boxes: number of frames that an import as labels leaves unchanged: those with labels or
-            proposals, and finalised ones; null for 2D boxes.
-        finalised: of 3D boxes: number of finalised frames, which an import as proposals leaves unchanged, too.
+        ambiguous: number of its images or frames that fit frames of several recordings: one of these must be chosen.
+        boxes: number of boxes that the project has a frame for, by class.
         scores: of 3D boxes: the lowest and the highest score, if there are any.
         source: name that 3D boxes have as a source of proposals, unless another is given.
-        renamed: the file's recording, if the project has none of this name; `taken_for` are those it was matched with.
+        found: a sentence about what it has; `notes` say what an import leaves out, replaces or does not change.
     """
 
     id: str
     name: str
     format: FlatFormat | BoxFormat
-    images: int
-    unmatched: int
-    unmatched_names: list[str]
+    is_3d: bool
     ambiguous: int
     boxes: dict[str, int]
-    replaced: int
-    labelled: int | None
-    finalised: int | None
     scores: tuple[float, float] | None
     source: str
-    renamed: str | None
-    taken_for: list[str]
+    found: str
+    notes: tuple[str, ...]
 
 
 @router.post("", status_code=201)
@@ -77,27 +64,16 @@ def look(project: str, id: UploadId, ctx: Ctx, operator: Operator, recording: Ro
 
 def _described(project: Project, upload: Upload, recording: int | None) -> BoxesFile:
     name = None if recording is None else project.recordings.get(recording).name
-    if isinstance(upload.format, FlatFormat):
-        found, labelled, scores = preview(project, upload.path, upload.format, name), None, None
-        finalised = None
-    else:
-        found = preview_3d(project, upload.path, upload.format, name)
-        labelled, finalised = found.labelled, found.finalised
-        scores = None if found.scores is None else (found.scores.low, found.scores.high)
+    found = preview_boxes(project, upload.path, upload.format, name)
     return BoxesFile(
         id=upload.id,
         name=upload.path.name,
         format=upload.format,
-        images=found.images,
-        unmatched=len(found.unmatched),
-        unmatched_names=list(found.unmatched[:SHOWN]),
+        is_3d=found.is_3d,
         ambiguous=found.ambiguous,
         boxes=found.boxes,
-        replaced=found.replaced,
-        labelled=labelled,
-        finalised=finalised,
-        scores=scores,
+        scores=None if found.scores is None else (found.scores.low, found.scores.high),
         source=upload.path.stem,
-        renamed=None if found.renamed is None else found.renamed.named,
-        taken_for=[] if found.renamed is None else list(found.renamed.taken_for),
+        found=found.found,
+        notes=found.notes,
     )

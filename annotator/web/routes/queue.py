@@ -10,7 +10,7 @@ from annotator.project.classes.attributes import AttributeOf
 from annotator.project.review import ValueFilter
 from annotator.web.context import Ctx
 from annotator.web.schemas import ClassName, RowId, Schema
-from annotator.workflows.importing.proposals_3d import MOST_NAME
+from annotator.workflows.importing.boxes_3d import MOST_NAME
 from annotator.workflows.workbench.review_queue import Order
 from annotator.workflows.workbench.review_queue import queue as all_items
 

@@ -1,4 +1,4 @@
-"""Rules about the geometry of the boxes of one frame and of the previous frame.
+"""Rules about labels that datasets and projects share: the geometry of boxes, and values of attributes.
 
 Each rule yields the index of an offending box in its list, with a message.
 """
@@ -13,8 +13,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.geometry.iou import iou_3d_matrix
+from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.types import Label, Truth
 from annotator.types.amounts import amount
+from annotator.types.label import AttributeValue
 
 # Factor by which a side may differ from the median of its class.
 SIZE_FACTOR = 1.6
@@ -147,3 +149,44 @@ def _predecessor(each: Label | Truth, earlier: Boxes, tracked_only: bool) -> Lab
     nearest = same[min(near)[1]]
     # different track ids mean different objects
     return nearest if nearest.track_id is None or each.track_id is None else None
+
+
+def odd_values(labels: Sequence[Label], attributes: Sequence[Attribute]) -> Iterator[tuple[int, str]]:
+    """Yields the index of a label and a message for values that are missing, do not fit, or have no attribute."""
+    for number, label in enumerate(labels):
+        of_label = {each.name: each for each in attributes if each.is_of(label.label)}
+        for each in of_label.values():
+            if each.required and each.name not in label.attributes:
+                yield number, _missing(each, label.label)
+        for name, value in label.attributes.items():
+            if name not in of_label:
+                yield number, _unknown(name, value, f"this {label.label}", label.label)
+            elif not of_label[name].fits(value):
+                yield number, f"{name} is {value_text(value)}; it must be {of_label[name].values_text()}"
+
+
+def odd_frame_values(
+    values: Mapping[str, AttributeValue], attributes: Sequence[Attribute], is_complete: bool
+) -> Iterator[str]:
+    """Yields messages about the values of a frame.
+
+    Args:
+        is_complete: whether required values must be there; a default is enough.
+    """
+    of_frames = {each.name: each for each in attributes if each.of is AttributeOf.FRAME}
+    for each in of_frames.values() if is_complete else ():
+        if each.required and each.default is None and each.name not in values:
+            yield _missing(each, "frame")
+    for name, value in values.items():
+        if name not in of_frames:
+            yield _unknown(name, value, "this frame", "frames")
+        elif not of_frames[name].fits(value):
+            yield f"{name} of this frame is {value_text(value)}; it must be {of_frames[name].values_text()}"
+
+
+def _missing(attribute: Attribute, what: str) -> str:
+    return f"this {what} has no value of {attribute.name}, which is required"
+
+
+def _unknown(name: str, value: AttributeValue, this: str, owners: str) -> str:
+    return f"{this} has the value {name} = {value_text(value)}, but the project has no attribute {name} for {owners}"

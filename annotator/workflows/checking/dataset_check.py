@@ -1,4 +1,4 @@
-"""Checks one dataset, frame by frame, and then all frames together.
+"""`annotator check PATH`: checks the datasets at a path, frame by frame, and then all frames of each together.
 
 Frames are read one at a time; after an unreadable frame the check continues. The size and place of each label are
 kept in memory until the end, because only then is the usual size of its class known.
@@ -14,31 +14,122 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv import MANIFEST
-from annotator.types import Frame
+from annotator.formats.units import Angles
+from annotator.geometry.point_index import PointIndex
+from annotator.types import Frame, OrientedBox
 from annotator.types.amounts import amount
-from annotator.types.errors import AnnotatorError, FormatError, UnclearError
+from annotator.types.errors import AnnotatorError, FormatError, UnclearError, UnitError, UnitKind
 from annotator.types.names import folded
-from annotator.workflows.checking import rules
+from annotator.workflows.checking import findings as rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
-from annotator.workflows.checking.box_rules import heading_jumps, odd_size_message, usual_sizes
-from annotator.workflows.checking.box_sets import BoxSet, rule_of
-from annotator.workflows.checking.camera_rules import camera_rules, cloud_rules
-from annotator.workflows.checking.findings import Findings
-from annotator.workflows.checking.label_files import FoundLabel
-from annotator.workflows.checking.label_rules import (
+from annotator.workflows.checking.box_rules import LEAST_POINTS, heading_jumps, odd_size_message, usual_sizes
+from annotator.workflows.checking.findings import (
+    ANGLE_UNIT,
+    BROKEN_LABEL,
+    LENGTH_UNIT,
+    MIRRORED_BOXES,
+    QUATERNION_ORDER,
+    SIZE_ORDER,
+    UNCHECKED_DATASET,
+    UNREADABLE_DATASET,
+    Finding,
+    Findings,
+    Rule,
+    Severity,
+)
+from annotator.workflows.checking.frame_rules import (
     Breach,
+    camera_rules,
+    cloud_rules,
     is_plausible,
     rules_among_labels,
     rules_in_frame,
     rules_of_labels,
 )
-from annotator.workflows.checking.rules import Rule
-from annotator.workflows.checking.sources import RecordingSource, Source
-from annotator.workflows.checking.unmatched_names import stray_names
+from annotator.workflows.checking.label_files import FoundLabel, stray_names
+from annotator.workflows.checking.sources import OtherSoftwareDataset, Source, find_sources
+from annotator.workflows.importing.report import SizeDoubts
 from annotator.workflows.recorded.reading import has_masks, load_mask
+
+RULE_OF = {
+    UnitKind.ANGLE: ANGLE_UNIT,
+    UnitKind.LENGTH: LENGTH_UNIT,
+    UnitKind.QUATERNION: QUATERNION_ORDER,
+}
+# Two boxes without points are seldom both mirror images of objects by chance.
+LEAST_MIRRORED = 2
+# The axes of the camera frame that may be mirrored; a box mirrored in the third one is behind the camera.
+MIRRORED = {0: "left and right", 1: "up and down"}
+
+
+def rule_of(error: AnnotatorError) -> Rule:
+    """Returns the rule that a label file breaks which cannot be read."""
+    return RULE_OF[error.kind] if isinstance(error, UnitError) else BROKEN_LABEL
+
+
+def report_sizes(sizes: SizeDoubts, findings: Findings, path: Path) -> None:
+    """Adds what the sizes of a dataset's boxes show to `findings`."""
+    if (problem := sizes.lengths.problem()) is not None:
+        findings.add(LENGTH_UNIT, path, problem)
+    elif (problem := sizes.orders.problem()) is not None:
+        findings.add(SIZE_ORDER, path, problem)
+
+
+class BoxSet:
+    """The boxes of a dataset so far."""
+
+    def __init__(self) -> None:
+        self._angles, self._sizes = Angles(), SizeDoubts()
+        self._boxes = 0
+        self._mirrored: Counter[int] = Counter()
+
+    def add(self, entry: FoundLabel) -> None:
+        """Adds the numbers of a label."""
+        if entry.row is not None and entry.line is not None:
+            self._angles.radians(entry.row.rotation_y, entry.file, entry.line)
+        self._sizes.add(entry.truth.label, entry.truth.box.size_m)
+
+    def add_points(self, xyz_m: Float32[np.ndarray, "n 3"], boxes: int, empty: Sequence[OrientedBox]) -> None:
+        """Adds a frame.
+
+        Args:
+            xyz_m: its points.
+            boxes: how many boxes it has.
+            empty: those of them without points.
+        """
+        self._boxes += boxes
+        if empty:
+            index = PointIndex.of(xyz_m)
+            for axis in MIRRORED:
+                self._mirrored[axis] += sum(index.count(mirrored(box, axis)) >= LEAST_POINTS for box in empty)
+
+    def report(self, findings: Findings, path: Path) -> None:
+        """Adds what the boxes show to `findings`; `path` is the dataset."""
+        try:
+            self._angles.require()
+        except UnitError as error:
+            findings.add_error(ANGLE_UNIT, error, path)
+        report_sizes(self._sizes, findings, path)
+        axis, number = max(self._mirrored.items(), key=lambda each: each[1], default=(0, 0))
+        if number >= LEAST_MIRRORED and number * 2 > self._boxes:
+            message = (
+                f"{number} of {amount(self._boxes, 'box')} hold no points, but their mirror images do, with "
+                f"{MIRRORED[axis]} exchanged; the labels' axes are probably left-handed"
+            )
+            findings.add(MIRRORED_BOXES, path, message)
+
+
+def mirrored(box: OrientedBox, axis: int) -> OrientedBox:
+    """Returns the mirror image of a box in the plane through the origin across an axis of its frame."""
+    flip = np.ones(3)
+    flip[axis] = -1
+    # a box is its own mirror image along its width, which keeps the rotation proper
+    return OrientedBox.from_parts(flip * box.center_m, flip[:, None] * box.rotation * [1.0, -1.0, 1.0], box.size_m)
+
 
 CALIBRATION_FOLDERS, CALIBRATION_NAMES = ("calib", "extrinsics"), ("calib", "camera_", "intrinsics")
 # With at least this many boxes, a fault of more than half of them is reported for the dataset.
@@ -128,12 +219,12 @@ class DatasetCheck:
             self.findings.add(rule, file, message, frame=key)
         for rule, message in cloud_rules(frame, of_depth_camera=self.source.format == "sunrgbd_extracted"):
             self.findings.add(rule, file, message, frame=key)
-        if isinstance(self.source, RecordingSource):
-            try:
-                if has_masks(self.source.recording):
-                    load_mask(self.source.recording, frame)
-            except AnnotatorError as error:
-                self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
+        recording = self.source.recording
+        try:
+            if recording is not None and has_masks(recording):
+                load_mask(recording, frame)
+        except AnnotatorError as error:
+            self.findings.add_error(rules.UNREADABLE_MASK, error, file, frame=key)
 
     def _time(self, index: int, key: str, frame: Frame) -> None:
         if not self.source.in_time_order or frame.timestamp_ns is None:
@@ -201,7 +292,7 @@ class DatasetCheck:
         for error in files.problems() if files is not None else ():
             self.findings.add_error(rule_of(error), error, self.source.path)
         of_labels = files.strays() if files is not None else iter(())
-        of_recording = stray_names(self.source.recording) if isinstance(self.source, RecordingSource) else iter(())
+        of_recording = iter(()) if self.source.recording is None else stray_names(self.source.recording)
         for strays in (of_labels, of_recording):
             try:
                 for file, line, name in strays:
@@ -262,3 +353,62 @@ def _spellings(names: set[str]) -> Iterator[list[str]]:
     for name in sorted(names):
         groups.setdefault(folded(name), []).append(name)
     return (group for group in groups.values() if len(group) > 1)
+
+
+class DatasetReport(BaseModel):
+    """The findings by file and line, and the number of each severity and rule, including those that are not listed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    datasets: tuple[DatasetFacts, ...]
+    findings: tuple[Finding, ...]
+    counts: dict[Severity, int]
+    by_rule: dict[str, int]
+
+
+def check_datasets(path: Path, progress: Progress | None = None) -> DatasetReport:
+    """Checks every dataset at or below a path.
+
+    Args:
+        progress: called with (frames checked, frames of this dataset).
+
+    Raises:
+        RecordingError: there is no dataset.
+    """
+    findings, facts = Findings(), []
+    for source in find_sources(path):
+        if isinstance(source, tuple):
+            findings.add_error(UNREADABLE_DATASET, source[1], source[0])
+        elif isinstance(source, OtherSoftwareDataset):
+            facts += _read_other_software(source, findings)
+        else:
+            facts.append(DatasetCheck(source, findings).run(progress))
+    return DatasetReport(
+        datasets=tuple(facts), findings=findings.all(), counts=findings.counts(), by_rule=findings.by_rule()
+    )
+
+
+def _read_other_software(dataset: OtherSoftwareDataset, findings: Findings) -> list[DatasetFacts]:
+    """Reads a dataset of other software; returns no facts if a part of it cannot be read."""
+    frames = labels = faults = 0
+    sizes = SizeDoubts()
+
+    def on_fault(fault: FormatError) -> None:
+        nonlocal faults
+        findings.add_error(rule_of(fault), fault, dataset.path)
+        faults += 1
+
+    for boxes in dataset.frames(on_fault):
+        frames, labels = frames + 1, labels + len(boxes)
+        for label, size_m in boxes:
+            if size_m is not None:
+                sizes.add(label, size_m)
+    if faults:
+        return []
+    report_sizes(sizes, findings, dataset.path)
+    findings.add(
+        UNCHECKED_DATASET,
+        dataset.path,
+        f"{dataset.format}: read, but their boxes are not compared with clouds and images",
+    )
+    return [DatasetFacts(path=str(dataset.path), format=dataset.format, frames=frames, labels=labels)]

@@ -5,15 +5,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.boxes_json import each_entries, entry_truth
+from annotator.formats.frame_names import has_frames
 from annotator.formats.kitti_rows import (
     DONT_CARE,
     KittiLabel,
@@ -26,6 +28,9 @@ from annotator.formats.reading import text_rows
 from annotator.formats.sunrgbd import extracted_truth
 from annotator.formats.units import Angles
 from annotator.recordings import Recording
+from annotator.recordings.kitti import KittiObject
+from annotator.recordings.listing import IMAGE_SUFFIXES, stems
+from annotator.recordings.sunrgbd import SunRgbdExtracted
 from annotator.text import normal, spelled
 from annotator.types import Frame, Truth
 from annotator.types.errors import AnnotatorError, FormatError
@@ -67,15 +72,16 @@ class FrameLabels:
     flat: int = 0
 
 
-@runtime_checkable
-class LabelFiles(Protocol):
+class LabelFiles(ABC):
     """The label files of a dataset."""
 
+    @abstractmethod
     def of(self, index: int, key: str, frame: Frame | None) -> FrameLabels:
         """Returns the labels of a frame; `frame` is None if it could not be read."""
 
     def problems(self) -> Sequence[AnnotatorError]:
         """Returns the problems of files that hold the labels of all frames."""
+        return ()
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
         """Yields file, line and frame name of labels whose frame is missing.
@@ -83,6 +89,7 @@ class LabelFiles(Protocol):
         Raises:
             FormatError: a list of frames cannot be read.
         """
+        return iter(())
 
 
 RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel | Literal["area", "flat"]]
@@ -90,7 +97,7 @@ RowParser = Callable[[list[str], RigidTransform | None, Path, int], FoundLabel |
 
 
 @dataclass(frozen=True)
-class RowFiles:
+class RowFiles(LabelFiles):
     """One text file per frame, one row per object."""
 
     recording: Recording
@@ -118,9 +125,6 @@ class RowFiles:
                 flat += label == "flat"
         return FrameLabels(tuple(objects), tuple(problems), flat=flat)
 
-    def problems(self) -> Sequence[AnnotatorError]:
-        return ()
-
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
         keys = set(map(normal, self.recording.keys))
         for path in sorted(self.folder.glob("*.txt")):
@@ -129,7 +133,7 @@ class RowFiles:
 
 
 @dataclass(frozen=True)
-class TrackingFile:
+class TrackingFile(LabelFiles):
     """KITTI's `label_02.txt`: all frames in one file, kept in memory during the check."""
 
     recording: Recording
@@ -175,7 +179,7 @@ class TrackingFile:
 
 
 @dataclass(frozen=True)
-class BoxesFile:
+class BoxesFile(LabelFiles):
     """`boxes.json`: all frames in one file, kept in memory during the check."""
 
     recording: Recording
@@ -209,7 +213,7 @@ class BoxesFile:
 
 
 @dataclass(frozen=True)
-class WholeFiles:
+class WholeFiles(LabelFiles):
     """Labels of any other format, read file by file: an invalid object makes the whole file invalid."""
 
     recording: Recording
@@ -225,12 +229,6 @@ class WholeFiles:
         except AnnotatorError as error:
             return FrameLabels(problems=(error,))
         return FrameLabels(tuple(FoundLabel(truth, file) for truth in truths))
-
-    def problems(self) -> Sequence[AnnotatorError]:
-        return ()
-
-    def strays(self) -> Iterator[tuple[Path, int | None, str]]:
-        return iter(())
 
 
 def label_files(recording: Recording) -> LabelFiles | None:
@@ -269,3 +267,65 @@ def _in_camera_frame(label: FoundLabel, frame: Frame | None) -> FoundLabel:
     if T is None:
         return label
     return replace(label, truth=replace(label.truth, box=label.truth.box.transformed(T)))
+
+
+LISTS, INDICES = "ImageSets", "*_data_idx.txt"
+# KITTI's test frames, whose labels are not public: their folder, and their list.
+TESTING, TEST_LIST = "testing", "test.txt"
+
+Stray = tuple[Path, int | None, str]
+"""A file that refers to a missing frame, the line in it (None: the file's name refers to it), and the frame's name."""
+
+
+def stray_names(recording: Recording) -> Iterator[Stray]:
+    """Yields calibrations and list entries without a frame.
+
+    Lists are `ImageSets/*.txt` of KITTI (beside `training`, or in the folder itself) and VoteNet's `*_data_idx.txt`,
+    which have the frames' numbers without leading zeros.
+
+    Raises:
+        FormatError: a list cannot be read.
+    """
+    if isinstance(recording, KittiObject):
+        yield from _calibrations(recording.root, recording)
+        yield from _image_sets(recording)
+    elif isinstance(recording, SunRgbdExtracted):
+        yield from _calibrations(recording.path, recording)
+        numbers = {int(key) for key in recording.keys if key.isdecimal()}
+        for file in sorted(recording.path.glob(INDICES)):
+            for line, name in frame_names(file):
+                if not (name.isdecimal() and int(name) in numbers):
+                    yield file, line, name
+
+
+def _calibrations(folder: Path, recording: Recording) -> Iterator[Stray]:
+    keys = set(map(normal, recording.keys))
+    for file in sorted((folder / "calib").glob("*.txt")):
+        if normal(file.stem) not in keys:
+            yield file, None, file.stem
+
+
+def _image_sets(recording: KittiObject) -> Iterator[Stray]:
+    # the recording may have been opened at training/ or at the folder above
+    folders = [recording.root, *([recording.root.parent] if recording.root.name == "training" else [])]
+    keys = set(map(normal, recording.keys))
+    for folder in folders:
+        pictures = folder / TESTING / recording.images
+        testing = set(map(normal, stems(pictures, IMAGE_SUFFIXES))) if pictures.is_dir() else set()
+        for file in sorted((folder / LISTS).glob("*.txt")):
+            # without testing/, test.txt lists frames elsewhere, except in exports, which have them in training/
+            if file.name == TEST_LIST and not testing and not has_frames(folder):
+                continue
+            listed = keys | testing if file.name == TEST_LIST else keys
+            for line, name in frame_names(file):
+                if normal(name) not in listed:
+                    yield file, line, name
+
+
+def frame_names(file: Path) -> Iterator[tuple[int, str]]:
+    """Returns line and name of each frame in a list.
+
+    Raises:
+        FormatError: the list is not text.
+    """
+    return ((line, words[0]) for line, words in text_rows(file))

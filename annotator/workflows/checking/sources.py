@@ -1,23 +1,177 @@
-"""Finds the datasets below a path: recordings with their own labels, and `rcv` datasets."""
+"""Finds the datasets below a path: recordings with their own labels, `rcv` datasets, and those of other software.
+
+Of the boxes of other software only units and sizes are checked, because the frames that they label belong to a project,
+not to the dataset.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
+import numpy as np
+from jaxtyping import Float64
+
+from annotator.files import open_file, read_file
+from annotator.formats import sustechpoints
+from annotator.formats.coco import is_coco_dataset, read_coco_dataset
+from annotator.formats.json_file import read_json
+from annotator.formats.labelcloud import CLASSES_FILE, CLOUDS, LABELS, read_labelcloud
+from annotator.formats.nuscenes import read_nuscenes
+from annotator.formats.openlabel import read_openlabel
 from annotator.formats.rcv import FOLDERS, MANIFEST, SPLITS, RcvDataset, read_rcv
+from annotator.formats.reading import OnFault
+from annotator.formats.yolo import CLASSES, DATA_YAML, SUFFIXES, YoloBox, read_yolo
 from annotator.recordings import Recording, open_recording
 from annotator.recordings.clouds.cloud_folder import CloudFolder
 from annotator.recordings.open import FILE_SUFFIXES
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
-from annotator.types import Frame, ReviewState, Truth
+from annotator.types import Box2D, Frame, ReviewState, Truth
 from annotator.types.errors import AnnotatorError, FormatError, RecordingError, UnknownFormatError
-from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, label_files
-from annotator.workflows.checking.other_software import OtherSoftwareDataset, labels_alone, other_software_dataset
-from annotator.workflows.checking.unmatched_names import frame_names
+from annotator.workflows.checking.label_files import FoundLabel, FrameLabels, LabelFiles, frame_names, label_files
+from annotator.workflows.importing import BoxFormat, FlatFormat, format_of, read_labels
+
+SNIFFED_BYTES = 256
+# Formats of labels that open as a recording with their images and clouds.
+OF_RECORDINGS = (BoxFormat.KITTI, BoxFormat.KITTI_TRACKING, BoxFormat.SUNRGBD, BoxFormat.BOXES)
+
+Box = tuple[str, Float64[np.ndarray, "3"] | None]
+"""The class and the size of a box; None for 2D boxes."""
+
+
+@dataclass(frozen=True)
+class OtherSoftwareDataset:
+    """A dataset whose boxes are not compared with clouds and images.
+
+    Attributes:
+        format: the format's name to display.
+        is_recording: the folder has clouds or images beside the labels, so it may also be a recording.
+        opened_as: format of the recordings whose own labels these are; their boxes are checked there.
+        read: yields the boxes of each frame; called with what takes each fault.
+    """
+
+    path: Path
+    format: str
+    is_recording: bool
+    read: Callable[[Path, OnFault], Iterable[Sequence[Box]]]
+    opened_as: str | None = None
+
+    def frames(self, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+        """Yields the boxes of each frame.
+
+        Args:
+            on_fault: called with each fault.
+        """
+        try:
+            yield from self.read(self.path, on_fault)
+        except FormatError as fault:
+            on_fault(fault)
+
+
+def other_software_dataset(path: Path) -> OtherSoftwareDataset | None:
+    """Returns the dataset in a folder, without looking into subfolders; None for unknown formats."""
+    if not path.is_dir() or (path / MANIFEST).is_file():
+        return None
+    if any((folder / "sample_annotation.json").is_file() for folder in path.glob("v1.0-*")):
+        return OtherSoftwareDataset(path, "nuScenes tables", False, _nuscenes)
+    if any(_is_openlabel(file) for file in path.glob("*.json")):
+        return OtherSoftwareDataset(path, "OpenLABEL documents", False, _openlabel, "openlabel")
+    if _is_labelcloud(path):
+        return OtherSoftwareDataset(path, "labelCloud labels", True, _labelcloud, "cloud_folder")
+    if (path / sustechpoints.CLOUDS).is_dir() and any((path / sustechpoints.LABELS).glob("*.json")):
+        return OtherSoftwareDataset(path, "SUSTechPOINTS labels", True, partial(_imported, BoxFormat.SUSTECHPOINTS))
+    if is_coco_dataset(path):
+        return OtherSoftwareDataset(path, "COCO boxes", True, _coco)
+    if _is_yolo(path):
+        return OtherSoftwareDataset(path, "YOLO boxes", True, _yolo)
+    return None
+
+
+def labels_alone(path: Path) -> OtherSoftwareDataset | None:
+    """Returns the labels at a path without images or clouds; None for those that are checked with their recording."""
+    try:
+        format = format_of(path)
+    except FormatError:
+        return None
+    if format in OF_RECORDINGS:
+        return None
+    if isinstance(format, FlatFormat):
+        return OtherSoftwareDataset(path, f"{format} boxes", False, _coco if format is FlatFormat.COCO else _yolo)
+    return OtherSoftwareDataset(path, f"{format} labels", False, partial(_imported, format))
+
+
+def _imported(format: BoxFormat, path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    """Reads labels as `annotator import` does."""
+    labels = read_labels(format, path)
+    sizes = iter(labels.sizes_m)
+    for name in labels.frames:
+        yield [(label, next(sizes, None)) for label in labels.classes(name)]
+
+
+def _is_openlabel(file: Path) -> bool:
+    with suppress(OSError), open_file(file) as stream:
+        return b'"openlabel"' in stream.read(SNIFFED_BYTES)
+    return False
+
+
+def _is_labelcloud(path: Path) -> bool:
+    """True for a project folder (or a part of one): JSON beside clouds, or with labelCloud's `_classes.json`."""
+    labels = path / LABELS
+    if not ((path / CLOUDS).is_dir() or (labels / CLASSES_FILE).is_file()):
+        return False
+    return any(file.name != CLASSES_FILE for file in labels.glob("*.json"))
+
+
+def _is_yolo(path: Path) -> bool:
+    """True for Ultralytics' `data.yaml`, or `classes.txt` with labels in `labels` or beside images of the same name."""
+    if (path / DATA_YAML).is_file():
+        with suppress(OSError):
+            return b"names:" in read_file(path / DATA_YAML)
+    if not (path / CLASSES).is_file():
+        return False
+    if any(file.name != CLASSES for file in (path / "labels").glob("*.txt")):
+        return True
+    pictures = {normal(file.stem) for file in path.iterdir() if file.suffix.lower() in SUFFIXES}
+    return any(normal(file.stem) in pictures for file in path.glob("*.txt"))
+
+
+def _nuscenes(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return ([(box.label, box.box.size_m) for box in boxes] for boxes in read_nuscenes(path, on_fault).values())
+
+
+def _openlabel(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    """Reads each document; other JSON files must be valid JSON, else they are reported as truncated documents."""
+    for file in sorted(path.glob("*.json")):
+        try:
+            if _is_openlabel(file):
+                yield from (
+                    [(box.label, box.box.size_m) for box in each.boxes] for each in read_openlabel(file).values()
+                )
+            else:
+                read_json(file)
+        except FormatError as fault:
+            on_fault(fault)
+
+
+def _labelcloud(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return ([(label, box.size_m) for label, box in each.boxes] for each in read_labelcloud(path, on_fault).values())
+
+
+def _coco(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return (_flat(image.boxes) for _, images in read_coco_dataset(path, on_fault) for image in images)
+
+
+def _yolo(path: Path, on_fault: OnFault) -> Iterator[Sequence[Box]]:
+    return (_flat(picture.boxes) for picture in read_yolo(path, on_fault))
+
+
+def _flat(boxes: Sequence[Box2D | YoloBox]) -> list[Box]:
+    return [(box.label, None) for box in boxes]
+
 
 MOST_LEVELS = 4
 # Calibration files of the formats; the first one that exists is used.
@@ -30,127 +184,74 @@ CALIBRATIONS = (
 )
 
 
-@runtime_checkable
-class Source(Protocol):
-    """A dataset: frames that are read one at a time, and labels."""
-
-    @property
-    def path(self) -> Path:
-        """The path that was opened."""
-
-    @property
-    def format(self) -> str:
-        """The recording's format, or "rcv"."""
-
-    @property
-    def keys(self) -> Sequence[str]:
-        """The frames' names."""
-
-    @property
-    def labels(self) -> LabelFiles | None:
-        """The label files; None without labels."""
-
-    @property
-    def has_pictures(self) -> bool:
-        """False if the images are rendered from the clouds."""
-
-    @property
-    def declared_objects(self) -> int | None:
-        """The number of objects in the dataset's manifest; None without a manifest."""
-
-    def place(self, index: int) -> tuple[str, int]:
-        """Returns the original recording of a frame, and its number there."""
-
-    @property
-    def in_time_order(self) -> bool:
-        """True if the frames' numbers are known to be in time order."""
-
-    def read(self, index: int) -> Frame:
-        """Reads a frame; raises an AnnotatorError if it cannot be read."""
-
-    def calibration(self, index: int) -> Path:
-        """Returns the file of a frame's camera."""
-
-
 @dataclass(frozen=True)
-class RecordingSource:
-    """A recording."""
+class Source:
+    """A dataset: frames that are read one at a time, and labels.
 
-    recording: Recording
+    Attributes:
+        path: the path that was opened.
+        format: the recording's format, or "rcv".
+        keys: the frames' names.
+        labels: the label files; None without labels.
+        read: reads a frame by its number; raises an AnnotatorError if it cannot be read.
+        calibration: returns the file of a frame's camera, by the frame's number.
+        place: returns the original recording of a frame, and its number there.
+        in_time_order: True if the frames' numbers are known to be in time order.
+        has_pictures: False if the images are rendered from the clouds.
+        declared_objects: the number of objects in the dataset's manifest; None without a manifest.
+        recording: None for an `rcv` dataset.
+    """
+
+    path: Path
+    format: str
+    keys: Sequence[str]
     labels: LabelFiles | None
-    declared_objects: None = None
-
-    @property
-    def path(self) -> Path:
-        return self.recording.path
-
-    @property
-    def format(self) -> str:
-        return self.recording.format
-
-    @property
-    def keys(self) -> Sequence[str]:
-        return self.recording.keys
-
-    @property
-    def has_pictures(self) -> bool:
-        return not (isinstance(self.recording, CloudFolder) and self.recording.images is None)
-
-    @property
-    def in_time_order(self) -> bool:
-        return self.recording.is_sequence
-
-    def place(self, index: int) -> tuple[str, int]:
-        return self.recording.name, index
-
-    def read(self, index: int) -> Frame:
-        return self.recording.frame(index)
-
-    def calibration(self, index: int) -> Path:
-        if isinstance(self.recording, SunRgbdScenes):
-            return self.recording.scenes[index] / "intrinsics.txt"
-        places = (spelled(self.recording.root, name.format(key=self.keys[index])) for name in CALIBRATIONS)
-        return next((place for place in places if place.is_file()), self.path)
-
-
-@dataclass(frozen=True)
-class RcvSource:
-    """An `rcv` dataset. Its frames may come from several recordings, which need not be sequences."""
-
-    dataset: RcvDataset
-    recording: Recording
-    has_pictures: bool = True
+    read: Callable[[int], Frame]
+    calibration: Callable[[int], Path]
+    place: Callable[[int], tuple[str, int]]
     in_time_order: bool = False
-    format: str = "rcv"
+    has_pictures: bool = True
+    declared_objects: int | None = None
+    recording: Recording | None = None
 
-    @property
-    def path(self) -> Path:
-        return self.dataset.path
 
-    @property
-    def keys(self) -> Sequence[str]:
-        return self.dataset.manifest.frames
+def _of_recording(recording: Recording) -> Source:
+    def calibration(index: int) -> Path:
+        if isinstance(recording, SunRgbdScenes):
+            return recording.scenes[index] / "intrinsics.txt"
+        places = (spelled(recording.root, name.format(key=recording.keys[index])) for name in CALIBRATIONS)
+        return next((place for place in places if place.is_file()), recording.path)
 
-    @property
-    def declared_objects(self) -> int:
-        return self.dataset.manifest.counts.objects
+    return Source(
+        recording.path,
+        recording.format,
+        recording.keys,
+        label_files(recording),
+        recording.frame,
+        calibration,
+        lambda index: (recording.name, index),
+        in_time_order=recording.is_sequence,
+        has_pictures=not (isinstance(recording, CloudFolder) and recording.images is None),
+        recording=recording,
+    )
 
-    @property
-    def labels(self) -> LabelFiles:
-        return RcvLabelFiles(self.dataset)
 
-    def place(self, index: int) -> tuple[str, int]:
-        return self.dataset.place(index)
-
-    def read(self, index: int) -> Frame:
-        return self.recording.frame(index)
-
-    def calibration(self, index: int) -> Path:
-        return self.dataset.label_path(index)
+def _of_rcv(dataset: RcvDataset, recording: Recording) -> Source:
+    """Its frames may come from several recordings, which need not be sequences."""
+    return Source(
+        dataset.path,
+        "rcv",
+        dataset.manifest.frames,
+        RcvLabelFiles(dataset),
+        recording.frame,
+        dataset.label_path,
+        dataset.place,
+        declared_objects=dataset.manifest.counts.objects,
+    )
 
 
 @dataclass(frozen=True)
-class RcvLabelFiles:
+class RcvLabelFiles(LabelFiles):
     """The label files of an `rcv` dataset."""
 
     dataset: RcvDataset
@@ -171,9 +272,6 @@ class RcvLabelFiles:
                 for each in labels
             )
         )
-
-    def problems(self) -> Sequence[AnnotatorError]:
-        return ()
 
     def strays(self) -> Iterator[tuple[Path, int | None, str]]:
         frames = set(map(normal, self.dataset.manifest.frames))
@@ -241,13 +339,10 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
         return None
     if source is None or source.format != dataset.opened_as or source.labels is None:
         return None
-    for _ in dataset.parts(faults.append):
+    for _ in dataset.frames(faults.append):
         pass
     return None if faults else source
 
 
 def _open(path: Path) -> Source:
-    if (path / MANIFEST).is_file():
-        return RcvSource(read_rcv(path), open_recording(path))
-    recording = open_recording(path)
-    return RecordingSource(recording, label_files(recording))
+    return _of_rcv(read_rcv(path), open_recording(path)) if (path / MANIFEST).is_file() else _of_recording(open_recording(path))

@@ -18,7 +18,7 @@ from annotator.types import Box2D, ReviewState
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 from annotator.types.names import alternatives
-from annotator.workflows.rigs import once
+from annotator.workflows.frame_source import once
 
 # Parts become the names of files and folders.
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")

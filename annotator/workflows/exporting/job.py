@@ -23,7 +23,7 @@ from annotator.recordings.look_around import LookAround, Scanned
 from annotator.types.label import AttributeValue
 from annotator.workflows.exporting.choose import Chosen, ExportFilter
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.recorded.kitti_rows import dont_care_rows
+from annotator.workflows.recorded.reading import dont_care_rows
 
 ImageFormat = Literal["png", "jpg"]
 

@@ -32,8 +32,7 @@ from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose import ChosenPictures, loose_views, of_classes
 from annotator.workflows.exporting.job import ExportJob, ExportReport
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.rigs import Rigs
+from annotator.workflows.frame_source import FrameSource, Rigs
 from annotator.workflows.views.pairs import ViewPlace, drawn_of, outlines, write_places
 
 # Thinner boxes are left out, pixels.

@@ -1,35 +1,36 @@
-"""Imports labels for a project's frames: 3D boxes in one of the formats of `table.py`, and 2D boxes."""
+"""Imports boxes for a project's frames: any format is read, placed on frames and stored, with one report.
 
-from annotator.workflows.importing.boxes_2d import Imported, import_image_boxes, import_view_boxes
-from annotator.workflows.importing.boxes_3d import ImportedLabels, Importer, import_labels
-from annotator.workflows.importing.class_names import class_names, without_effect
-from annotator.workflows.importing.frame_finder import Renamed
+label_set.py  3D boxes in any format; readers.py reads them, table.py lists and recognises the formats
+pictures.py   2D boxes in any format
+placing.py    the project's frames and classes of a dataset's
+boxes_3d.py, boxes_2d.py, values.py  what is stored
+report.py     what an import tells: of a file before it is imported, and the report after it
+"""
+
+from annotator.workflows.importing.boxes_2d import import_image_boxes, import_view_boxes
+from annotator.workflows.importing.boxes_3d import import_labels, import_proposals
 from annotator.workflows.importing.label_set import LabelSet
-from annotator.workflows.importing.picture_labels import FlatFormat
-from annotator.workflows.importing.preview import Preview, Preview3D, preview, preview_3d
-from annotator.workflows.importing.proposals_3d import ImportedProposals, import_proposals
-from annotator.workflows.importing.recognise import format_of
-from annotator.workflows.importing.table import BoxFormat, read_labels
+from annotator.workflows.importing.pictures import FlatFormat
+from annotator.workflows.importing.placing import Importer, Renamed, without_effect
+from annotator.workflows.importing.report import Become, ImportReport, Note, Preview, preview_boxes
+from annotator.workflows.importing.table import BoxFormat, format_of, read_labels
 
 __all__ = [
+    "Become",
     "BoxFormat",
     "FlatFormat",
-    "Imported",
-    "ImportedLabels",
-    "ImportedProposals",
+    "ImportReport",
     "Importer",
     "LabelSet",
+    "Note",
     "Preview",
-    "Preview3D",
     "Renamed",
-    "class_names",
     "format_of",
     "import_image_boxes",
     "import_labels",
     "import_proposals",
     "import_view_boxes",
-    "preview",
-    "preview_3d",
+    "preview_boxes",
     "read_labels",
     "without_effect",
 ]

@@ -5,53 +5,45 @@ The whole dataset is checked before anything is stored, so an invalid dataset ch
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import replace
+from enum import Enum
+from functools import partial
 from pathlib import Path
 
-from annotator.project import Project
-from annotator.types import Box2D, BoxKind
-from annotator.types.errors import FormatError
-from annotator.workflows.importing.boxes_3d import PROGRAM, Importer
-from annotator.workflows.importing.class_names import NO_NAMES, how_to_map
-from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.importing.image_boxes import Stored, checked_images, store_on_image
-from annotator.workflows.importing.image_values import ImageValues, TakenValues
-from annotator.workflows.importing.picture_labels import FlatFormat, PictureLabels, PictureSet, read_pictures
-from annotator.workflows.importing.view_boxes import checked_views, store_on_view
+import numpy as np
+
+from annotator.files import read_file
+from annotator.project import FramePart, Project, WriteContext
+from annotator.project.log.event_types import ImageBoxesSet
+from annotator.project.log.records import storable
+from annotator.project.overview import read_page
+from annotator.types import Box2D, BoxKind, Source
+from annotator.types.errors import FormatError, StaleRevisionError
+from annotator.workflows.importing.pictures import (
+    FlatFormat,
+    OnImage,
+    OnView,
+    PictureLabels,
+    PictureSet,
+    checked_images,
+    checked_views,
+    read_pictures,
+)
+from annotator.workflows.importing.placing import (
+    AUTHOR,
+    NO_NAMES,
+    PROGRAM,
+    Importer,
+    how_to_map,
+    renamed_class,
+)
+from annotator.workflows.importing.report import Become, ImportReport, Note
+from annotator.workflows.importing.values import ImageValues
 from annotator.workflows.views.pairs import ViewPlace, read_places
-
-
-@dataclass(frozen=True)
-class Imported:
-    """The result of an import.
-
-    Attributes:
-        pictures: number of images that got boxes, or are known to be empty.
-        boxes: number of boxes imported.
-        other_classes: boxes left out because the project has no such class, by class name.
-        unmatched: file names without a frame in the project.
-        views: number of pseudo-views among the images.
-        unreadable: images left out because their frame, which gives their size, cannot be read; as `key: reason`.
-        replaced: number of images whose boxes, drawn by other authors, were replaced.
-        finalised: number of images left unchanged because their frame is finalised.
-        renamed: the dataset's only recording, if it was matched with one of another name.
-        around: number of boxes of the images with boxes that are the rectangles around turned boxes or polygons.
-        values: what became of the attributes of boxes and images.
-    """
-
-    pictures: int
-    boxes: int
-    other_classes: dict[str, int]
-    unmatched: tuple[str, ...] = ()
-    views: int = 0
-    unreadable: tuple[str, ...] = ()
-    replaced: int = 0
-    finalised: int = 0
-    renamed: Renamed | None = None
-    values: TakenValues = field(default_factory=TakenValues)
-    around: int = 0
+from annotator.workflows.views.write_pictures import view_followers
 
 
 def import_image_boxes(
@@ -63,11 +55,11 @@ def import_image_boxes(
     names: Mapping[str, str] = NO_NAMES,
     importer: Importer = PROGRAM,
     progress: Callable[[int, int], None] | None = None,
-) -> Imported:
+) -> ImportReport:
     """Imports boxes of camera images, matched to frames by `frames.csv`, else by file name (`000012.jpg`: 000012).
 
     An image without boxes is stored as empty. Attributes of the boxes go to the 3D labels that they show
-    (`image_values.py`). Finalised frames stay unchanged; on all others the boxes replace existing
+    (`values.py`). Finalised frames stay unchanged; on all others the boxes replace existing
     ones, and replaced boxes of other authors are counted. If a box is removed, the boxes on the
     pseudo-views that were rendered from it are removed, too. Images listed in a `views.json` beside them are
     pseudo-views, imported as in `import_view_boxes`.
@@ -86,17 +78,12 @@ def import_image_boxes(
     """
     dataset = read_pictures(format, path)
     places = {folder: read_places(folder) for folder in {picture.folder for picture in dataset.pictures}}
-    return _import(
-        project,
-        dataset,
-        places,
-        kind,
-        recording,
-        all_views=False,
-        names=names,
-        importer=importer,
-        progress=progress,
-    )
+    pairs = [(picture, places[picture.folder].get(picture.file_name)) for picture in dataset.pictures]
+    on_images = [picture for picture, place in pairs if place is None]
+    on_views = [
+        (picture, place) for picture, place in pairs if place is not None and (place.labelled or picture.labels)
+    ]
+    return _Import(project, dataset, kind, names, importer).run(on_images, on_views, recording, progress)
 
 
 def import_view_boxes(
@@ -106,7 +93,7 @@ def import_view_boxes(
     kind: BoxKind | None,
     format: FlatFormat = FlatFormat.COCO,
     names: Mapping[str, str] = NO_NAMES,
-) -> Imported:
+) -> ImportReport:
     """Imports boxes of pseudo-views; their images in the folder `pictures` are copied into the project.
 
     Images written by `annotator views` keep their frame and geometry; those without boxes are skipped, since not every
@@ -117,104 +104,173 @@ def import_view_boxes(
             only boxes of other classes.
         ProjectError: a frame that the project does not have.
     """
-    dataset = read_pictures(format, path, pictures)
-    return _import(project, dataset, {pictures: read_places(pictures)}, kind, None, all_views=True, names=names)
+    dataset, places = read_pictures(format, path, pictures), read_places(pictures)
+    pairs = [(picture, places.get(picture.file_name)) for picture in dataset.pictures]
+    on_views = [(picture, place) for picture, place in pairs if place is None or place.labelled or picture.labels]
+    return _Import(project, dataset, kind, names, PROGRAM).run([], on_views, None, None)
 
 
-def _import(
-    project: Project,
-    dataset: PictureSet,
-    places: dict[Path, dict[str, ViewPlace]],
-    kind: BoxKind | None,
-    recording: str | None,
-    all_views: bool,
-    names: Mapping[str, str] = NO_NAMES,
-    importer: Importer = PROGRAM,
-    progress: Callable[[int, int], None] | None = None,
-) -> Imported:
-    tally = _Tally(dataset.path, project, dataset.pictures, names)
-    pairs = [(picture, places[picture.folder].get(picture.file_name)) for picture in dataset.pictures]
-    on_images = [picture for picture, place in pairs if place is None and not all_views]
-    on_views = [
-        (picture, place)
-        for picture, place in pairs
-        if (place is not None and (place.labelled or picture.labels)) or (place is None and all_views)
-    ]
-    images = checked_images(project, dataset, on_images, recording) if on_images or not on_views else None
-    views = checked_views(project, dataset.path, on_views)
-    # an imported view was rendered from a box on its image; the file may have rounded that box
-    drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
-    for view in views:
-        drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
-    values, around = ImageValues(project), 0
-    for done, image in enumerate(images.matched if images is not None else (), start=1):
-        known, base = tally.known(image.boxes), drawn_from[image.frame_id]
-        measured = kind or image.labels.box_kind or BoxKind.SILHOUETTE
-        stored = store_on_image(project, dataset.path, image, known, measured, base, importer)
-        tally.add(image.boxes, stored)
-        if stored is not Stored.LEFT_ALONE:
-            values.take(image, names, importer)
-            around += image.labels.around
-        if progress is not None and images is not None:
-            progress(done, len(images.matched))
-    stored_images = tally.pictures
-    revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
-    for picture, _ in on_views:
-        values.leave_out(picture)
-        around += picture.around
-    for view in views:
-        measured = kind or view.box_kind or BoxKind.SILHOUETTE
-        tally.add(view.boxes, store_on_view(project, view, tally.known(view.boxes), measured, revisions))
-    return Imported(
-        tally.pictures,
-        tally.boxes,
-        dict(tally.other),
-        images.unmatched if images is not None else (),
-        tally.pictures - stored_images,
-        images.unreadable if images is not None else (),
-        tally.outcomes[Stored.REPLACED],
-        tally.outcomes[Stored.LEFT_ALONE],
-        images.renamed if images is not None else None,
-        values.taken,
-        around,
-    )
-
-
-class _Tally:
-    """Counts imported boxes, and boxes left out because the project has no such class."""
+class _Import:
+    """One import of the boxes of a dataset."""
 
     def __init__(
-        self, path: Path, project: Project, pictures: Sequence[PictureLabels], names: Mapping[str, str]
+        self,
+        project: Project,
+        dataset: PictureSet,
+        kind: BoxKind | None,
+        names: Mapping[str, str],
+        importer: Importer,
     ) -> None:
         """
-        Args:
-            names: the project's class of each class of the dataset that has another name.
-
         Raises:
             FormatError: no box has a class of the project, so every image would be stored as empty.
         """
-        self._classes, self._names = set(project.config.classes), names
-        self.pictures = self.boxes = 0
-        self.other: Counter[str] = Counter()
-        self.outcomes: Counter[Stored] = Counter()
-        named = {label for picture in pictures for label in picture.labels}
-        if named and not {names.get(label, label) for label in named} & self._classes:
+        self._project, self._dataset, self._kind = project, dataset, kind
+        self._names, self._importer = names, importer
+        self._classes = project.config.classes
+        self._report = ImportReport(Become.FLAT, self._classes)
+        theirs = {label for picture in dataset.pictures for label in picture.labels}
+        if theirs and not {renamed_class(label, names) for label in theirs} & set(self._classes):
             raise FormatError(
-                path,
-                f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(named))}, the "
-                f"project has {', '.join(project.config.classes)}; {how_to_map(named, project)}",
+                dataset.path,
+                f"none of the dataset's classes is in the project: the dataset has {', '.join(sorted(theirs))}, the "
+                f"project has {', '.join(self._classes)}; {how_to_map(theirs, project)}",
             )
 
-    def known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
+    def run(
+        self,
+        on_images: Sequence[PictureLabels],
+        on_views: Sequence[tuple[PictureLabels, ViewPlace | None]],
+        recording: str | None,
+        progress: Callable[[int, int], None] | None,
+    ) -> ImportReport:
+        """Checks all images, then stores their boxes."""
+        project, dataset, report = self._project, self._dataset, self._report
+        images = checked_images(project, dataset, on_images, recording) if on_images or not on_views else None
+        views = checked_views(project, dataset.path, on_views)
+        # an imported view was rendered from a box on its image; the file may have rounded that box
+        drawn_from: dict[int | None, list[Box2D]] = defaultdict(list)
+        for view in views:
+            drawn_from[view.frame_id] += [] if view.image_box is None else [view.image_box]
+        values = ImageValues(project, report)
+        for done, image in enumerate(images.matched if images is not None else (), start=1):
+            known, measured = self._known(image.boxes), self._kind or image.labels.box_kind or BoxKind.SILHOUETTE
+            base = drawn_from[image.frame_id]
+            stored = store_on_image(project, dataset.path, image, known, measured, base, self._importer)
+            if self._count(image.boxes, known, stored):
+                report.frames += 1
+                values.take(image, self._names, self._importer)
+                report.add(Note.AROUND, image.labels.around)
+            if progress is not None and images is not None:
+                progress(done, len(images.matched))
+        revisions = {view.view_id: view.revision for view in project.boxes.on_views() if view.frame_id is None}
+        for picture, _ in on_views:
+            values.leave_out(picture)
+            report.add(Note.AROUND, picture.around)
+        for view in views:
+            known, measured = self._known(view.boxes), self._kind or view.box_kind or BoxKind.SILHOUETTE
+            report.views += self._count(view.boxes, known, store_on_view(project, view, known, measured, revisions))
+        values.report_left_out()
+        if images is not None:
+            report.add_all(Note.UNMATCHED_IMAGE, images.unmatched)
+            report.add_all(Note.UNREADABLE, images.unreadable)
+            if images.renamed is not None:
+                report.add(Note.RENAMED, of=str(images.renamed))
+        return report
+
+    def _known(self, boxes: Sequence[Box2D]) -> list[Box2D]:
         """Returns the boxes of the project's classes."""
-        renamed = [replace(box, label=self._names.get(box.label, box.label)) for box in boxes]
+        renamed = [replace(box, label=renamed_class(box.label, self._names)) for box in boxes]
         return [box for box in renamed if box.label in self._classes]
 
-    def add(self, boxes: Sequence[Box2D], stored: Stored) -> None:
-        """Counts an image with its boxes, by the outcome of storing them."""
-        self.outcomes[stored] += 1
+    def _count(self, boxes: Sequence[Box2D], known: Sequence[Box2D], stored: Stored) -> bool:
+        """Counts the boxes of an image by the outcome of storing them; returns whether they were stored."""
         if stored is Stored.LEFT_ALONE:
-            return
-        self.pictures += 1
-        self.boxes += len(self.known(boxes))
-        self.other.update(box.label for box in boxes if self._names.get(box.label, box.label) not in self._classes)
+            self._report.add(Note.FINALISED)
+            return False
+        self._report.add(Note.REPLACED, stored is Stored.REPLACED)
+        self._report.boxes.update(box.label for box in known)
+        others = (box.label for box in boxes if renamed_class(box.label, self._names) not in self._classes)
+        self._report.add_all(Note.OTHER_CLASS, others)
+        return True
+
+
+# Boxes that differ by fewer pixels are the same box, rounded in a file; a box that is drawn again differs by more.
+ROUNDED_PX = 0.01
+
+
+class Stored(Enum):
+    """The outcome of storing the boxes of an image."""
+
+    # stored, without replacing boxes of another author
+    KEPT = "kept"
+    # stored, in place of boxes drawn by another author
+    REPLACED = "replaced"
+    # not stored: the frame is finalised
+    LEFT_ALONE = "left alone"
+
+
+def store_on_image(
+    project: Project,
+    path: Path,
+    image: OnImage,
+    boxes: Sequence[Box2D],
+    kind: BoxKind,
+    drawn_from: Sequence[Box2D],
+    importer: Importer,
+) -> Stored:
+    """Stores the boxes of a frame's camera image and updates those on its views, unless the frame is finalised.
+
+    Args:
+        path: the dataset, for messages.
+        drawn_from: boxes on this image that imported views were rendered from.
+    """
+    while True:
+        page = read_page(project, image.frame_id)
+        if page.frame.finalised:
+            return Stored.LEFT_ALONE
+        before = () if page.image_boxes is None else page.image_boxes.boxes
+        with storable(f"{path}: {image.labels.file_name}"):
+            on_image = ImageBoxesSet(boxes=tuple(_as_known([*drawn_from, *before], boxes)), box_kind=kind)
+        context = WriteContext(page.frame.revision, importer.author, Source.IMPORTED)
+        part = FramePart(image.frame_id, [on_image, *view_followers(page, on_image)], context)
+        # retried if the frame was changed since it was read
+        with suppress(StaleRevisionError):
+            project.log.append_to_frames([part], importer.action)
+            is_drawn = page.image_boxes is not None and page.image_boxes.source is not Source.IMPORTED
+            return Stored.REPLACED if is_drawn and before != on_image.boxes else Stored.KEPT
+
+
+def _as_known(known: Sequence[Box2D], boxes: Sequence[Box2D]) -> list[Box2D]:
+    """Returns the known box for each box that a file has only rounded, so that views rendered from it stay valid."""
+    return [next((other for other in known if _is_rounded(box, other)), box) for box in boxes]
+
+
+def _is_rounded(box: Box2D, known: Box2D) -> bool:
+    return box.label == known.label and bool(np.allclose(box.xyxy, known.xyxy, rtol=0, atol=ROUNDED_PX))
+
+
+def store_on_view(
+    project: Project, view: OnView, boxes: Sequence[Box2D], kind: BoxKind, revisions: Mapping[str, int]
+) -> Stored:
+    """Copies the image into the project and stores its boxes, unless the frame is finalised.
+
+    Args:
+        revisions: revisions of the project's views without a frame, by id.
+    """
+    if view.frame_id is not None and project.frames.get(view.frame_id).finalised:
+        return Stored.LEFT_ALONE
+    view_id = project.views.store(read_file(view.file))
+    set_boxes = partial(
+        project.boxes.set_on_view, view_id, boxes, kind, frame_id=view.frame_id, step=view.step, geometry=view.geometry
+    )
+    if view.frame_id is None:
+        set_boxes(context=WriteContext(revisions.get(view_id, 0), AUTHOR, Source.IMPORTED))
+        return Stored.KEPT
+    while not (frame := project.frames.get(view.frame_id)).finalised:
+        context = WriteContext(frame.revision, AUTHOR, Source.IMPORTED)
+        # retried if the frame was changed since it was read
+        with suppress(StaleRevisionError):
+            set_boxes(context=context)
+            return Stored.KEPT
+    return Stored.LEFT_ALONE

@@ -1,101 +1,31 @@
-"""Imports 3D boxes for the frames of a project."""
+"""Imports 3D boxes for the frames of a project: as labels of frames without any, or as proposals onto all."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 
-import numpy as np
-
-from annotator.project import FramePart, NewLabel, Project, StoredFrame, WriteContext
+from annotator.project import NewLabel, Project, StoredFrame, WriteContext
 from annotator.project.classes.completing import ValueReader
-from annotator.project.log.event_types import FrameAttributesSet
-from annotator.text import normal
+from annotator.project.log.records import OWN
+from annotator.project.sources import SourceTracks
 from annotator.types import Frame, Source, Truth
-from annotator.types.errors import FormatError, FrameError, StaleRevisionError
-from annotator.types.label import AttributeValue, Said
+from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.types.label import Said
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.class_names import NO_NAMES, renamed_class
-from annotator.workflows.importing.frame_finder import FrameFinder, Renamed
-from annotator.workflows.importing.label_set import FoundInProject, HasFrameValues, HasUnseen, LabelSet
-from annotator.workflows.importing.missing_values import give_missing_values
-from annotator.workflows.importing.size_doubts import SizeDoubts
+from annotator.workflows.importing.label_set import LabelSet, near, truths_of
+from annotator.workflows.importing.placing import NO_NAMES, PROGRAM, Importer, renamed_class
+from annotator.workflows.importing.report import Become, ImportReport, Note, SizeDoubts
+from annotator.workflows.importing.values import give_values, of_covered
 
-AUTHOR = "import"
-# No sensor sees so far.
-FARTHEST_BOX_M = 10_000.0
+# Longest name of a source, characters.
+MOST_NAME = 200
+# Frames and boxes that are stored in one transaction: other writers wait for it.
+MOST_FRAMES, MOST_BOXES = 50, 500
 
-
-@dataclass(frozen=True)
-class Importer:
-    """Who imports.
-
-    Attributes:
-        action: id of the action (`project.new_action`) that undoes the whole import; None = it cannot be undone.
-    """
-
-    author: str = AUTHOR
-    action: str | None = None
-
-
-PROGRAM = Importer()
-
-
-@dataclass
-class ImportedLabels:
-    """The result of an import.
-
-    Attributes:
-        frames: number of frames that got labels, or are empty in the dataset.
-        labels: number of labels by class.
-        other_classes: boxes left out because the project has no such class, by class.
-        already: number of frames left unchanged because they have labels or are finalised.
-        unmatched: names of labelled frames that the project does not have.
-        unreadable: frames that cannot be read, as `key: reason`.
-        not_reviewed: number of boxes on `frames` left out because they are not accepted in the dataset.
-        unseen: number of boxes left out because they are outside the images of all frames that were read.
-        scores: number of scores on `frames` left out because they are not confidences in 0..1.
-        flat: number of 2D boxes on `frames` left out because they have no 3D box.
-        tracks: number of track ids on `frames` left out because an earlier box of the frame has the same one.
-        values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
-        filled: number of values that labels and frames among `already` got.
-        doubt: what the sizes of the boxes show if they hardly are in metres, or in the order length, width, height.
-        renamed: the dataset's only recording, if it was matched with one of another name.
-    """
-
-    frames: int = 0
-    labels: Counter[str] = field(default_factory=Counter)
-    other_classes: Counter[str] = field(default_factory=Counter)
-    already: int = 0
-    unmatched: tuple[str, ...] = ()
-    unreadable: list[str] = field(default_factory=list)
-    not_reviewed: int = 0
-    unseen: int = 0
-    scores: int = 0
-    flat: int = 0
-    tracks: int = 0
-    values: Counter[str] = field(default_factory=Counter)
-    filled: int = 0
-    doubt: str | None = None
-    renamed: Renamed | None = None
-
-
-@dataclass(frozen=True)
-class MatchedFrames:
-    """A dataset's frames in a project.
-
-    Attributes:
-        matched: each name with the project's frame, in the project's order.
-        unmatched: names of frames that the project does not have.
-        renamed: the dataset's only recording, if it was matched with one of another name.
-    """
-
-    matched: tuple[tuple[str, StoredFrame], ...]
-    unmatched: tuple[str, ...]
-    renamed: Renamed | None
+Choose = Callable[[StoredFrame, list[NewLabel]], list[NewLabel]]
+"""Returns those of the labels of a frame that are to be imported."""
 
 
 def import_labels(
@@ -106,7 +36,8 @@ def import_labels(
     names: Mapping[str, str] = NO_NAMES,
     importer: Importer = PROGRAM,
     fill: bool = False,
-) -> ImportedLabels:
+    choose: Choose | None = None,
+) -> ImportReport:
     """Imports the boxes of every frame without labels; each becomes an accepted label with the source imported.
 
     Args:
@@ -121,215 +52,177 @@ def import_labels(
         NotFoundError: no such recording.
         RecordingError: a recording has been moved.
     """
-    dataset = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
-    frames = match_frames(project, dataset.path, dataset.frames, recording)
-    source, done = FrameSource(project), ImportedLabels(unmatched=frames.unmatched, renamed=frames.renamed)
-    reader = _Importer(project, dataset, names, importer, done)
-    for number, (name, stored) in enumerate(frames.matched, 1):
-        is_labelled = stored.finalised or bool(project.labels.of_frame(stored.id))
-        if is_labelled:
-            done.already += 1
-        if not is_labelled or (fill and not stored.finalised and reader.has_values(name)):
-            try:
-                truths = truths_of(dataset, name, source.read(stored))
-            except FrameError as error:
-                done.unreadable.append(f"{stored.key}: {error}")
-            else:
-                (reader.fill if is_labelled else reader.add)(name, stored, truths)
-        if progress is not None:
-            progress(number, len(frames.matched))
-    done.values = reader.left_out
-    done.doubt = reader.sizes.problem()
-    done.unseen = dataset.unseen() if isinstance(dataset, HasUnseen) else 0
-    return done
+    reader = _Reader(project, dataset, recording, names, ImportReport(Become.LABELS, project.config.classes))
+    labels = _Labels(reader, importer, fill, choose)
+    reader.read_all(labels.add, progress)
+    return reader.report
 
 
-class _Importer:
-    def __init__(
-        self, project: Project, dataset: LabelSet, names: Mapping[str, str], importer: Importer, done: ImportedLabels
-    ) -> None:
-        self._project, self._dataset, self._names = project, dataset, names
-        self._importer, self._done = importer, done
-        config = project.config
-        self._classes = set(config.classes)
-        self._attributes = {each.name for each in config.attributes}
-        self._reader = ValueReader(config.attributes)
-        self.sizes = SizeDoubts()
-
-    @property
-    def left_out(self) -> Counter[str]:
-        """Values that the project cannot hold."""
-        return self._reader.left_out
-
-    def has_values(self, name: str) -> bool:
-        """Whether a frame of the dataset has values of the project's attributes; no frame is read."""
-        of_frame = self._dataset.values_of(name) if isinstance(self._dataset, HasFrameValues) else {}
-        return any(self._attributes & values.keys() for values in (of_frame, *self._dataset.values_of_boxes(name)))
-
-    def add(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
-        """Stores the labels and values of a frame without labels."""
-        done = self._done
-        named = [(t, renamed_class(t.label, self._names)) for t in truths]
-        for truth, label in named:
-            self.sizes.add(label, truth.box.size_m)
-        done.other_classes.update(t.label for t, label in named if label not in self._classes)
-        new, repeated = with_tracks_once(self._labels(truths))
-        if create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):
-            self._give_frame(name, stored)
-            done.frames += 1
-            done.labels.update(label.label for label in new)
-            left_out = self._dataset.left_out_of(name)
-            done.not_reviewed += left_out.not_reviewed
-            done.scores += left_out.scores
-            done.flat += left_out.flat
-            done.tracks += repeated
-        else:
-            done.already += 1
-
-    def fill(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
-        """Stores the values that a frame and its labels lack."""
-        given = self._labels(truths)
-        importer = self._importer
-        self._done.filled += give_missing_values(self._project, stored.id, given, importer.author, importer.action)
-        self._done.filled += self._give_frame(name, stored)
-
-    def _labels(self, truths: Sequence[Truth]) -> list[NewLabel]:
-        named = [(t, renamed_class(t.label, self._names)) for t in truths]
-        return [
-            NewLabel(
-                label,
-                t.box,
-                t.score,
-                t.track_id,
-                box_kind=t.box_kind,
-                attributes=self._reader.of_label(label, t.attributes),
-                said=_known(t.said, self._names, self._classes),
-            )
-            for t, label in named
-            if label in self._classes
-        ]
-
-    def _give_frame(self, name: str, stored: StoredFrame) -> int:
-        if not isinstance(self._dataset, HasFrameValues):
-            return 0
-        values = self._reader.of_frame(self._dataset.values_of(name))
-        return _set_values(self._project, stored.id, values, self._importer) if values else 0
-
-
-def _known(said: Sequence[Said], names: Mapping[str, str], classes: Collection[str]) -> tuple[Said, ...]:
-    """Returns what sources said, in the project's classes; nothing of other classes."""
-    named = (replace(each, label=renamed_class(each.label, names)) for each in said)
-    return tuple(each for each in named if each.label in classes)
-
-
-def _set_values(project: Project, frame_id: int, values: Mapping[str, AttributeValue], importer: Importer) -> int:
-    """Gives a frame the values that it lacks; returns how many."""
-    while True:
-        present = project.frames.attributes_of(frame_id)
-        missing = dict(values) | present
-        if len(missing) == len(present):
-            return 0
-        revision = project.frames.get(frame_id).revision
-        with suppress(StaleRevisionError):
-            context = WriteContext(revision, importer.author, Source.IMPORTED)
-            part = FramePart(frame_id, [FrameAttributesSet(attributes=missing)], context)
-            project.log.append_to_frames([part], importer.action)
-            return len(missing) - len(present)
-
-
-def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
-    """Returns the objects of a frame of a dataset, boxes in the camera frame. Raises FormatError: as `within_range`."""
-    with within_range(dataset, name):
-        return near(dataset.truths(name, frame))
-
-
-def near(truths: Sequence[Truth]) -> Sequence[Truth]:
-    """Returns objects that may be seen by their camera.
-
-    Raises:
-        ValueError: the box of one is too far away: its format has boxes relative to the camera, or to another place.
-    """
-    for truth in truths:
-        away_m = float(np.linalg.norm(truth.box.center_m))
-        if away_m > FARTHEST_BOX_M:
-            raise ValueError(
-                f"a box of {truth.label} is {away_m / 1000:,.0f} km from the camera: its coordinates are a map's, "
-                "but this format's, or the recording's, are not"
-            )
-    return truths
-
-
-@contextmanager
-def within_range(dataset: LabelSet, name: str) -> Iterator[None]:
-    """While the boxes of a frame are read.
-
-    Raises:
-        FormatError: the transform to the camera frame moves a box out of range; or as `LabelSet.truths`.
-    """
-    try:
-        yield
-    except ValueError as error:
-        raise FormatError(dataset.path, f"{name}: {error}; correct its boxes or its calibration") from error
-
-
-def match_frames(project: Project, path: Path, names: Sequence[str], recording: str | None = None) -> MatchedFrames:
-    """Finds the project's frames of a dataset's frame names.
+def import_proposals(
+    project: Project,
+    dataset: LabelSet,
+    source: str | None = None,
+    *,
+    recording: str | None = None,
+    min_score: float | None = None,
+    names: Mapping[str, str] = NO_NAMES,
+    importer: Importer | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> ImportReport:
+    """Imports the boxes of a dataset as open proposals of `source`, which replace its earlier ones on these frames.
 
     Args:
-        path: the dataset, for messages.
-        names: "RECORDING/KEY", or "KEY" alone; all different.
-        recording: the only recording to look in.
+        source: name under which the boxes are known, such as that of a detector; None = that of the file or folder.
+        min_score: lowest score, as in the file, of the boxes to import; boxes without a score are imported.
+        importer: who imports; None = the source itself.
 
     Raises:
-        FormatError: a name fits frames of several recordings, two names fit one frame, or none fits any.
-        NotFoundError: no such recording.
+        FormatError, NotFoundError, RecordingError: as `import_labels`.
+        ConfigError: the source's name is empty, longer than `MOST_NAME`, or means annotator itself.
     """
-    found, finder = found_frames(project, names, recording)
-    matched: dict[int, tuple[str, StoredFrame]] = {}
-    unmatched = []
-    for name, frames in found.items():
-        if len(frames) > 1:
-            several = ", ".join(map(finder.recording_of, frames))
-            raise FormatError(path, f"{name} is a frame of several recordings ({several}); choose one with --recording")
-        if not frames:
-            unmatched.append(name)
-        elif frames[0].id in matched:
-            raise FormatError(path, f"{matched[frames[0].id][0]} and {name} both match frame {frames[0].key}; keep one")
+    source = (dataset.path.resolve().stem if source is None else source).strip()
+    if not 0 < len(source) <= MOST_NAME or source == OWN:
+        raise ConfigError(
+            f"{source!r} cannot name a source of boxes: use 1 to {MOST_NAME} characters, and not {OWN!r}, which means "
+            "this project's own proposals"
+        )
+    report = ImportReport(Become.PROPOSALS, project.config.classes, source)
+    reader = _Reader(project, dataset, recording, names, report)
+    proposals = _Proposals(reader, source, min_score, importer or Importer(source))
+    reader.read_all(proposals.add, progress)
+    proposals.store()
+    if min_score is not None and report.boxes and reader.dataset.scores is None:
+        report.add(Note.UNSCORED)
+    return report
+
+
+class _Reader:
+    """Reads a dataset frame by frame, its boxes as labels of the project's classes."""
+
+    def __init__(
+        self,
+        project: Project,
+        dataset: LabelSet,
+        recording: str | None,
+        names: Mapping[str, str],
+        report: ImportReport,
+    ) -> None:
+        self.project, self.report = project, report
+        self.dataset = dataset.in_project(project)
+        self.frames = FrameSource(project)
+        self.matched = self.dataset.placed(project, recording).require_clear(dataset.path)
+        report.add_all(Note.UNMATCHED, self.matched.unmatched)
+        if self.matched.renamed is not None:
+            report.add(Note.RENAMED, of=str(self.matched.renamed))
+        self._names, self._classes = names, set(project.config.classes)
+        self.values = ValueReader(project.config.attributes)
+        self._sizes = SizeDoubts()
+
+    def read_all(self, add: Callable[[str, StoredFrame], None], progress: Callable[[int, int], None] | None) -> None:
+        """Adds all frames; one that cannot be read is reported."""
+        for number, (name, stored) in enumerate(self.matched.matched, 1):
+            try:
+                add(name, stored)
+            except self.dataset.faults_of_frames as error:
+                self.report.add(Note.UNREADABLE, of=f"{stored.key}: {error}")
+            if progress is not None:
+                progress(number, len(self.matched.matched))
+        for what, number in self.values.left_out.items():
+            self.report.add(Note.VALUE, number, what)
+        if (doubt := self._sizes.problem()) is not None:
+            self.report.add(Note.DOUBT, of=doubt)
+        self.report.add(Note.UNSEEN, self.dataset.unseen())
+
+    def labels(self, truths: Sequence[Truth], label: Callable[[Truth], NewLabel] | None = None) -> list[NewLabel]:
+        """Returns the boxes of the project's classes.
+
+        Args:
+            label: makes a label of an object, whose class is the project's; None: with all that the object has.
+        """
+        named = [replace(each, label=renamed_class(each.label, self._names)) for each in truths]
+        return [(label or self._label)(each) for each in named if each.label in self._classes]
+
+    def count(self, truths: Sequence[Truth]) -> None:
+        """Counts the sizes of boxes, and those of other classes."""
+        for each in truths:
+            label = renamed_class(each.label, self._names)
+            self._sizes.add(label, each.box.size_m)
+            if label not in self._classes:
+                self.report.add(Note.OTHER_CLASS, of=each.label)
+
+    def _label(self, truth: Truth) -> NewLabel:
+        return NewLabel(
+            truth.label,
+            truth.box,
+            truth.score,
+            truth.track_id,
+            box_kind=truth.box_kind,
+            attributes=self.values.of_label(truth.label, truth.attributes),
+            said=self._known(truth.said),
+        )
+
+    def _known(self, said: Sequence[Said]) -> tuple[Said, ...]:
+        """Returns what sources said, in the project's classes; nothing of other classes."""
+        named = (replace(each, label=renamed_class(each.label, self._names)) for each in said)
+        return tuple(each for each in named if each.label in self._classes)
+
+
+class _Labels:
+    """Stores boxes as labels."""
+
+    def __init__(self, reader: _Reader, importer: Importer, fill: bool, choose: Choose | None) -> None:
+        self._reader, self._importer, self._fill, self._choose = reader, importer, fill, choose
+        self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
+        self._attributes = {each.name for each in reader.project.config.attributes}
+
+    def add(self, name: str, stored: StoredFrame) -> None:
+        """Stores the labels and values of a frame without labels, or the values that a labelled one lacks."""
+        is_labelled = stored.finalised or bool(self._project.labels.of_frame(stored.id))
+        if is_labelled:
+            self._report.add(Note.ALREADY)
+            if stored.finalised or not self._fill or not self._has_values(name):
+                return
+        truths = truths_of(self._dataset, name, self._reader.frames.read(stored))
+        if is_labelled:
+            boxes = self._reader.labels(truths)
+            self._report.add(Note.FILLED, self._give(name, stored, boxes))
         else:
-            matched[frames[0].id] = (name, frames[0])
-    if not matched:
-        raise none_of(path, names)
-    keys = {stored.key for _, stored in matched.values()}
-    renamed = finder.renamed(stored for name, stored in matched.values() if name not in keys)
-    order = {frame.id: place for place, frame in enumerate(project.frames.of())}
-    in_order = sorted(matched.values(), key=lambda pair: order[pair[1].id])
-    return MatchedFrames(tuple(in_order), tuple(unmatched), renamed)
+            self._create(name, stored, truths)
 
+    def _create(self, name: str, stored: StoredFrame, truths: Sequence[Truth]) -> None:
+        report = self._report
+        self._reader.count(truths)
+        new = self._reader.labels(truths)
+        if self._choose is not None and new:
+            chosen = self._choose(stored, new)
+            report.add(Note.OTHER_CAMERA, len(new) - len(chosen))
+            new = chosen
+        new, repeated = with_tracks_once(new)
+        if not create_if_unlabelled(self._project, stored.id, new, self._importer.author, self._importer.action):
+            report.add(Note.ALREADY)
+            return
+        self._give(name, stored)
+        report.frames += 1
+        report.boxes.update(label.label for label in new)
+        left_out = self._dataset.left_out_of(name)
+        report.add(Note.NOT_REVIEWED, left_out.not_reviewed)
+        report.add(Note.SCORE, left_out.scores)
+        report.add(Note.FLAT, left_out.flat)
+        report.add(Note.TRACK, repeated)
 
-def found_frames(
-    project: Project, names: Sequence[str], recording: str | None
-) -> tuple[dict[str, list[StoredFrame]], FrameFinder]:
-    """Returns the project's frames that each name fits, and what found them. Arguments as `match_frames`."""
-    keys = {normal(frame.key) for frame in project.frames.of()}
-    # a recording's name cannot contain "/", a key can
-    places = {name: (None, name) if normal(name) in keys or "/" not in name else _place(name) for name in names}
-    finder = FrameFinder(project, recording, {place[0] for place in places.values() if place[0] is not None})
-    return {name: finder.find(*place) for name, place in places.items()}, finder
+    def _has_values(self, name: str) -> bool:
+        """Whether a frame of the dataset has values of the project's attributes; no frame is read."""
+        every = (self._dataset.values_of(name), *self._dataset.values_of_boxes(name))
+        return any(self._attributes & values.keys() for values in every)
 
-
-def none_of(path: Path, names: Sequence[str]) -> FormatError:
-    """The error for a dataset without a frame of the project."""
-    if not names:
-        return FormatError(path, "has no frames, so there is nothing to import")
-    shown = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
-    return FormatError(
-        path, f"the project has none of the dataset's frames ({shown}); first add their recording (`annotator add`)"
-    )
-
-
-def _place(name: str) -> tuple[str, str]:
-    recording, _, key = name.partition("/")
-    return recording, key
+    def _give(self, name: str, stored: StoredFrame, boxes: Sequence[NewLabel] = ()) -> int:
+        """Gives a frame its values, and the labels that these boxes show theirs; returns how many."""
+        of_frame = self._reader.values.of_frame(self._dataset.values_of(name))
+        if not of_frame and not any(each.attributes for each in boxes):
+            return 0
+        return give_values(
+            self._project, stored.id, of_frame, lambda labels: of_covered(boxes, labels), self._importer
+        )[0]
 
 
 def with_tracks_once(new: Sequence[NewLabel]) -> tuple[list[NewLabel], int]:
@@ -358,3 +251,101 @@ def create_if_unlabelled(
         with suppress(StaleRevisionError):
             project.labels.create(frame_id, new, WriteContext(stored.revision, author, Source.IMPORTED), action)
             return True
+
+
+class _Proposals:
+    """Stores boxes as proposals of a source."""
+
+    def __init__(self, reader: _Reader, source: str, min_score: float | None, importer: Importer) -> None:
+        self._reader, self._source, self._min_score, self._importer = reader, source, min_score, importer
+        self._project, self._dataset, self._report = reader.project, reader.dataset, reader.report
+        self._scores = self._dataset.scores
+        if self._scores is not None and not self._scores.are_confidences:
+            self._report.add(Note.SCALED, of=f"{self._scores.low:g} to {self._scores.high:g}")
+        self._tracks: dict[int, _Tracks] = {}
+        self._waiting: dict[int, list[NewLabel]] = {}
+
+    def add(self, name: str, stored: StoredFrame) -> None:
+        """Reads the proposals of one frame, and stores them with those of other frames."""
+        if stored.finalised:
+            self._report.add(Note.FINALISED)
+            return
+
+        def read() -> Frame:
+            return self._reader.frames.read(stored)
+
+        truths = near(self._dataset, name, lambda: self._dataset.suggested(name, read))
+        left_out = self._dataset.left_out_of(name)
+        self._report.add(Note.REJECTED, left_out.rejected)
+        self._report.add(Note.FLAT, left_out.flat)
+        self._waiting[stored.id] = self._chosen(truths, stored.recording_id)
+        if len(self._waiting) >= MOST_FRAMES or sum(map(len, self._waiting.values())) >= MOST_BOXES:
+            self.store()
+
+    def store(self) -> None:
+        """Stores what has been read."""
+        importer, report = self._importer, self._report
+        stored = self._project.proposals.bring(self._source, self._waiting, importer.author, importer.action)
+        report.add(Note.FINALISED, len(self._waiting) - len(stored))
+        for frame_id, brought in stored.items():
+            report.frames += 1
+            new = zip(self._waiting[frame_id], brought.is_open, strict=True)
+            report.boxes.update(label.label for label, is_open in new if is_open)
+            report.add(Note.MERGED, brought.merged)
+            report.add(Note.CONFLICT, brought.conflicts)
+            report.add(Note.COVERED, brought.is_open.count(False))
+        self._waiting = {}
+
+    def _chosen(self, truths: Sequence[Truth], recording_id: int) -> list[NewLabel]:
+        sure = [each for each in truths if not self._is_unsure(each)]
+        self._report.add(Note.UNSURE, len(truths) - len(sure))
+        self._reader.count(sure)
+        labels = self._reader.labels(sure, lambda truth: self._label(truth, self._track(recording_id, truth.track_id)))
+        labels, repeated = with_tracks_once(labels)
+        self._report.add(Note.TRACK, repeated)
+        return labels
+
+    def _label(self, truth: Truth, track_id: int | None) -> NewLabel:
+        return NewLabel(
+            truth.label,
+            truth.box,
+            None if self._scores is None else self._scores.confidence(truth.score),
+            track_id,
+            box_kind=truth.box_kind,
+            attributes=self._reader.values.of_label(truth.label, truth.attributes),
+            file_track_id=None if truth.track_id == track_id else truth.track_id,
+        )
+
+    def _is_unsure(self, truth: Truth) -> bool:
+        return self._min_score is not None and truth.score is not None and truth.score < self._min_score
+
+    def _track(self, recording_id: int, track_id: int | None) -> int | None:
+        if track_id is None:
+            return None
+        if recording_id not in self._tracks:
+            self._tracks[recording_id] = _Tracks(self._project.proposals.source_tracks(recording_id, self._source))
+        return self._tracks[recording_id].of(track_id)
+
+
+class _Tracks:
+    """Track ids of a source in a recording: as in its file, unless other labels or tracks of the file use them.
+
+    A later file of the source gets the same ids for the same tracks.
+    """
+
+    def __init__(self, known: SourceTracks) -> None:
+        self._used = set(known.used)
+        self._next = max(known.used, default=0) + 1
+        self._given = dict(known.given)
+
+    def of(self, track_id: int) -> int:
+        if track_id not in self._given:
+            given = self._unused() if track_id in self._used else track_id
+            self._given[track_id] = given
+            self._used.add(given)
+        return self._given[track_id]
+
+    def _unused(self) -> int:
+        while self._next in self._used:
+            self._next += 1
+        return self._next

@@ -1,18 +1,26 @@
-"""The interface of imported 3D boxes in any format."""
+"""Imported 3D boxes in any format: the interface of all, and the boxes that a file or folder has by frame."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial.transform import RigidTransform
 
-from annotator.project import Project
-from annotator.types import Frame, Truth
-from annotator.types.label import AttributeValue
+from annotator.formats.attributes import Values
+from annotator.formats.packed_truths import PackedTruths
+from annotator.project import REVIEWED, Project
+from annotator.types import Frame, ReviewState, Truth
+from annotator.types.errors import AnnotatorError, FormatError, FrameError
+from annotator.workflows.importing.placing import MatchedFrames, match_frames
+
+# No sensor sees so far.
+FARTHEST_BOX_M = 10_000.0
 
 
 @dataclass(frozen=True)
@@ -21,7 +29,7 @@ class LeftOut:
 
     Attributes:
         not_reviewed: number of proposed and rejected boxes.
-        rejected: number of the rejected ones, which `ProposalSet.suggested` leaves out, too.
+        rejected: number of the rejected ones, which `LabelSet.suggested` leaves out, too.
         scores: number of scores that are not confidences in 0..1.
         flat: number of 2D boxes without a 3D box.
     """
@@ -57,20 +65,29 @@ class ScoreRange:
         return 1.0 if self.high == self.low else (score - self.low) / (self.high - self.low)
 
 
-@runtime_checkable
-class LabelSet(Protocol):
-    """The boxes of a dataset, read and checked as a whole before anything is stored."""
+class LabelSet(ABC):
+    """The 3D boxes of a dataset, read and checked as a whole before anything is stored.
+
+    Attributes:
+        path: the file or folder that they were read from.
+        faults_of_frames: errors that concern one frame only: it is left out and reported.
+        scores: the range of the scores of all boxes, as in the files; None without any.
+        sizes_m: the size of each box, as `OrientedBox.size_m`.
+    """
+
+    path: Path
+    faults_of_frames: tuple[type[AnnotatorError], ...] = (FrameError,)
+    scores: ScoreRange | None = None
+    sizes_m: Iterable[Float64[np.ndarray, "3"]] = ()
 
     @property
-    def path(self) -> Path:
-        """The file or folder that they were read from."""
-
-    @property
+    @abstractmethod
     def frames(self) -> Sequence[str]:
         """Names of the labelled frames, including empty ones: "RECORDING/KEY", or only "KEY"."""
 
+    @abstractmethod
     def truths(self, name: str, frame: Frame) -> list[Truth]:
-        """Returns the objects of one of these frames, in the camera frame.
+        """Returns the accepted objects of one of these frames, in the camera frame.
 
         Args:
             frame: the project's frame of that name; formats whose boxes are not in the camera frame use its
@@ -78,71 +95,184 @@ class LabelSet(Protocol):
 
         Raises:
             FormatError: the frame lacks what the format needs.
+            ValueError: the transform to the camera frame moves a box out of range.
         """
-
-    def values_of_boxes(self, name: str) -> Sequence[Mapping[str, AttributeValue]]:
-        """Returns the values of the attributes of each box of one of these frames; no frame is read."""
-
-    def left_out_of(self, name: str) -> LeftOut:
-        """Returns what is left out of one of these frames, for the report."""
-
-
-@runtime_checkable
-class ProposalSet(LabelSet, Protocol):
-    """The boxes of a dataset, also as proposals."""
-
-    @property
-    def scores(self) -> ScoreRange | None:
-        """The range of the scores of all boxes, as in the files; None without any."""
-
-    @property
-    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:
-        """The size of each box, as `OrientedBox.size_m`."""
-
-    def classes(self, name: str) -> list[str]:
-        """Returns the classes of the boxes that `suggested` may return; no frame is read."""
 
     def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
         """Returns the objects of one of these frames that nobody has rejected, with their scores as in the file.
 
         Args:
             read: reads the project's frame, which takes long; called only if the format needs it.
-
-        Raises:
-            FormatError: as `truths`.
         """
+        return self.truths(name, read())
 
+    def classes(self, name: str) -> list[str]:
+        """Returns the classes of the boxes that `suggested` may return; no frame is read."""
+        return []
 
-@runtime_checkable
-class FoundInProject(Protocol):
-    """A dataset whose frames only the recordings of a project can tell."""
+    def values_of(self, name: str) -> Values:
+        """Returns the values of the attributes of one of these frames."""
+        return {}
 
-    def in_project(self, project: Project) -> ProposalSet:
-        """Returns the boxes by the project's frames.
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        """Returns the values of the attributes of each box of one of these frames; no frame is read."""
+        return []
+
+    def left_out_of(self, name: str) -> LeftOut:
+        """Returns what is left out of one of these frames."""
+        return LeftOut()
+
+    def unseen(self) -> int:
+        """Returns the number of boxes that are in none of the images whose frames have been read."""
+        return 0
+
+    def in_project(self, project: Project) -> LabelSet:
+        """Returns the boxes by the project's frames, if only its recordings tell which these are.
 
         Raises:
             FormatError: none of them is in the project.
             RecordingError: a recording has been moved.
         """
+        return self
+
+    def placed(self, project: Project, recording: str | None = None) -> MatchedFrames:
+        """Returns the labelled frames as frames of a project; some may be of several. Raises as `match_frames`."""
+        return match_frames(project, self.path, self.frames, recording)
 
 
-def classes_of(project: Project, dataset: ProposalSet) -> set[str]:
-    """Returns the classes of all boxes of a dataset; no frame is read. Raises as `FoundInProject.in_project`."""
-    found = dataset.in_project(project) if isinstance(dataset, FoundInProject) else dataset
-    return {label for name in found.frames for label in found.classes(name)}
+def truths_of(dataset: LabelSet, name: str, frame: Frame) -> Sequence[Truth]:
+    """Returns the accepted objects of a frame, in the camera frame. Raises as `near`."""
+    return near(dataset, name, lambda: dataset.truths(name, frame))
 
 
-@runtime_checkable
-class HasFrameValues(Protocol):
-    """A `LabelSet` whose frames have attributes."""
+def near(dataset: LabelSet, name: str, read: Callable[[], Sequence[Truth]]) -> Sequence[Truth]:
+    """Returns the objects of a frame, which may be seen by its camera.
 
-    def values_of(self, name: str) -> Mapping[str, AttributeValue]:
-        """Returns the values of a frame."""
+    Raises:
+        FormatError: a box is out of range, or so far away that its format has boxes relative to another place than the
+            camera; or as `LabelSet.truths`.
+    """
+    try:
+        truths = read()
+        for truth in truths:
+            away_m = float(np.linalg.norm(truth.box.center_m))
+            if away_m > FARTHEST_BOX_M:
+                raise ValueError(
+                    f"a box of {truth.label} is {away_m / 1000:,.0f} km from the camera: its coordinates are a map's, "
+                    "but this format's, or the recording's, are not"
+                )
+    except ValueError as error:
+        raise FormatError(dataset.path, f"{name}: {error}; correct its boxes or its calibration") from error
+    return truths
 
 
-@runtime_checkable
-class HasUnseen(Protocol):
-    """A `LabelSet` whose boxes belong to several images, and not all of them are in one."""
+Pose = Callable[[str, Callable[[], Frame]], RigidTransform | None]
+"""Transform of the boxes of a frame, by its name, to its camera; None: they are in its frame already. The second
+argument reads the project's frame, which takes long."""
 
-    def unseen(self) -> int:
-        """Returns the number of boxes that are in none of the images whose frames have been read."""
+
+@dataclass(frozen=True)
+class PlacedBoxes(LabelSet):
+    """Boxes that belong to one frame each.
+
+    Attributes:
+        objects: objects by frame name, with their scores as in the file.
+        pose: None: all are in the camera frame.
+        flat: number of 2D boxes without a 3D box, by frame name.
+        states: of the objects of each frame, for formats with review states; None: accepted.
+        values: attributes of frames, by frame name.
+    """
+
+    path: Path
+    objects: PackedTruths
+    pose: Pose | None = None
+    flat: Mapping[str, int] = field(default_factory=dict)
+    states: Mapping[str, Sequence[ReviewState | None]] = field(default_factory=dict)
+    values: Mapping[str, Values] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self.objects)
+
+    @cached_property
+    def scores(self) -> ScoreRange | None:  # type: ignore[override]
+        return ScoreRange.of(self.objects.scores)
+
+    @property
+    def sizes_m(self) -> Iterable[Float64[np.ndarray, "3"]]:  # type: ignore[override]
+        return self.objects.sizes_m
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        """As `LabelSet.truths`. Scores are kept only if all of the dataset are in 0..1, as confidences are."""
+        accepted = self._chosen(name, lambda state: state is None or state in REVIEWED)
+        truths = self._in_camera(name, accepted, lambda: frame)
+        return truths if self._are_confident else [replace(truth, score=None) for truth in truths]
+
+    def suggested(self, name: str, read: Callable[[], Frame]) -> list[Truth]:
+        return self._in_camera(name, self._chosen(name, _is_open), read)
+
+    def classes(self, name: str) -> list[str]:
+        return [each.label for each in self._chosen(name, _is_open)]
+
+    def values_of(self, name: str) -> Values:
+        return self.values.get(name, {})
+
+    def values_of_boxes(self, name: str) -> Sequence[Values]:
+        return [each.attributes for each in self._objects(name)]
+
+    def left_out_of(self, name: str) -> LeftOut:
+        accepted = self._chosen(name, lambda state: state is None or state in REVIEWED)
+        every = self._objects(name)
+        return LeftOut(
+            len(every) - len(accepted),
+            len(every) - len(self._chosen(name, _is_open)),
+            0 if self._are_confident else sum(each.score is not None for each in accepted),
+            self.flat.get(name, 0),
+        )
+
+    @property
+    def _are_confident(self) -> bool:
+        return self.scores is None or self.scores.are_confidences
+
+    def _objects(self, name: str) -> Sequence[Truth]:
+        return self.objects[name]
+
+    def _chosen(self, name: str, is_chosen: Callable[[ReviewState | None], bool]) -> Sequence[Truth]:
+        states = self.states.get(name)
+        objects = self._objects(name)
+        if states is None:
+            return objects
+        return [each for each, state in zip(objects, states, strict=True) if is_chosen(state)]
+
+    def _in_camera(self, name: str, truths: Sequence[Truth], read: Callable[[], Frame]) -> list[Truth]:
+        return transformed(truths, None if self.pose is None else self.pose(name, read))
+
+
+def _is_open(state: ReviewState | None) -> bool:
+    return state is not ReviewState.REJECTED
+
+
+def moved_in_world(T_world_there: RigidTransform | None, read: Callable[[], Frame]) -> RigidTransform | None:
+    """Returns the transform from the camera of an exported frame to that of the project's frame.
+
+    They stand at different places of one map if the recording was added with another origin before.
+
+    Args:
+        T_world_there: where the dataset says that its camera (or other frame of reference) is; None if it does not.
+        read: reads the project's frame.
+
+    Returns:
+        None if the dataset or the project does not know the place: then both are taken as one.
+    """
+    T_world_here = None if T_world_there is None else read().T_world_camera
+    return None if T_world_there is None or T_world_here is None else T_world_here.inv() * T_world_there
+
+
+def transformed(truths: Sequence[Truth], T: RigidTransform | None) -> list[Truth]:
+    """Returns the objects with their boxes transformed; None: as they are."""
+    if T is None:
+        return list(truths)
+    return [
+        replace(truth, box=truth.box.transformed(T), said=tuple(said.transformed(T) for said in truth.said))
+        for truth in truths
+    ]

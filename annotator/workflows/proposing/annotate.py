@@ -25,6 +25,7 @@ from annotator.rcv.finish import FrameProposals
 from annotator.types import BoxKind, Source
 from annotator.types.errors import ConfigError, FinalisedFrameError, ProjectError, StaleRevisionError
 from annotator.workflows.detectors import Detectors
+from annotator.workflows.frame_source import Rigs
 from annotator.workflows.proposing.runner import Engine, InlineEngine, failure
 from annotator.workflows.proposing.tasks import (
     FrameAnswer,
@@ -35,8 +36,7 @@ from annotator.workflows.proposing.tasks import (
     Task,
     pickle_exactly,
 )
-from annotator.workflows.recorded.up_direction import learn_up
-from annotator.workflows.rigs import Rigs
+from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.tracks.propose_boxes import followed_tracks, seeds_of
 
 AUTHOR = "rcv"

@@ -24,9 +24,8 @@ from annotator.types.errors import ConfigError, FormatError
 from annotator.types.names import MOST_LISTED, first_few
 from annotator.workflows.detectors import LIFTED_FROM, Detectors
 from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.importing.frame_finder import Renamed
-from annotator.workflows.importing.image_boxes import checked_images
-from annotator.workflows.importing.picture_labels import FlatFormat, read_pictures
+from annotator.workflows.importing.pictures import FlatFormat, checked_images, read_pictures
+from annotator.workflows.importing.placing import Renamed
 from annotator.workflows.proposing.annotate import AnnotateSummary, Batch
 from annotator.workflows.proposing.runner import failure
 from annotator.workflows.proposing.tasks import FrameAnswer

@@ -6,24 +6,64 @@ labels, so the detectors learn from 2D boxes alone, as in the paper.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping
+import hashlib
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from annotator.project import Project, StoredFrame, WriteContext
 from annotator.project.log.event_types import ImageBoxesSet, Payload, ViewBoxesRemoved, ViewBoxesSet
 from annotator.project.overview import FramePage, read_page
-from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known
 from annotator.types import BoxKind, Source
 from annotator.types.amounts import amount
-from annotator.types.errors import ConfigError, FormatError, FrameError, StaleRevisionError
+from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.recorded.frame_subset import share_of
-from annotator.workflows.recorded.labelled_frames import KnownLabels
+from annotator.workflows.importing.label_set import LabelSet, truths_of
+from annotator.workflows.importing.placing import NO_NAMES, renamed_class
+from annotator.workflows.importing.report import Become, ImportReport, Note, by_class
+from annotator.workflows.recorded.own_labels import RecordedLabels
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.views.pairs import geometry_of
+
+FrameName = tuple[str, str]
+"""Recording and key."""
+
+
+def share_of(names: Iterable[FrameName], fraction: float, seed: int) -> frozenset[FrameName]:
+    """Chooses a random share of frames, the same share of each recording as far as whole frames allow.
+
+    Frames are ranked within their recording by a hash of their name and the seed. Those with the lowest rank relative
+    to the recording's length are chosen. So the frames of a smaller fraction are among those of a larger one with the
+    same seed, and adding or removing a frame changes the choice little.
+
+    Args:
+        names: recording and key of each frame, in any order.
+        fraction: above 0, at most 1; at least one frame is chosen if there is any.
+        seed: of the choice.
+
+    Raises:
+        ConfigError: `fraction` is out of range.
+    """
+    if not 0 < fraction <= 1:
+        raise ConfigError(f"cannot take a fraction of {fraction} of the frames; give more than 0, at most 1")
+    recordings: dict[str, list[str]] = defaultdict(list)
+    for recording, key in set(names):
+        recordings[recording].append(key)
+    ranked: list[tuple[float, str, FrameName]] = []
+    for recording, keys in recordings.items():
+        # a random offset per recording: else the first frames of all short recordings would come before all others
+        start = int(_hash(seed, recording)[:8], 16) / 2**32
+        hashed = sorted((_hash(seed, recording, key), key) for key in keys)
+        ranked += [((rank + start) / len(keys), h, (recording, key)) for rank, (h, key) in enumerate(hashed)]
+    count = max(1, round(fraction * len(ranked)))
+    return frozenset(name for *_, name in sorted(ranked)[:count])
+
+
+def _hash(seed: int, *names: str) -> str:
+    return hashlib.sha256("\0".join([str(seed), *names]).encode()).hexdigest()
+
 
 # A later import replaces only the boxes of this author.
 AUTHOR = "import of 3D boxes"
@@ -38,126 +78,121 @@ class _Stored:
 
 
 @dataclass
-class BoxesFrom3d:
-    """Counts of the 2D boxes made from 3D boxes.
+class Report2d(ImportReport):
+    """The report of 2D boxes made from 3D boxes; `frames`, `boxes` and `views` are those whose boxes are stored now.
 
     Attributes:
-        chosen: frames chosen for the import.
-        frames: frames whose 2D boxes are stored now, including those without objects of the classes.
-        image_boxes: boxes on their camera images, by class.
-        objects: objects with boxes on all four views, by class.
-        views: views whose boxes are stored now; objects with the same image box share their first views.
-        view_boxes: boxes on these views; a view has the boxes of all objects that it shows.
-        without_views: objects on the image with too few points for views, by class.
-        outside: objects outside the image, by class.
-        hidden: objects occluded in the image, by class.
-        other_classes: objects left out because the project does not have their class, by class.
-        not_reviewed: boxes on `frames` left out because they are not accepted in the dataset.
-        drawn: frames not changed because they have drawn image boxes or are finalised.
-        others_views: views of `frames` that keep the boxes of another author, drawn or imported.
+        labelled, chosen: labelled frames, and those chosen for the import.
+        objects: objects with boxes on all four views, by class; those with the same image box share their first views.
+        view_boxes: boxes on the views; a view has the boxes of all objects that it shows.
         in_all: frames of the project whose image boxes come from such imports, earlier ones included.
-        unreadable: frames whose data or label file could not be read, as `key: reason`.
     """
 
+    labelled: int = 0
     chosen: int = 0
-    frames: int = 0
-    image_boxes: Counter[str] = field(default_factory=Counter)
     objects: Counter[str] = field(default_factory=Counter)
-    views: int = 0
     view_boxes: int = 0
-    without_views: Counter[str] = field(default_factory=Counter)
-    outside: Counter[str] = field(default_factory=Counter)
-    hidden: Counter[str] = field(default_factory=Counter)
-    other_classes: Counter[str] = field(default_factory=Counter)
-    not_reviewed: int = 0
-    drawn: int = 0
-    others_views: int = 0
     in_all: int = 0
-    unreadable: list[str] = field(default_factory=list)
 
-    def add(self, known: KnownFrame, stored: _Stored) -> None:
+    def headline(self) -> str:
+        views, boxes = amount(self.views, "pseudo-view"), amount(self.view_boxes, "box")
+        return (
+            f"{self.frames} of {amount(self.labelled, 'labelled frame')}: {by_class(self.boxes)} on camera images; "
+            f"{by_class(self.objects)} on {views} with {boxes}; "
+            f"{amount(self.in_all, 'frame')} in total with 2D boxes made from 3D boxes"
+        )
+
+    def count(self, known: KnownFrame, stored: _Stored) -> None:
         """Counts a frame whose boxes are stored."""
         self.frames += 1
-        self.image_boxes.update(box.label for box in known.on_image)
+        self.boxes.update(box.label for box in known.on_image)
         self.objects.update(item.image_box.label for item in known.objects)
         self.views += len(stored.views)
         self.view_boxes += sum(len(view.boxes) for view in stored.views)
-        self.others_views += stored.others
-        for counter, labels in (
-            (self.without_views, known.without_views),
-            (self.outside, known.outside),
-            (self.hidden, known.hidden),
-        ):
-            counter.update(labels)
+        self.add(Note.OTHERS_VIEWS, stored.others)
+        self.add_all(Note.WITHOUT_VIEWS, known.without_views)
+        self.add_all(Note.OUTSIDE, known.outside)
+        self.add_all(Note.HIDDEN, known.hidden)
 
 
 def boxes_from_3d(
     project: Project,
-    labels: KnownLabels,
+    labels: LabelSet,
     *,
+    recording: str | None = None,
+    names: Mapping[str, str] = NO_NAMES,
     fraction: float = 1.0,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> BoxesFrom3d:
+) -> Report2d:
     """Turns known 3D boxes into 2D boxes of the project, frame by frame. Boxes of an earlier import are replaced.
 
     A frame is stored whole or not at all. Frames with drawn image boxes, finalised frames, views with boxes of another
     author, and frames chosen only by an earlier import are not changed.
 
     Args:
-        labels: the labelled frames and their objects.
-        fraction: share of these frames, as for `share_of`.
+        recording, names: as for `import_labels`.
+        fraction: share of the labelled frames, as for `share_of`.
         seed: seed of that choice.
         progress: called with (frames done, frames chosen).
 
     Raises:
         ConfigError: `fraction` is out of range, or no frame has a box of the project's classes.
-        FormatError: a label file that holds several frames cannot be read.
+        FormatError: a label file that holds several frames cannot be read, or matches no frame.
         RecordingError: a recording is missing or cannot be read.
     """
-    source, config = FrameSource(project), rcv_config(project)
-    recordings = {recording.id: recording.name for recording in project.recordings.all()}
-    names = [(recordings[stored.recording_id], stored.key) for stored in labels.frames]
-    share = share_of(names, fraction, seed)
-    chosen = [stored for stored, name in zip(labels.frames, names, strict=True) if name in share]
-    skipped_errors = (FrameError, FormatError) if labels.one_file_a_frame else (FrameError,)
-    counts = BoxesFrom3d(chosen=len(chosen))
-    for number, stored in enumerate(chosen, 1):
+    labels = labels.in_project(project)
+    placed = labels.placed(project, recording).require_clear(labels.path)
+    known = [(name, stored) for name, stored in placed.matched if stored.index is not None]
+    recordings = {each.id: each.name for each in project.recordings.all()}
+    keys = {stored.id: (recordings[stored.recording_id], stored.key) for _, stored in known}
+    share = share_of(keys.values(), fraction, seed)
+    chosen = [(name, stored) for name, stored in known if keys[stored.id] in share]
+    report = Report2d(Become.FLAT, project.config.classes, labelled=len(known), chosen=len(chosen))
+    converter = _Converter(project, labels, names, report)
+    for number, (name, stored) in enumerate(chosen, 1):
         try:
-            _convert(project, stored, source, labels, config, counts)
-        except skipped_errors as error:
-            counts.unreadable.append(f"{stored.key}: {error}")
+            converter.convert(name, stored)
+        except labels.faults_of_frames as error:
+            report.add(Note.UNREADABLE, of=f"{stored.key}: {error}")
         if progress is not None:
             progress(number, len(chosen))
-    _require_boxes(project, counts)
-    counts.in_all = sum(boxes.author == AUTHOR for boxes in project.boxes.on_images())
-    return counts
+    _require_boxes(project, report)
+    report.in_all = sum(boxes.author == AUTHOR for boxes in project.boxes.on_images())
+    flat = (
+        labels.flat if isinstance(labels, RecordedLabels) else sum(labels.left_out_of(name).flat for name, _ in known)
+    )
+    report.add(Note.FLAT, flat)
+    report.add_all(Note.UNMATCHED, placed.unmatched)
+    if placed.renamed is not None:
+        report.add(Note.RENAMED, of=str(placed.renamed))
+    return report
 
 
-def _convert(
-    project: Project,
-    stored: StoredFrame,
-    source: FrameSource,
-    labels: KnownLabels,
-    config: RcvConfig,
-    counts: BoxesFrom3d,
-) -> None:
-    if _is_drawn(read_page(project, stored.id)):  # checked first, before the slow steps
-        counts.drawn += 1
-        return
-    frame = source.read(stored)
-    truths = labels.truths(stored, frame)
-    settings = project.config
-    counts.other_classes.update(t.label for t in truths if t.label not in settings.classes)
-    chosen = [truth for truth in truths if truth.label in settings.classes]
-    orientation = orientation_for(settings.settings.rotation, frame)
-    known = boxes_of_known(frame, chosen, config.model_copy(update={"orientation": orientation}))
-    result = _store(project, stored.id, known)
-    if result is None:
-        counts.drawn += 1
-    else:
-        counts.add(known, result)
-        counts.not_reviewed += labels.not_reviewed(stored)
+class _Converter:
+    def __init__(self, project: Project, labels: LabelSet, names: Mapping[str, str], report: Report2d) -> None:
+        self._project, self._labels, self._names, self._report = project, labels, names, report
+        self._source, self._config = FrameSource(project), rcv_config(project)
+
+    def convert(self, name: str, stored: StoredFrame) -> None:
+        """Stores the boxes of one frame."""
+        report, settings = self._report, self._project.config
+        if _is_drawn(read_page(self._project, stored.id)):  # checked first, before the slow steps
+            report.add(Note.DRAWN)
+            return
+        frame = self._source.read(stored)
+        truths = truths_of(self._labels, name, frame)
+        named = [replace(each, label=renamed_class(each.label, self._names)) for each in truths]
+        report.add_all(Note.OTHER_CLASS, (each.label for each in named if each.label not in settings.classes))
+        chosen = [each for each in named if each.label in settings.classes]
+        orientation = orientation_for(settings.settings.rotation, frame)
+        known = boxes_of_known(frame, chosen, self._config.model_copy(update={"orientation": orientation}))
+        result = _store(self._project, stored.id, known)
+        if result is None:
+            report.add(Note.DRAWN)
+        else:
+            report.count(known, result)
+            report.add(Note.NOT_REVIEWED, self._labels.left_out_of(name).not_reviewed)
 
 
 def _is_drawn(page: FramePage) -> bool:
@@ -212,13 +247,13 @@ def _changes(page: FramePage, on_image: ImageBoxesSet, entries: Mapping[str, Vie
     return payloads + [ViewBoxesRemoved(view=view_id) for view_id in stale]
 
 
-def _require_boxes(project: Project, counts: BoxesFrom3d) -> None:
-    if counts.image_boxes or counts.drawn:
+def _require_boxes(project: Project, report: Report2d) -> None:
+    if report.boxes or report[Note.DRAWN]:
         return
-    others = ", ".join(sorted(counts.other_classes)) or "none"
-    unreadable = "".join(f"\n  unreadable: {line}" for line in counts.unreadable)
+    others = report.of(Note.OTHER_CLASS)
+    unreadable = "".join(f"\n  unreadable: {line}" for line in report.of(Note.UNREADABLE))
     raise ConfigError(
-        f"{amount(counts.chosen, 'frame')} without a box of {', '.join(project.config.classes)} (other classes there: "
-        f"{others}); add these to the project with `annotator classes add`, or map them to its own, as in "
-        f"--classes {min(counts.other_classes, default='Car')}={project.config.classes[0]}{unreadable}"
+        f"{amount(report.chosen, 'frame')} without a box of {', '.join(project.config.classes)} (other classes there: "
+        f"{', '.join(sorted(others)) or 'none'}); add these to the project with `annotator classes add`, or map them "
+        f"to its own, as in --classes {min(others, default='Car')}={project.config.classes[0]}{unreadable}"
     )

@@ -1,53 +1,119 @@
-"""Imports the 3D labels beside a recording into its project."""
+"""The 3D labels beside a project's recordings, such as KITTI's `label_2`, as a dataset that is imported."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 
 from annotator.project import NewLabel, Project, StoredFrame
-from annotator.project.classes.completing import ValueReader
 from annotator.project.sources import covered_by
+from annotator.recordings import Recording
 from annotator.recordings.look_around import LookAround
-from annotator.types.errors import FormatError, FrameError
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing.boxes_3d import create_if_unlabelled, with_tracks_once
-from annotator.workflows.importing.size_doubts import SizeDoubts
-from annotator.workflows.recorded.reading import has_truth, is_labelled, load_truth, one_file_a_frame
-from annotator.workflows.recorded.whole_sets import require_units
-from annotator.workflows.rigs import Rigs
+from annotator.types import Frame, Truth
+from annotator.types.errors import AnnotatorError, ConfigError, FormatError, FrameError, UnitError
+from annotator.workflows.frame_source import FrameSource, Rigs
+from annotator.workflows.importing.boxes_3d import import_labels
+from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.placing import Importer, MatchedFrames
+from annotator.workflows.importing.report import Become, ImportReport, Note
+from annotator.workflows.importing.table import BoxFormat, read_labels
+from annotator.workflows.recorded.reading import has_truth, is_labelled, label_file, load_truth, one_file_a_frame
 
 # Boxes imported from other datasets have the author "import".
 AUTHOR = "recording"
+# Frames are read one by one, but only all boxes together show that their numbers are in another unit than their format
+# has (`annotator.formats.units`). The readers of other formats read all frames at once.
+FORMATS = {
+    "kitti_object": BoxFormat.KITTI,
+    "kitti_tracking": BoxFormat.KITTI,
+    "rgbd_folder": BoxFormat.BOXES,
+    "cloud_folder": BoxFormat.LABELCLOUD,
+    "argoverse2": BoxFormat.ARGOVERSE2,
+}
 
 
-@dataclass
-class OwnLabels:
-    """Counts of the imported labels.
+class RecordedLabels(LabelSet):
+    """The labels beside recordings of a project.
 
     Attributes:
-        labels: imported labels, by class.
-        other_classes: labels left out because the project does not have their class, by class.
-        tracks: as in `ImportedLabels`.
-        of_other_cameras: boxes left to other cameras of the rig, which have them already or see them better.
-        values: values of attributes left out, with the reason, because the project's attributes cannot hold them.
-        unreadable: frames that could not be read or whose labels could not be read, as `key: reason`.
-        doubt: what the sizes of the boxes show if they hardly are in metres, or in the order length, width, height.
-        flat: 2D boxes without a 3D box among the labels of the recording; they are left out.
-        are_partial: the recording has virtual cameras, and labels only of what its own camera sees: none is imported,
-            since frames would be taken as labelled where nobody looked.
+        flat: number of 2D boxes without a 3D box among them.
     """
 
-    labels: Counter[str] = field(default_factory=Counter)
-    other_classes: Counter[str] = field(default_factory=Counter)
-    tracks: int = 0
-    of_other_cameras: int = 0
-    unreadable: list[str] = field(default_factory=list)
-    doubt: str | None = None
-    flat: int = 0
-    are_partial: bool = False
-    values: Counter[str] = field(default_factory=Counter)
+    def __init__(self, project: Project, recordings: Collection[int] | None = None, with_files: bool = False) -> None:
+        """
+        Args:
+            recordings: ids of the recordings to use; None = all.
+            with_files: only the frames whose label file exists.
+
+        Raises:
+            ConfigError: none of the recordings has labels.
+            RecordingError: one of them cannot be read.
+            UnitError: the labels are in another unit than their format has.
+        """
+        source = FrameSource(project)
+        selected = {r.id: r.name for r in project.recordings.all() if recordings is None or r.id in recordings}
+        opened = {number: source.recording(number) for number in selected}
+        self._opened = {number: recording for number, recording in opened.items() if has_truth(recording)}
+        if not self._opened:
+            names = ", ".join(selected.values()) or "there are none"
+            raise ConfigError(
+                f"no 3D boxes lie beside the recordings ({names}); name the file or folder that holds them"
+            )
+        self.path = next(iter(self._opened.values())).path
+        self.flat = sum(map(_require_units, self._opened.values()))
+        if all(map(one_file_a_frame, self._opened.values())):
+            self.faults_of_frames = (FrameError, FormatError)
+        self._indices = {
+            number: {key: index for index, key in enumerate(recording.keys)}
+            for number, recording in self._opened.items()
+        }
+        self._stored = {
+            f"{selected[stored.recording_id]}/{stored.key}": stored
+            for stored in project.frames.of(sorted(self._opened))
+            if self._is_labelled(stored, with_files)
+        }
+
+    @property
+    def frames(self) -> Sequence[str]:
+        return tuple(self._stored)
+
+    def placed(self, project: Project, recording: str | None = None) -> MatchedFrames:
+        return MatchedFrames(tuple(self._stored.items()), (), None)
+
+    def truths(self, name: str, frame: Frame) -> list[Truth]:
+        """As `LabelSet.truths`, without scores: the labels of a recording are true."""
+        stored = self._stored[name]
+        index = self._indices[stored.recording_id][stored.key]
+        truths = load_truth(self._opened[stored.recording_id], index, frame)
+        return [each if each.score is None else replace(each, score=None) for each in truths]
+
+    def _is_labelled(self, stored: StoredFrame, with_files: bool) -> bool:
+        recording = self._opened[stored.recording_id]
+        known = stored.index is not None and stored.key in self._indices[stored.recording_id]
+        if not known or not is_labelled(recording, stored.key):
+            return False
+        file = label_file(recording, stored.key) if with_files else None
+        return not with_files or (file is not None and file.is_file())
+
+
+def _require_units(recording: Recording) -> int:
+    """Looks at the labels of all frames; returns how many 2D boxes without a 3D box are among them.
+
+    Other faults are found when the frames are read, and may affect only one of them.
+
+    Raises:
+        UnitError: their numbers are in another unit than their format has.
+    """
+    file = label_file(recording, recording.keys[0])
+    if file is None or recording.format not in FORMATS:
+        return 0
+    try:
+        labels = read_labels(FORMATS[recording.format], file.parent if one_file_a_frame(recording) else file)
+        return sum(labels.left_out_of(name).flat for name in labels.frames)
+    except UnitError:
+        raise
+    except AnnotatorError:
+        return 0
 
 
 def has_own_labels(project: Project, recording_id: int) -> bool:
@@ -65,13 +131,11 @@ def import_own_labels(
     recording_id: int,
     progress: Callable[[int, int], None] | None = None,
     together: Collection[int] = (),
-) -> OwnLabels:
+) -> ImportReport:
     """Imports the true boxes beside a recording, for every frame without labels.
 
-    A box that another camera of the rig has already is not imported again.
-
-    Unreadable frames, and frames whose own label file is broken, are left out and reported. Frames that are labelled or
-    finalised during the import are not changed.
+    A box that another camera of the rig has already is not imported again. Of a recording with virtual cameras whose
+    labels are only of what its own camera sees, none is imported: frames would count as labelled where nobody looked.
 
     Args:
         progress: called with (frames done, frames).
@@ -82,49 +146,24 @@ def import_own_labels(
         FormatError: the label file is broken and holds the labels of all frames.
         UnitError: the labels are in another unit than their format has.
     """
-    source, counts = FrameSource(project), OwnLabels()
-    rigs = Rigs(project, source)
-    recording = source.recording(recording_id)
+    recording = FrameSource(project).recording(recording_id)
     if not has_truth(recording):
-        counts.are_partial = isinstance(recording, LookAround) and has_truth(recording.base)
-        return counts
-    counts.flat = require_units(recording)
-    skipped_errors = (FrameError, FormatError) if one_file_a_frame(recording) else (FrameError,)
-    config, sizes = project.config, SizeDoubts()
-    classes, reader = set(config.classes), ValueReader(config.attributes)
-    indices = {key: index for index, key in enumerate(recording.keys)}
-    frames = [
-        frame
-        for frame in project.frames.of([recording_id])
-        if frame.index is not None and frame.key in indices and is_labelled(recording, frame.key)
-    ]
-    for number, stored in enumerate(frames, 1):
-        if not stored.finalised and not project.labels.of_frame(stored.id):
-            try:
-                truths = load_truth(recording, indices[stored.key], source.read(stored))
-            except skipped_errors as error:
-                counts.unreadable.append(f"{stored.key}: {error}")
-                truths = []
-            for truth in truths:
-                sizes.add(truth.label, truth.box.size_m)
-            counts.other_classes.update(t.label for t in truths if t.label not in classes)
-            new = [
-                NewLabel(t.label, t.box, track_id=t.track_id, attributes=reader.of_label(t.label, t.attributes))
-                for t in truths
-                if t.label in classes
-            ]
-            if new:
-                here = _of_this_camera(project, rigs, stored, new, together)
-                counts.of_other_cameras += len(new) - len(here)
-                new = here
-            new, repeated = with_tracks_once(new)
-            if new and create_if_unlabelled(project, stored.id, new, AUTHOR):
-                counts.labels.update(label.label for label in new)
-                counts.tracks += repeated
-        if progress is not None:
-            progress(number, len(frames))
-    counts.values, counts.doubt = reader.left_out, sizes.problem()
-    return counts
+        report = ImportReport(Become.LABELS, project.config.classes)
+        report.add(Note.PARTIAL, isinstance(recording, LookAround) and has_truth(recording.base))
+        return report
+    rigs = Rigs(project)
+    labels = RecordedLabels(project, [recording_id])
+    report = import_labels(
+        project,
+        labels,
+        progress=progress,
+        importer=Importer(AUTHOR),
+        choose=lambda stored, new: _of_this_camera(project, rigs, stored, new, together),
+    )
+    report.add(Note.FLAT, labels.flat)
+    # labels of an earlier import of the recording
+    report.notes.pop(Note.ALREADY, None)
+    return report
 
 
 def _of_this_camera(

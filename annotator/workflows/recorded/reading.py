@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,13 +14,22 @@ from jaxtyping import UInt8
 from annotator.formats import argoverse
 from annotator.formats.boxes_json import read_boxes
 from annotator.formats.frame_names import read_frames
-from annotator.formats.kitti_rows import read_object_labels, read_tracking_labels
+from annotator.formats.kitti_objects import read_kitti_file
+from annotator.formats.kitti_rows import (
+    DONT_CARE,
+    KittiLabel,
+    kitti_row,
+    read_object_labels,
+    read_tracking_areas,
+    read_tracking_labels,
+)
 from annotator.formats.kitti_tracklets import read_tracklets
 from annotator.formats.labelcloud import CLASSES_FILE, LABELS, read_labelcloud_file
 from annotator.formats.nuscenes import ANNOTATIONS, is_seen, read_sample_boxes
 from annotator.formats.rcv import MANIFEST, RcvDataset, read_rcv
 from annotator.formats.reading import read_mask
 from annotator.formats.sunrgbd import read_extracted_labels, read_scene_labels
+from annotator.geometry.occlusion import Sight
 from annotator.image_bytes import UPRIGHT, as_stored, described, is_turned
 from annotator.recordings import Recording
 from annotator.recordings.argoverse import ArgoverseLog
@@ -30,11 +40,13 @@ from annotator.recordings.look_around import LookAround, Scanned
 from annotator.recordings.nuscenes import NuScenes
 from annotator.recordings.sunrgbd import SunRgbdScenes
 from annotator.text import normal, spelled
-from annotator.types import Box2D, Frame, Truth
+from annotator.types import Box2D, Frame, OrientedBox, Truth
 from annotator.types.errors import FormatError, RecordingError
-from annotator.workflows.importing.readers.frame_boxes import of_labelcloud
-from annotator.workflows.importing.readers.reviewed_boxes import OpenLabelLabels, RcvLabels, openlabel_labels
+from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.readers import of_labelcloud, of_rcv, openlabel_labels
 
+P = ParamSpec("P")
+Read = TypeVar("Read")
 # Generated recordings have their truth in a separate folder.
 TRUTH_FOLDER = "truth"
 # In each raw scene of SUN RGB-D.
@@ -179,24 +191,16 @@ def own_image_box(truth: Truth, number: int, mask: UInt8[np.ndarray, "h w"] | No
     return Box2D(truth.label, columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5)
 
 
-def _from_boxes_json(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return list(_boxes(path, *file_version(path)).get(normal(key), ()))
-
-
-def _from_label_2(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return read_object_labels(path, frame.T_camera_label)
-
-
 def _from_label_02(path: Path, key: str, frame: Frame) -> list[Truth]:
     T = frame.T_camera_label
-    truths = _tracks(path, *file_version(path)).get(frame_number(path, key), ())
+    truths = _tracks(path).get(frame_number(path, key), ())
     return [truth if T is None else replace(truth, box=truth.box.transformed(T)) for truth in truths]
 
 
 def _from_tracklets(path: Path, recording: KittiRaw, key: str) -> list[Truth]:
     """Reads tracklets, which are in LiDAR coordinates, unlike all other KITTI labels."""
     T = recording.calibration(key).T_camera_lidar
-    truths = _tracklets(path, *file_version(path)).get(frame_number(path, key), ())
+    truths = _tracklets(path).get(frame_number(path, key), ())
     return [replace(truth, box=truth.box.transformed(T)) for truth in truths]
 
 
@@ -205,14 +209,14 @@ def _from_samples(path: Path, recording: NuScenes, key: str, frame: Frame) -> li
     T, sample = frame.T_camera_label, recording.sample(key)
     if sample is None or T is None:
         return []
-    boxes = _samples(recording.tables, recording.samples, *file_version(path))[sample]
+    boxes = _samples(path, recording.tables, recording.samples)[sample]
     return [Truth(each.label, each.box.transformed(T), each.track_id, attributes=each.attributes) for each in boxes]
 
 
 def _from_annotations(path: Path, key: str, frame: Frame) -> list[Truth]:
     """Returns the boxes of a sweep that the image shows."""
     T = frame.T_camera_label
-    rows = () if T is None else _annotations(path, *file_version(path)).get(int(key), ())
+    rows = () if T is None else _annotations(path).get(int(key), ())
     return _seen([Truth(each.label, each.box.transformed(T), each.track) for each in rows], frame)
 
 
@@ -241,22 +245,14 @@ def frame_number(path: Path, key: str) -> int:
     return int(key)
 
 
-def _from_extracted(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return read_extracted_labels(path, frame.T_camera_label)
-
-
-def _from_scene(path: Path, key: str, frame: Frame) -> list[Truth]:
-    return read_scene_labels(path, frame.T_camera_label)
-
-
 def _from_rcv(path: Path, key: str, frame: Frame) -> list[Truth]:
     manifest = path.parent.parent / MANIFEST
-    labels = _rcv(manifest, *file_version(manifest)).labels(frame.index)
-    return RcvLabels(path, {key: labels}).truths(key, frame)
+    labels = _rcv(manifest).labels(frame.index)
+    return of_rcv(path, key, labels).truths(key, frame)
 
 
 def _from_openlabel(path: Path, key: str, frame: Frame) -> list[Truth]:
-    labels, names = _openlabel(path, *file_version(path))
+    labels, names = _openlabel(path)
     return labels.truths(names.get(normal(key), key), frame)
 
 
@@ -264,51 +260,62 @@ def _from_labelcloud(path: Path, key: str, frame: Frame) -> list[Truth]:
     return of_labelcloud(path, {key: read_labelcloud_file(path)}).truths(key, frame)
 
 
-def file_version(path: Path) -> tuple[int, int]:
-    """Returns the modification time (ns) and size of a file, which identify its content in caches."""
-    status = path.stat()
-    return status.st_mtime_ns, status.st_size
+def _until_changed(read: Callable[Concatenate[Path, P], Read]) -> Callable[Concatenate[Path, P], Read]:
+    """Caches what a reader returns for a whole file, so that the file is not parsed again for every frame."""
+
+    @lru_cache(maxsize=4)
+    def cached(path: Path, version: tuple[int, int], *args: P.args, **options: P.kwargs) -> Read:
+        return read(path, *args, **options)
+
+    def reading(path: Path, *args: P.args, **options: P.kwargs) -> Read:
+        status = path.stat()
+        return cached(path, (status.st_mtime_ns, status.st_size), *args, **options)  # type: ignore[arg-type]
+
+    return reading
 
 
-@lru_cache(maxsize=4)
-def _boxes(path: Path, changed_ns: int, size: int) -> dict[str, list[Truth]]:
-    """Reads the whole file; cached, so that it is not parsed again for every frame."""
+@_until_changed
+def _boxes(path: Path) -> dict[str, list[Truth]]:
     return {normal(key): truths for key, truths in read_boxes(path).items()}
 
 
-@lru_cache(maxsize=4)
-def _samples(tables: Path, samples: frozenset[str], changed_ns: int, size: int) -> dict[str, tuple[Truth, ...]]:
-    """As `_boxes` for the samples of a nuScenes scene, in the global frame."""
+@_until_changed
+def _samples(path: Path, tables: Path, samples: frozenset[str]) -> dict[str, tuple[Truth, ...]]:
+    """The boxes of the samples of a nuScenes scene, in the global frame."""
     return read_sample_boxes(tables, samples)
 
 
-@lru_cache(maxsize=4)
-def _annotations(path: Path, changed_ns: int, size: int) -> dict[int, list[argoverse.ArgoverseBox]]:
-    """As `_boxes` for the annotations of an Argoverse log, in the ego frame."""
+@_until_changed
+def _annotations(path: Path) -> dict[int, list[argoverse.ArgoverseBox]]:
+    """The annotations of an Argoverse log, in the ego frame."""
     return argoverse.read_argoverse(path)
 
 
-@lru_cache(maxsize=4)
-def _tracks(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
-    """As `_boxes` for tracking labels, in label coordinates, since the transform may differ between frames."""
+@_until_changed
+def _tracks(path: Path) -> dict[int, list[Truth]]:
+    """KITTI's tracks, in label coordinates, since the transform may differ between frames."""
     return read_tracking_labels(path, None)
 
 
-@lru_cache(maxsize=4)
-def _tracklets(path: Path, changed_ns: int, size: int) -> dict[int, list[Truth]]:
-    """As `_boxes` for the tracklets of a raw drive, in LiDAR coordinates."""
+@_until_changed
+def _tracklets(path: Path) -> dict[int, list[Truth]]:
+    """The tracklets of a raw drive, in LiDAR coordinates."""
     return read_tracklets(path)
 
 
-@lru_cache(maxsize=4)
-def _rcv(path: Path, changed_ns: int, size: int) -> RcvDataset:
-    """As `_boxes` for the manifest of an `rcv` dataset."""
+@_until_changed
+def _areas(path: Path) -> dict[int, list[KittiLabel]]:
+    return read_tracking_areas(path)
+
+
+@_until_changed
+def _rcv(path: Path) -> RcvDataset:
     return read_rcv(path.parent)
 
 
-@lru_cache(maxsize=4)
-def _openlabel(path: Path, changed_ns: int, size: int) -> tuple[OpenLabelLabels, dict[str, str]]:
-    """As `_boxes` for a document; also returns the frames' names in it, by key."""
+@_until_changed
+def _openlabel(path: Path) -> tuple[LabelSet, dict[str, str]]:
+    """A document, and the frames' names in it, by key."""
     origins = read_frames(path.parent) or read_frames(path.parent.parent)
     return openlabel_labels(path), {key: origin.name for key, origin in origins.items()}
 
@@ -333,13 +340,53 @@ _PLACES = {
 _SUFFIXES = {"rcv": ".json", "cloud_folder": ".json"}
 _MASKED = frozenset({"rgbd_folder"})
 _READERS: dict[str, Callable[[Path, str, Frame], list[Truth]]] = {
-    "rgbd_folder": _from_boxes_json,
-    "kitti_object": _from_label_2,
+    "rgbd_folder": lambda path, key, frame: list(_boxes(path).get(normal(key), ())),
+    "kitti_object": lambda path, key, frame: read_object_labels(path, frame.T_camera_label),
     "kitti_tracking": _from_label_02,
     "argoverse2": _from_annotations,
-    "sunrgbd_extracted": _from_extracted,
-    "sunrgbd_scenes": _from_scene,
+    "sunrgbd_extracted": lambda path, key, frame: read_extracted_labels(path, frame.T_camera_label),
+    "sunrgbd_scenes": lambda path, key, frame: read_scene_labels(path, frame.T_camera_label),
     "rcv": _from_rcv,
     "openlabel": _from_openlabel,
     "cloud_folder": _from_labelcloud,
 }
+
+
+# The only format whose labels have the difficulty fields of KITTI's evaluation.
+OBJECT = "kitti_object"
+# The labels of this format have DontCare areas, too.
+TRACKING = "kitti_tracking"
+
+
+def true_kitti_rows(recording: Recording, index: int, frame: Frame) -> Sequence[KittiLabel]:
+    """Returns the true rows of a frame with DontCare areas: KITTI's own rows if there are any, else made from boxes.
+
+    Raises:
+        RecordingError, FormatError: as `load_truth`.
+    """
+    file = label_file(recording, frame.key)
+    if recording.format == OBJECT and file is not None:
+        return read_kitti_file(file, scored=False)
+    rows = rows_of_truth(((truth.label, truth.box) for truth in load_truth(recording, index, frame)), frame)
+    return [*rows, *dont_care_rows(recording, frame.key)]
+
+
+def dont_care_rows(recording: Recording, key: str) -> list[KittiLabel]:
+    """Returns the DontCare (unlabelled) areas of a frame; none if it has no label file.
+
+    Raises:
+        FormatError: its label file is broken.
+    """
+    file = label_file(recording, key) if recording.format in (OBJECT, TRACKING) else None
+    # a label folder may lack files of some frames
+    if file is None or not file.is_file():
+        return []
+    if recording.format == TRACKING:
+        return list(_areas(file).get(frame_number(file, key), ()))
+    return [row for row in read_kitti_file(file, scored=False) if row.label == DONT_CARE]
+
+
+def rows_of_truth(boxes: Iterable[tuple[str, OrientedBox]], frame: Frame) -> list[KittiLabel]:
+    """Returns true boxes (class and box, camera frame) as rows; occlusion is computed from the frame's cloud."""
+    sight = Sight(frame.cloud.xyz_m)
+    return [kitti_row(label, box, None, frame, sight) for label, box in boxes]

@@ -31,8 +31,7 @@ from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, project_box, teach_agnostic_views, teach_views
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image, Label, OrientedBox, ReviewState
 from annotator.types.errors import DetectionError, FrameError
-from annotator.workflows.frame_source import FrameSource, orientation_for
-from annotator.workflows.rigs import Rigs
+from annotator.workflows.frame_source import FrameSource, Rigs, orientation_for
 from annotator.workflows.training.base_detector import generated_views
 from annotator.workflows.views.pairs import front_and_side, outlines, redrawn, spans_m, undrawn, views_by_object
 

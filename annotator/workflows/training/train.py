@@ -25,7 +25,7 @@ from annotator.types import BoxKind, DetectorKind
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
-from annotator.workflows.recorded.up_direction import learn_up
+from annotator.workflows.recorded.adjusting import learn_up
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
 from annotator.workflows.training.model_report import write_validation_pictures

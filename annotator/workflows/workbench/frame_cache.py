@@ -25,8 +25,7 @@ from annotator.recordings import Recording
 from annotator.recordings.recording import is_parallel
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, FrameError
-from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.rigs import Rigs
+from annotator.workflows.frame_source import FrameSource, Rigs
 
 JPEG_QUALITY = 92
 # Cached frustums, views, pictures and found boxes of one frame: enough to go back and forth between a few objects.

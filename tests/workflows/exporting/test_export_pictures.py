@@ -29,7 +29,7 @@ from annotator.workflows.exporting import (
     export_project,
 )
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import FlatFormat, import_image_boxes, import_view_boxes
+from annotator.workflows.importing import FlatFormat, Note, import_image_boxes, import_view_boxes
 from annotator.workflows.recorded.reading import load_truth
 
 FORMATS = (ExportFormat.COCO, ExportFormat.YOLO)
@@ -109,7 +109,7 @@ def test_exported_pictures_can_be_imported_into_another_project(
 
     other = make_project(generated / "people")
     done = import_image_boxes(other, tmp_path / "out", None, format=FlatFormat(format))
-    assert (done.pictures, done.boxes, done.views, done.unmatched) == (6, 6, 3, ())
+    assert (done.frames, done.boxes.total(), done.views, tuple(done.of(Note.UNMATCHED_IMAGE))) == (3, 6, 3, ())
     on_images = {boxes.frame_id: boxes for boxes in other.boxes.on_images()}
     kinds = [BoxKind.SILHOUETTE, BoxKind.SILHOUETTE, BoxKind.BOX]
     assert [boxes.box_kind for boxes in on_images.values()] == kinds
@@ -243,7 +243,7 @@ def yolo_of(folder: Path, **rows: str) -> Path:
 def test_yolo_labels_of_other_tools_are_matched_by_file_stem(people: Project, tmp_path: Path) -> None:
     folder = yolo_of(tmp_path / "labels", K000001="0 0.5 0.5 0.25 0.5\n", K000003="", K9="0 0.5 0.5 1 1")
     done = import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO)
-    assert (done.pictures, done.boxes, done.unmatched) == (2, 1, ("9.txt",))
+    assert (done.frames, done.boxes.total(), tuple(done.of(Note.UNMATCHED_IMAGE))) == (2, 1, ("9.txt",))
     one, two = people.boxes.on_images()
     assert one.boxes == (Box2D("person", 119.5, 59.5, 199.5, 179.5),) and two.boxes == ()
 
@@ -257,7 +257,7 @@ def test_yolo_boxes_are_valid_for_scaled_but_not_for_cropped_copies(people: Proj
             with pytest.raises(FormatError, match="frame is 320 x 240: another aspect ratio"):
                 import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO)
         else:
-            assert import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO).boxes == 1
+            assert import_image_boxes(people, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO).boxes.total() == 1
 
 
 def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path) -> None:
@@ -265,7 +265,7 @@ def test_yolo_boxes_on_views_are_imported(people: Project, tmp_path: Path) -> No
     (tmp_path / "pictures").mkdir()
     cv2.imwrite(str(tmp_path / "pictures/front.png"), picture(5))
     done = import_view_boxes(people, folder, tmp_path / "pictures", BoxKind.SILHOUETTE, FlatFormat.YOLO)
-    assert (done.pictures, done.boxes, done.views) == (1, 1, 1)
+    assert (done.frames, done.boxes.total(), done.views) == (0, 1, 1)
     (view,) = people.boxes.on_views()
     assert view.boxes == (Box2D("person", 23.5, 11.5, 39.5, 35.5),) and view.frame_id is None
 
@@ -278,4 +278,8 @@ def test_yolo_boxes_of_unreadable_frames_are_skipped_and_reported(
     (recording / "depth" / "000001.png").write_bytes(b"")
     folder = yolo_of(tmp_path / "labels", K000000="0 0.5 0.5 0.25 0.5", K000001="0 0.5 0.5 0.25 0.5")
     done = import_image_boxes(project, folder, BoxKind.SILHOUETTE, format=FlatFormat.YOLO)
-    assert done.pictures == 1 and len(done.unreadable) == 1 and done.unreadable[0].startswith("000001: ")
+    assert (
+        done.frames == 1
+        and len(list(done.of(Note.UNREADABLE))) == 1
+        and next(iter(done.of(Note.UNREADABLE))).startswith("000001: ")
+    )

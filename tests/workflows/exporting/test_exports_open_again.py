@@ -15,9 +15,10 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.recordings import Recording, detect_format, open_recording
 from annotator.types import Frame, Source
 from annotator.types.errors import FrameError, RecordingError
-from annotator.workflows.checking.check import check_datasets
+from annotator.workflows.checking.dataset_check import check_datasets
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing import Note
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.recorded.reading import has_truth, load_truth
 
@@ -82,7 +83,7 @@ def test_an_export_opens_with_its_labels(
     assert boxes == report.objects >= 5
     again = make_project(tmp_path / "out")
     counts = import_own_labels(again, again.recordings.all()[0].id)
-    assert (counts.labels.total(), counts.unreadable) == (report.objects, [])
+    assert (counts.boxes.total(), list(counts.of(Note.UNREADABLE))) == (report.objects, [])
     checked = check_datasets(tmp_path / "out")
     assert [(each.format, each.frames, each.labels) for each in checked.datasets] == [(reader, 5, report.objects)]
     assert "unchecked-dataset" not in {finding.rule for finding in checked.findings}

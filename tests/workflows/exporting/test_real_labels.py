@@ -25,10 +25,8 @@ from annotator.workflows.add_recordings import add_recordings
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from annotator.workflows.recorded.boxes_from_3d import boxes_from_3d
-from annotator.workflows.recorded.kitti_rows import true_kitti_rows
-from annotator.workflows.recorded.labelled_frames import labels_from
-from annotator.workflows.recorded.own_labels import import_own_labels
-from annotator.workflows.recorded.reading import load_truth
+from annotator.workflows.recorded.own_labels import import_own_labels, labels_from
+from annotator.workflows.recorded.reading import load_truth, true_kitti_rows
 
 MakeProject = Callable[..., Project]
 CLASSES = ("Car", "Pedestrian", "Cyclist", "Van")
@@ -280,7 +278,7 @@ def test_a_tracking_export_gives_every_box_a_track_id_and_opens_as_a_recording(
     added = add_recordings(opened, [out], scenes=["all"])
     assert [(each.recording.name, each.new_frames) for each in added] == [("0000", 5), ("0001", 5)]
     imported = [import_own_labels(opened, each.recording.id) for each in added]
-    assert sum(sum(each.labels.values()) for each in imported) == report.objects
+    assert sum(each.boxes.total() for each in imported) == report.objects
     for mine, theirs in zip(project.labels.select(), opened.labels.select(), strict=True):
         np.testing.assert_allclose(theirs.label.box.center_m, mine.label.box.center_m, atol=0.01)
     with pytest.raises(ConfigError, match="has no scene 7; it has 0000, 0001"):
@@ -334,7 +332,7 @@ def test_kittis_tracking_labels_are_exported_unchanged(make_project: MakeProject
     folder.mkdir(parents=True)
     (folder / "0000.txt").write_bytes((drive / "label_02.txt").read_bytes())
     other = make_project(drive, classes=("Van", "Cyclist", "Pedestrian"))
-    assert sum(import_labels(other, read_labels(BoxFormat.KITTI_TRACKING, folder.parent)).labels.values()) == len(solid)
+    assert sum(import_labels(other, read_labels(BoxFormat.KITTI_TRACKING, folder.parent)).boxes.values()) == len(solid)
     ids = {stored.label.track_id for stored in other.labels.select()}
     assert ids == {int(row[1]) for row in wanted} - {-1}
     assert open_recording(drive).format == "kitti_tracking"

@@ -18,7 +18,7 @@ from annotator.types import OrientedBox
 from annotator.types.errors import FormatError
 from annotator.types.label import Said
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.importing import BoxFormat, import_labels, import_proposals, read_labels
+from annotator.workflows.importing import BoxFormat, Note, import_labels, import_proposals, read_labels
 from benchmarks.trips import trip
 
 BOX = {"label": "person", "size": [0.5, 0.4, 1.8], "rotation": [[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]]}
@@ -29,7 +29,7 @@ def propose(project: Project, tmp_path: Path, source: str, **fields: Any) -> dic
     path = tmp_path / f"{source}.json"
     path.write_text(json.dumps({project.frames.of()[0].key: [entry]}))
     done = import_proposals(project, read_labels(BoxFormat.BOXES, path), source)
-    return dict(done.values)
+    return dict(done.of(Note.VALUE))
 
 
 SCHEMA: list[dict[str, Any]] = [

@@ -16,7 +16,7 @@ from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute
 from annotator.types import OrientedBox, ReviewState
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
-from annotator.workflows.importing import Importer, import_image_boxes
+from annotator.workflows.importing import Importer, Note, import_image_boxes
 
 SCHEMA: list[dict[str, Any]] = [
     {"name": "pose", "kind": "choice", "choices": ["sitting", "standing"]},
@@ -66,8 +66,8 @@ def test_labels_get_the_values_that_they_lack_and_the_rest_is_reported(project: 
     out = changed(project, tmp_path / "out", change)
     done = import_image_boxes(project, out, None, importer=Importer("ann", new_action()))
     assert values(project) == [{"pose": "sitting", "occluded": True}, {"occluded": False}, {}]
-    assert (done.values.set, done.values.kept, done.boxes) == (2, 1, 3)
-    assert done.values.left_out == {
+    assert (done[Note.SHOWN], done[Note.CONTRADICTED], done.boxes.total()) == (2, 1, 3)
+    assert done.of(Note.VALUE) == {
         "rotation (not an attribute of the project)": 1,
         'pose must be one of sitting, standing, not "lying"': 1,
         "crowded (of 2D boxes without a 3D label)": 1,
@@ -92,4 +92,4 @@ def test_a_drawn_box_has_the_values_of_its_label(project: Project, tmp_path: Pat
     assert [each.get("attributes") for each in content["images"]] == [{"night": True}]
     # an image of a finalised frame changes nothing
     project.frames.finalise(frame.id, WriteContext(project.frames.get(frame.id).revision, "me"))
-    assert import_image_boxes(project, tmp_path / "again", None).values.set == 0
+    assert import_image_boxes(project, tmp_path / "again", None)[Note.SHOWN] == 0

@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annotator.formats.attributes import Values
 from annotator.project import NewLabel, Project, WriteContext
 from annotator.types import BoxKind, Frame, OrientedBox, ReviewState, Source, Truth
 from annotator.types.errors import FormatError
 from annotator.workflows.exporting import ExportFilter, ExportFormat, Split, SplitBy, export_project
-from annotator.workflows.importing import BoxFormat, Renamed, import_labels, read_labels
-from annotator.workflows.importing.boxes_3d import AUTHOR, create_if_unlabelled
-from annotator.workflows.importing.label_set import LeftOut
+from annotator.workflows.importing import BoxFormat, Note, import_labels, read_labels
+from annotator.workflows.importing.boxes_3d import create_if_unlabelled
+from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.importing.placing import AUTHOR
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 BOX = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), np.eye(3), np.array([0.5, 0.4, 1.8]))
 
 
 @dataclass(frozen=True)
-class Given:
+class Given(LabelSet):
     """Labels given by a test."""
 
     boxes: dict[str, list[Truth]]
@@ -35,12 +35,6 @@ class Given:
 
     def truths(self, name: str, frame: Frame) -> list[Truth]:
         return self.boxes[name]
-
-    def values_of_boxes(self, name: str) -> Sequence[Values]:
-        return [each.attributes for each in self.boxes[name]]
-
-    def left_out_of(self, name: str) -> LeftOut:
-        return LeftOut()
 
 
 @pytest.fixture
@@ -66,8 +60,8 @@ def test_an_rcv_export_can_be_imported(
     assert {part: len(ids) for part, ids in listed.items()} == report.splits
     other = make_project(generated / "people")
     done = import_labels(other, read_labels(BoxFormat.RCV, tmp_path / "out"))
-    assert (done.frames, done.labels, done.already, done.unmatched) == (5, {"person": 3}, 0, ())
-    assert (done.not_reviewed, done.scores) == (3, 0)
+    assert (done.frames, done.boxes, done[Note.ALREADY], tuple(done.of(Note.UNMATCHED))) == (5, {"person": 3}, 0, ())
+    assert (done[Note.NOT_REVIEWED], done[Note.SCORE]) == (3, 0)
     for before, after in zip(frames, other.frames.of(), strict=True):
         kept = [label for label in people.labels.of_frame(before.id) if label.state is ReviewState.ACCEPTED]
         back = other.labels.of_frame(after.id)
@@ -103,8 +97,8 @@ def test_labelled_frames_are_not_changed_and_other_classes_are_counted(people: P
         }
     )
     done = import_labels(people, given)
-    assert (done.frames, done.already, done.unmatched) == (1, 1, ("people/gone",))
-    assert (done.labels, done.other_classes) == ({"person": 1}, {"horse": 1})
+    assert (done.frames, done[Note.ALREADY], tuple(done.of(Note.UNMATCHED))) == (1, 1, ("people/gone",))
+    assert (done.boxes, done.of(Note.OTHER_CLASS)) == ({"person": 1}, {"horse": 1})
     assert [label.author for label in people.labels.of_frame(first.id)] == ["me"]
     assert [label.track_id for label in people.labels.of_frame(second.id)] == [4]
 
@@ -128,7 +122,7 @@ def test_scores_of_kitti_results_are_kept_only_if_they_are_confidences(
     (tmp_path / files[0]).write_text(f"{scored[0]}\n")
     (tmp_path / files[1]).write_text("\n".join(scored[1:]))
     done = import_labels(people, read_labels(BoxFormat.KITTI, tmp_path))
-    assert (done.labels, done.scores, done.not_reviewed) == ({"person": 3}, lost, 0)
+    assert (done.boxes, done[Note.SCORE], done[Note.NOT_REVIEWED]) == ({"person": 3}, lost, 0)
     assert [x.score for stored in people.frames.of() for x in people.labels.of_frame(stored.id)] == kept
 
 
@@ -138,9 +132,9 @@ def test_finalised_frames_are_not_changed(people: Project) -> None:
     people.frames.finalise(first.id, WriteContext(0, "me"))
     given = Given({f"people/{frame.key}": [Truth("person", BOX)] for frame in (first, second)})
     done = import_labels(people, given)
-    assert (done.frames, done.already) == (1, 1) and people.labels.of_frame(first.id) == ()
+    assert (done.frames, done[Note.ALREADY]) == (1, 1) and people.labels.of_frame(first.id) == ()
     assert not create_if_unlabelled(people, first.id, [NewLabel("person", BOX)], AUTHOR)
-    assert import_own_labels(people, 1).labels == {"person": 9} and people.labels.of_frame(first.id) == ()
+    assert import_own_labels(people, 1).boxes == {"person": 9} and people.labels.of_frame(first.id) == ()
 
 
 def test_a_key_of_several_recordings_needs_the_recording(make_project: Callable[..., Project], generated: Path) -> None:
@@ -149,7 +143,7 @@ def test_a_key_of_several_recordings_needs_the_recording(make_project: Callable[
     given = Given({key: [Truth("hand", BOX)]})
     with pytest.raises(FormatError, match=r"is a frame of several recordings \(people, hands\)"):
         import_labels(project, given)
-    assert import_labels(project, given, "hands").labels == {"hand": 1}
+    assert import_labels(project, given, "hands").boxes == {"hand": 1}
 
 
 def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
@@ -157,11 +151,11 @@ def test_frames_of_unknown_recordings_are_unmatched(people: Project) -> None:
     first, second = (frame.key for frame in people.frames.of()[:2])
     both = Given({f"people/{first}": [Truth("person", BOX)], f"street/{second}": [Truth("person", BOX)]})
     done = import_labels(people, both)
-    assert (done.frames, done.unmatched, done.renamed) == (1, (f"street/{second}",), None)
+    assert (done.frames, tuple(done.of(Note.UNMATCHED)), done.of(Note.RENAMED)) == (1, (f"street/{second}",), {})
     with pytest.raises(FormatError, match="none of the dataset's frames"):
         import_labels(people, Given({f"street/{first}": [], f"yard/{second}": []}))
     done = import_labels(people, Given({f"other/{second}": [Truth("person", BOX)]}))
-    assert (done.frames, done.renamed) == (1, Renamed("other", ("people",)))
+    assert (done.frames, done.of(Note.RENAMED)) == (1, {"other of the labels was assigned to people": 1})
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ from annotator.workflows.exporting import ExportFilter, ExportFormat, export_pro
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing import (
     BoxFormat,
-    ImportedLabels,
-    ImportedProposals,
+    ImportReport,
+    Note,
     format_of,
     import_labels,
     import_proposals,
@@ -53,7 +53,7 @@ def people(make_project: Callable[..., Project], generated: Path) -> Project:
     return make_project(generated / "people")
 
 
-# Argoverse 2 is not exported: test_argoverse_labels.py
+# Argoverse 2 is not exported: test_surround_boxes.py
 @pytest.mark.parametrize("format", [each for each in BoxFormat if each is not BoxFormat.ARGOVERSE2])
 def test_boxes_of_every_format_become_proposals_onto_labelled_frames(
     people: Project, make_project: Callable[..., Project], generated: Path, tmp_path: Path, format: BoxFormat
@@ -71,7 +71,7 @@ def test_boxes_of_every_format_become_proposals_onto_labelled_frames(
     mine = other.labels.create(other.frames.of()[1].id, [NewLabel("person", box(5.0))], WriteContext(0, "me")).uids
     assert format_of(path) is format
     done = import_proposals(other, read_labels(format, path))
-    assert (done.source, done.frames, done.proposals) == ("theirs", 1, {"person": 1})
+    assert (done.source, done.frames, done.boxes) == ("theirs", 1, {"person": 1})
     accepted, proposed = other.labels.select()
     assert (accepted.label.uid, accepted.label.state) == (mine[0], ReviewState.ACCEPTED)
     assert (proposed.label.state, proposed.label.source) == (ReviewState.PROPOSED, Source.IMPORTED)
@@ -103,7 +103,7 @@ def test_rows_of_a_box_csv_are_turned_boxes_in_upright_depth(
     mine = OrientedBox.from_parts(np.array([0.1, 0.2, 3.0]), turn.as_matrix(), np.array([0.9, 0.4, 1.8]))
     people.labels.create(frame.id, [NewLabel("person", mine)], WriteContext(0, "me"))
     other = make_project(generated / "people")
-    assert import_labels(other, read_labels(BoxFormat.BOX_CSV, box_csv(people, tmp_path, 7.0))).scores == 1
+    assert import_labels(other, read_labels(BoxFormat.BOX_CSV, box_csv(people, tmp_path, 7.0)))[Note.SCORE] == 1
     (label,) = other.labels.of_frame(other.frames.of()[1].id)
     np.testing.assert_allclose(box_corners(label.box), box_corners(mine), atol=1e-5)
     assert label.score is None
@@ -124,7 +124,7 @@ def test_proposals_of_an_rcv_export_come_in_and_rejected_boxes_do_not(
         other = make_project(generated / "people")
         dataset = read_labels(format_of(tmp_path / format), tmp_path / format)  # type: ignore[arg-type]
         done = import_proposals(other, dataset)
-        assert (done.proposals, done.rejected) == ({"person": 1}, 1)
+        assert (done.boxes, done[Note.REJECTED]) == ({"person": 1}, 1)
         assert dataset.classes(dataset.frames[0]) == ["person"]
         assert [entry.label.score for entry in other.labels.select()] == [0.4]
 
@@ -141,10 +141,10 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
         tmp_path / "two.json", {first.key: [("person", 0.05, 3.5)], third.key: [("person", 0.0, -1.0)], "gone": []}
     )
     done = import_proposals(people, read_labels(BoxFormat.BOXES, one), min_score=0.1, names={"Car": "person"})
-    assert (done.frames, done.proposals, done.unsure, done.other_classes) == (2, {"person": 2}, 1, {"dog": 1})
+    assert (done.frames, done.boxes, done[Note.UNSURE], done.of(Note.OTHER_CLASS)) == (2, {"person": 2}, 1, {"dog": 1})
     done = import_proposals(people, read_labels(BoxFormat.BOXES, two), "second detector")
-    assert (done.source, done.merged, done.unmatched) == ("second detector", 1, ("gone",))
-    assert done.scaled is not None and (done.scaled.low, done.scaled.high) == (-1.0, 3.5)
+    assert (done.source, done[Note.MERGED], tuple(done.of(Note.UNMATCHED))) == ("second detector", 1, ("gone",))
+    assert list(done.of(Note.SCALED)) == ["-1 to 3.5"]
     items = queue(people, Order.WORST).items
     assert [(item.frame.key, round(item.doubt or 0.0, 2)) for item in items] == [
         (third.key, 0.7),
@@ -157,7 +157,7 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
     people.frames.finalise(second.id, WriteContext(people.frames.get(second.id).revision, "me"))
     again = boxes_file(tmp_path / "one.json", {first.key: [], second.key: [], third.key: []})
     done = import_proposals(people, read_labels(BoxFormat.BOXES, again))
-    assert (done.frames, done.finalised) == (2, 1)
+    assert (done.frames, done[Note.FINALISED]) == (2, 1)
     assert [[each.source for each in entry.said] for entry in people.labels.select()] == [
         ["second detector"],
         ["one"],
@@ -165,20 +165,7 @@ def test_several_detectors_stay_side_by_side_and_the_queue_shows_the_worst_first
     ]
 
 
-def test_track_ids_stay_unless_other_labels_of_the_recording_use_them(people: Project, tmp_path: Path) -> None:
-    first, second = people.frames.of()[:2]
-    people.labels.create(first.id, [NewLabel("person", box(0.0), track_id=3)], WriteContext(0, "me"))
-    entry = {"label": "person", "size": [1, 1, 1], "rotation": np.eye(3).tolist()}
-    rows = [entry | {"center": [4.0 * n, 0.2, 3.0], "track": track} for n, track in enumerate((3, 8), 1)]
-    path = tmp_path / "tracks.json"
-    path.write_text(json.dumps({first.key: rows, second.key: rows}))
-    for _ in range(2):
-        import_proposals(people, read_labels(BoxFormat.BOXES, path))
-        ids = [(entry.frame_id, entry.label.track_id) for entry in people.labels.select(states=[ReviewState.PROPOSED])]
-        assert ids == [(first.id, 4), (first.id, 8), (second.id, 4), (second.id, 8)]
-
-
-@pytest.mark.parametrize("source", ["", " ", "annotator", "x" * 201])
+@pytest.mark.parametrize("source", [" ", "annotator", "x" * 201])
 def test_a_source_needs_a_name(people: Project, tmp_path: Path, source: str) -> None:
     path = boxes_file(tmp_path / "b.json", {people.frames.of()[0].key: []})
     with pytest.raises(ConfigError, match="cannot name a source of boxes"):
@@ -288,7 +275,7 @@ def test_another_minimum_score_replaces_the_proposals_and_keeps_what_was_reviewe
 
 @pytest.mark.parametrize("run", [import_labels, import_proposals])
 def test_a_track_that_a_file_has_twice_in_a_frame_is_kept_once_and_counted(
-    people: Project, tmp_path: Path, run: Callable[..., ImportedLabels | ImportedProposals]
+    people: Project, tmp_path: Path, run: Callable[..., ImportReport]
 ) -> None:
     first, second = people.frames.of()[:2]
     path = boxes_file(
@@ -301,6 +288,6 @@ def test_a_track_that_a_file_has_twice_in_a_frame_is_kept_once_and_counted(
     content = {key: [each | {"track": 7} for each in boxes] for key, boxes in json.loads(path.read_text()).items()}
     path.write_text(json.dumps(content))
     done = run(people, read_labels(BoxFormat.BOXES, path))
-    assert done.tracks == 2
+    assert done[Note.TRACK] == 2
     tracks = [[label.track_id for label in people.labels.of_frame(frame.id)] for frame in (first, second)]
     assert tracks == [[7, None, None], [7]]

@@ -13,7 +13,8 @@ from annotator.recordings import open_recording
 from annotator.types.errors import RecordingError
 from annotator.workflows import add_recordings as adding
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
-from annotator.workflows.recorded.broken_frames import broken_frames
+from annotator.workflows.importing import Note
+from annotator.workflows.recorded.condition import broken_frames
 from annotator.workflows.recorded.own_labels import import_own_labels
 
 BROKEN = ["000001", "000003", "000004"]
@@ -80,7 +81,7 @@ def test_broken_frames_are_told_and_left_out_on_request(
     assert (again.left_out, again.new_frames, again.recording.frames) == (3, 0, 2)
     assert present(project) == {"000000": 0, "000002": 2}
     imported = import_own_labels(project, added.recording.id)
-    assert (imported.labels, imported.unreadable) == ({"person": 6}, [])
+    assert (imported.boxes, list(imported.of(Note.UNREADABLE))) == ({"person": 6}, [])
     # a frame that is still broken stays out, and one that can be read comes back
     mend(damaged, generated, "depth/000003.png")
     (mended,) = add_recordings(project, [damaged])

@@ -19,7 +19,7 @@ from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.proposing.annotate import annotate
-from annotator.workflows.recorded.up_direction import LEAST_BOX_FRAMES, estimate_recording_up, learn_up
+from annotator.workflows.recorded.adjusting import LEAST_BOX_FRAMES, estimate_recording_up, learn_up
 from annotator.workflows.training.train import TrainPlan, image_defaults, train
 
 FRAMES = LEAST_BOX_FRAMES + 2

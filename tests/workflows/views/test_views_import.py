@@ -26,7 +26,7 @@ from annotator.types import Box2D, BoxKind, Frame, PseudoView, Source
 from annotator.types.errors import ConfigError, FormatError, ProjectError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.importing import Imported, image_boxes, import_image_boxes, import_view_boxes
+from annotator.workflows.importing import ImportReport, Note, boxes_2d, import_image_boxes, import_view_boxes
 from annotator.workflows.simulate import draw_frame, visible_objects
 from annotator.workflows.training.samples import drawn_objects, gather, taught_by_drags
 from annotator.workflows.views.pairs import read_places
@@ -92,12 +92,12 @@ def draw_on(pictures: Path, project: Project, backwards: bool = False) -> Path:
 @pytest.mark.parametrize("backwards", [False, True], ids=["in order", "side before front"])
 def test_two_rounds_of_labelled_views_give_silhouettes(hands: Project, tmp_path: Path, backwards: bool) -> None:
     on_images = import_image_boxes(hands, coco_of_frames(tmp_path / "c.json", hands, [0, 3]), BoxKind.SILHOUETTE)
-    assert (on_images.pictures, on_images.boxes) == (2, 4)
+    assert (on_images.frames, on_images.boxes.total()) == (2, 4)
     for step in (1, 2):
         pictures = tmp_path / f"step{step}"
         assert write_views(hands, pictures, step, CONFIG).pictures == 8
         done = import_view_boxes(hands, draw_on(pictures, hands, backwards), pictures, BoxKind.SILHOUETTE)
-        assert done == Imported(8, 8, {}, (), views=8)
+        assert (done.frames, done.views, done.boxes.total(), done.notes) == (0, 8, 8, {})
     assert hands.statistics().view_boxes.boxes == 16
     assert {view.source for view in hands.boxes.on_views()} == {Source.IMPORTED}
 
@@ -183,7 +183,7 @@ def test_a_view_without_its_partner_is_not_ready(hands: Project, tmp_path: Path)
     only_fronts = [replace(i, boxes=() if "side" in i.file_name else i.boxes) for i in read_coco(file)]
     write_coco(file, only_fronts)
     done = import_view_boxes(hands, file, tmp_path / "one", BoxKind.SILHOUETTE)
-    assert (done.pictures, done.boxes) == (2, 2), "an unlabelled picture is not imported as empty"
+    assert (done.views, done.boxes.total()) == (2, 2), "an unlabelled picture is not imported as empty"
     with pytest.raises(ConfigError, match="both views of the first step"):
         write_views(hands, tmp_path / "two", 2, CONFIG)
 
@@ -221,7 +221,7 @@ def test_pictures_without_metadata_are_imported_without_a_frame(hands: Project, 
     file = tmp_path / "views.coco.json"
     for boxes in ((box,), (box, replace(box, x_max=10.5))):  # a second import replaces the first
         write_coco(file, [CocoImage("a.png", 60, 40, boxes), CocoImage("b.png", 60, 40, ())])
-        assert import_view_boxes(hands, file, tmp_path, BoxKind.BOX).boxes == len(boxes)
+        assert import_view_boxes(hands, file, tmp_path, BoxKind.BOX).boxes.total() == len(boxes)
     a, b = sorted(hands.boxes.on_views(), key=lambda view: -len(view.boxes))
     assert (len(a.boxes), b.boxes) == (2, ())
     assert (a.frame_id, a.geometry, a.step, a.box_kind) == (None, None, None, BoxKind.BOX)
@@ -344,7 +344,7 @@ BOX = Box2D("person", 10.5, 20.5, 60.5, 90.5)
 OTHER = Box2D("dog", 100.5, 20.5, 160.5, 90.5)
 
 
-def imported(project: Project, tmp_path: Path, *images: CocoImage, **options: str) -> Imported:
+def imported(project: Project, tmp_path: Path, *images: CocoImage, **options: str) -> ImportReport:
     write_coco(tmp_path / "boxes.json", images)
     return import_image_boxes(project, tmp_path / "boxes.json", BoxKind.SILHOUETTE, **options)
 
@@ -358,7 +358,8 @@ def test_boxes_on_camera_images_replace_earlier_ones(people: Project, tmp_path: 
         image("000099.jpg", BOX),
         image("cat.jpg"),
     )
-    assert done == Imported(2, 1, {"dog": 1}, ("000099.jpg", "cat.jpg"))
+    assert (done.frames, done.boxes) == (2, {"person": 1})
+    assert done.notes == {Note.OTHER_CLASS: {"dog": 1}, Note.UNMATCHED_IMAGE: {"000099.jpg": 1, "cat.jpg": 1}}
     one, two = people.boxes.on_images()
     assert (one.frame_id, one.boxes, one.box_kind, one.source) == (
         people.frames.of()[1].id,
@@ -380,7 +381,7 @@ def test_replaced_drawn_boxes_are_counted_and_finalised_frames_are_kept(
     for frame in (first, second):
         people.boxes.set_on_image(frame.id, [mine], BoxKind.SILHOUETTE, WriteContext(0, "ann", Source.MANUAL))
     people.log.append(second.id, [FrameFinalised()], WriteContext(1, "ann", Source.MANUAL))
-    read, changed = image_boxes.read_page, []
+    read, changed = boxes_2d.read_page, []
 
     def read_and_change(project: Project, frame_id: int) -> FramePage:
         page = read(project, frame_id)
@@ -388,13 +389,13 @@ def test_replaced_drawn_boxes_are_counted_and_finalised_frames_are_kept(
             changed.append(project.boxes.set_on_image(frame_id, [mine], BoxKind.SILHOUETTE, WriteContext(0, "bob")))
         return page
 
-    monkeypatch.setattr(image_boxes, "read_page", read_and_change)
+    monkeypatch.setattr(boxes_2d, "read_page", read_and_change)
     done = imported(people, tmp_path, *(image(f"{frame.key}.jpg", BOX) for frame in (first, second, third)))
-    assert done == Imported(2, 2, {}, replaced=2, finalised=1)
+    assert (done.frames, done.boxes.total(), done[Note.REPLACED], done[Note.FINALISED]) == (2, 2, 2, 1)
     assert changed
     assert [found.boxes for found in people.boxes.on_images()] == [(BOX,), (mine,), (BOX,)]
     # equal and imported boxes do not count as replaced
-    assert imported(people, tmp_path, image(f"{first.key}.jpg", BOX)).replaced == 0
+    assert imported(people, tmp_path, image(f"{first.key}.jpg", BOX))[Note.REPLACED] == 0
 
 
 @pytest.mark.parametrize(
@@ -429,10 +430,10 @@ def test_a_key_in_two_recordings_needs_the_recording(
 ) -> None:
     second = register_recording(people, open_recording(own_copy("people")), name="second")
     load = partial(imported, people, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX))
-    with pytest.raises(FormatError, match=r"000000\.jpg: 2 recordings have a frame 000000; choose one"):
+    with pytest.raises(FormatError, match=r"000000\.jpg is a frame of several recordings \(people, second\)"):
         load()
     assert people.boxes.on_images() == ()
-    assert load(recording="second").boxes == 2
+    assert load(recording="second").boxes.total() == 2
     assert people.boxes.on_images([second.id]) == people.boxes.on_images()
     with pytest.raises(ProjectError, match="no recording 'third'; it has: people, second"):
         load(recording="third")
@@ -444,4 +445,4 @@ def test_boxes_on_an_unreadable_frame_are_imported(
     folder = own_copy("people")
     project = make_project(folder)
     (folder / "depth" / "000001.png").write_bytes(b"")
-    assert imported(project, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX)).boxes == 2
+    assert imported(project, tmp_path, image("000000.jpg", BOX), image("000001.jpg", BOX)).boxes.total() == 2

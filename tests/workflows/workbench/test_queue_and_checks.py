@@ -17,8 +17,7 @@ from annotator.project.log.event_types import LinkedLabel, TracksLinked
 from annotator.types import Box2D, BoxKind, OrientedBox, Proposal, Quality, Source
 from annotator.types.errors import NotFoundError
 from annotator.workflows.checking.box_rules import UsualSize, odd_size_message
-from annotator.workflows.checking.point_counts import PointCounts
-from annotator.workflows.checking.project_labels import Kind, check, check_project
+from annotator.workflows.checking.project_labels import Kind, PointCounts, check, check_project
 from annotator.workflows.recorded.own_labels import import_own_labels
 from annotator.workflows.workbench.review_queue import Order, Queue, doubt, queue
 

@@ -151,7 +151,7 @@ export async function importBoxes(app, name) {
       if (answer && answer.id !== latest) source.value = answer.source;
       latest = answer?.id ?? latest;
       sent = answer;
-      about.replaceChildren(...(sent ? described(sent) : []));
+      about.replaceChildren(...(sent ? described(sent) : []).filter((line) => line !== null));
     } catch (error) {
       if (own !== asked) return;
       about.replaceChildren(h("p", { class: "error-box", role: "alert" }, messageOf(error)));
@@ -163,7 +163,7 @@ export async function importBoxes(app, name) {
 
   /** Shows what can be chosen for 2D boxes, or for 3D boxes. */
   function showKind() {
-    const is3d = sent !== null && sent.labelled !== null;
+    const is3d = sent?.is_3d ?? false;
     ofAttributes.hidden = sent === null;
     of2d.hidden = sent === null || is3d;
     of3d.hidden = !is3d;
@@ -235,13 +235,13 @@ export async function importBoxes(app, name) {
       names: Object.fromEntries(chosen.filter(({ label, to }) => label !== to).map(({ label, to }) => [label, to])),
       recording: recording.value ? Number(recording.value) : null,
       add_attributes: addAttributes.checked,
-      ...(sent.labelled === null
-        ? { box_kind: kind.value, lift: lift.checked }
-        : {
+      ...(sent.is_3d
+        ? {
             become: become.value,
             source: source.value.trim() || null,
             min_score: become.value === "proposals" && minScore.value ? Number(minScore.value) : null,
-          }),
+          }
+        : { box_kind: kind.value, lift: lift.checked }),
     });
     takeJob(app, job);
     return job;
@@ -297,50 +297,17 @@ function number(value) {
  *
  * @param {Api.BoxesFile} file
  */
-function described(file) {
-  const { name, images, unmatched, unmatched_names, ambiguous, boxes, replaced, renamed, taken_for } = file;
-  const { labelled, finalised } = file;
-  const thing = labelled === null ? "image" : "frame";
-  const total = Object.values(boxes).reduce((sum, number) => sum + number, 0);
-  const lines = [
-    h(
-      "p",
-      { "data-testid": "boxes-found" },
-      labelled === null
-        ? `${name}: ${count(total, "box", "boxes")} on ${count(images - unmatched, "image")} of this project's frames.`
-        : `${name}: ${count(total, "3D box", "3D boxes")} in ${count(images - unmatched, "frame")} of this project.`,
-    ),
+function described({ name, found, notes, ambiguous, is_3d }) {
+  const thing = is_3d ? "frame" : "image";
+  return [
+    h("p", { "data-testid": "boxes-found" }, `${name}: ${found}`),
+    ...notes.map((note) => h("p", { "data-testid": "boxes-note" }, note)),
+    ambiguous
+      ? h(
+          "p",
+          { class: "error-box", role: "alert" },
+          `${count(ambiguous, thing)} could be of several recordings. Choose the recording below.`,
+        )
+      : null,
   ];
-  const open = (labelled ?? 0) - (finalised ?? 0);
-  if (open) {
-    const frames = count(open, "of these frames has", "of these frames have");
-    const text = `${frames} labels or proposals, and can only take proposals.`;
-    lines.push(h("p", { "data-testid": "boxes-labelled" }, text));
-  }
-  if (finalised) {
-    const text = `${count(finalised, "of these frames is", "of these frames are")} finalised, and left unchanged.`;
-    lines.push(h("p", { "data-testid": "boxes-finalised" }, text));
-  }
-  if (replaced) {
-    const text = `The import replaces the boxes drawn on ${count(replaced, "image")}.`;
-    lines.push(h("p", { "data-testid": "boxes-replaced" }, text));
-  }
-  if (renamed) {
-    const text = `The file names a recording ${renamed}, taken for ${taken_for.join(", ")}.`;
-    lines.push(h("p", { "data-testid": "boxes-renamed" }, text));
-  }
-  if (unmatched) {
-    const names = unmatched_names.join(", ");
-    const left = `Left out: ${count(unmatched, thing)} without a frame of the same name, such as ${names}.`;
-    lines.push(h("p", { class: "muted" }, left));
-  }
-  if (ambiguous)
-    lines.push(
-      h(
-        "p",
-        { class: "error-box", role: "alert" },
-        `${count(ambiguous, thing)} could be of several recordings. Choose the recording below.`,
-      ),
-    );
-  return lines;
 }

@@ -1,24 +1,27 @@
-"""Which way is up in a recording that does not know it.
+"""Adjustments of a recording: which way is up in it, and corrections of its calibration.
 
-Some of its frames tell if they show a floor, a table, the ground or walls, and agree. Reviewed boxes tell if they stand
-along one axis and are turned about it.
+Some frames of a recording tell which way is up if they show a floor, a table, the ground or walls, and agree. Reviewed
+boxes tell if they stand along one axis and are turned about it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from annotator.geometry.common_axis import common_axis
 from annotator.geometry.up_direction import UpEstimate, estimate_up
-from annotator.project import BoxRotation, Project, StoredFrame, StoredRecording
+from annotator.project import Basis, BoxRotation, Project, StoredFrame, StoredRecording
 from annotator.project.adjusting import Up
 from annotator.project.labels import ReviewedBox
-from annotator.types import Frame
+from annotator.recordings.clouds.virtual_camera import has_virtual_image
+from annotator.recordings.frame_times import has_times
+from annotator.types import NO_CORRECTION, Correction, Frame
 from annotator.types.amounts import amount
-from annotator.types.errors import FrameError, RecordingError
+from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.workflows.frame_source import FrameSource
 
 AUTHOR = "up direction of reviewed boxes"
@@ -191,3 +194,35 @@ def agreed_up(estimates: Sequence[UpEstimate | None]) -> RecordingUp:
 
 def _refused(certainty: float, frames: int, reason: str) -> RecordingUp:
     return RecordingUp(None, certainty, 0.0, frames, 0, reason)
+
+
+def correct_calibration(
+    project: Project, recording_id: int, correction: Correction, author: str, basis: Basis | None = None
+) -> int:
+    """Corrects the calibration of a recording; its labels stay where they are in the clouds.
+
+    Returns:
+        number of labels in the recording.
+
+    Raises:
+        ConfigError: a time offset for a recording without times, or a recording whose images show its clouds.
+        StaleRevisionError: someone else has adjusted the recording since `basis`.
+        RecordingError: the recording is missing or cannot be read.
+    """
+    source, name = FrameSource(project), project.recordings.get(recording_id).name
+    if correction != NO_CORRECTION and _has_virtual_images(project, source, recording_id):
+        raise ConfigError(f"{name}: its images are drawn from its clouds, so there is no calibration to correct")
+    if correction.time_offset_s and not has_times(source.recording(recording_id)):
+        raise ConfigError(
+            f"{name}: its frames have no times, so there is nothing to offset; a timestamps.csv beside them gives some"
+        )
+    project.adjustments.correct(recording_id, correction, author, basis or Basis())
+    return project.labels.count(recordings=[recording_id])
+
+
+def _has_virtual_images(project: Project, source: FrameSource, recording_id: int) -> bool:
+    """Looks at the first frame that can be read."""
+    for frame in project.frames.of([recording_id]):
+        with suppress(FrameError):
+            return has_virtual_image(source.recorded(frame))
+    return False

@@ -1,4 +1,4 @@
-"""Rules about one frame's labels: sizes, places, points, and the redundant fields of KITTI's rows."""
+"""Rules about one frame of a dataset: its labels, its camera, and whether its cloud fits both."""
 
 from __future__ import annotations
 
@@ -11,25 +11,33 @@ from annotator.formats.kitti_rows import NEAR_M, KittiLabel, derived_box, label_
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.point_index import PointIndex
-from annotator.types import Frame
+from annotator.geometry.projection import project
+from annotator.recordings.plausible import DISTANCES_M
+from annotator.types import Camera, Frame
 from annotator.workflows.checking.box_rules import LEAST_POINTS, OVERLAP_IOU, few_points_message, overlaps, size_message
-from annotator.workflows.checking.label_files import FoundLabel
-from annotator.workflows.checking.rules import (
+from annotator.workflows.checking.findings import (
     ALPHA_OFF,
     BOX_BEHIND_CAMERA,
     BOX_OUTSIDE_IMAGE,
     BOX_OVERLAP,
     BROKEN_LABEL,
+    CAMERA_OF_OTHER_SIZE,
+    CLOUD_OFF_DEPTH,
+    CLOUD_OFF_IMAGE,
+    CLOUD_SCALE,
     DUPLICATE_LABEL,
     EMPTY_BOX,
     FIELD_RANGE,
+    IMAGE_BARE,
     IMAGE_BOX_OFF,
+    IMPOSSIBLE_CAMERA,
     IMPOSSIBLE_PLACE,
     IMPOSSIBLE_SIZE,
     SPARSE_BOX,
     TRACK_TWICE,
     Rule,
 )
+from annotator.workflows.checking.label_files import FoundLabel
 
 SHORTEST_M, LONGEST_M = 0.005, 60.0
 FARTHEST_M = 1e4
@@ -147,3 +155,65 @@ def _iou(a: np.ndarray, b: np.ndarray) -> float:
     shared = np.prod(np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None))
     union = np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared
     return float(shared / union) if union > 0 else 0.0
+
+
+# Focal length in image widths: fields of view from 150 to 2 degrees.
+FOCAL_LENGTHS = (0.13, 30.0)
+# Ratio of the focal lengths: pixels are square, or binned in one direction.
+MOST_ASPECT = 2.0
+# Range of the principal point as a fraction of the image size; cropped images have it far from the middle.
+PRINCIPAL_POINT = (0.2, 0.8)
+SAMPLE = 5000
+MOST_OFF_PIXEL_PX = 1.0
+# Nearly all points of a depth camera are on its image, except at the border.
+LEAST_ON_IMAGE, BORDER_PX = 0.9, 3.0
+CELL_PX = 16
+LEAST_COVERED = 0.02
+
+CameraBreach = tuple[Rule, str]
+
+
+def camera_rules(camera: Camera) -> Iterator[CameraBreach]:
+    """Yields what is implausible about a camera for its image size."""
+    size = f"for images of {camera.width_px} x {camera.height_px} px"
+    shares = camera.fx / camera.width_px, camera.fy / camera.width_px
+    low, high = FOCAL_LENGTHS
+    aspect = max(shares) / min(shares)
+    if min(shares) < low or max(shares) > high or aspect > MOST_ASPECT:
+        yield IMPOSSIBLE_CAMERA, f"focal lengths {camera.fx:g} and {camera.fy:g} px {size}"
+    middle = np.array([camera.cx / camera.width_px, camera.cy / camera.height_px])
+    if (middle < PRINCIPAL_POINT[0]).any() or (middle > PRINCIPAL_POINT[1]).any():
+        yield (
+            CAMERA_OF_OTHER_SIZE,
+            f"the principal point is ({camera.cx:g}, {camera.cy:g}) {size}; is it the camera of another image size?",
+        )
+
+
+def cloud_rules(frame: Frame, *, of_depth_camera: bool) -> Iterator[CameraBreach]:
+    """Yields what is implausible about a frame's cloud.
+
+    Args:
+        of_depth_camera: all points come from pixels of the image.
+    """
+    xyz_m = frame.cloud.xyz_m
+    distance_m = float(np.median(np.linalg.norm(xyz_m, axis=1)))
+    if not DISTANCES_M[0] <= distance_m <= DISTANCES_M[1]:
+        yield CLOUD_SCALE, f"half of the points are nearer than {distance_m:g} m; are they in metres?"
+    chosen = np.linspace(0, len(xyz_m) - 1, min(len(xyz_m), SAMPLE)).astype(np.int64)
+    px = project(frame.camera, xyz_m[chosen])
+    if frame.cloud.pixel_index is not None:
+        v, u = np.divmod(frame.cloud.pixel_index[chosen], frame.camera.width_px)
+        off = np.linalg.norm(px - np.stack([u, v], axis=1), axis=1)
+        typical = float(np.median(np.nan_to_num(off, nan=np.inf)))
+        if typical > MOST_OFF_PIXEL_PX:
+            yield CLOUD_OFF_DEPTH, f"points project {typical:.1f} px away from their own pixels"
+    size = np.array([frame.camera.width_px, frame.camera.height_px])
+    # points behind the camera are NaN and compare as false
+    on_image = ((px >= -BORDER_PX) & (px <= size + BORDER_PX)).all(axis=1)
+    if of_depth_camera and on_image.mean() < LEAST_ON_IMAGE:
+        yield CLOUD_OFF_IMAGE, f"{1 - on_image.mean():.0%} of the points of this depth camera are outside its image"
+    elif frame.depth_m is None:
+        cells = np.unique(np.floor(px[on_image] / CELL_PX).clip(0).astype(np.int64), axis=0)
+        covered = len(cells) / np.prod(np.ceil(size / CELL_PX))
+        if covered < LEAST_COVERED:
+            yield IMAGE_BARE, f"the points cover {covered:.1%} of the image; do calibration and cloud belong together?"

@@ -1,0 +1,363 @@
+"""Labelled images of COCO and YOLO datasets, and the project's frames and pseudo-views that they show."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+from annotator.files import open_file
+from annotator.formats.attributes import Values
+from annotator.formats.coco import dataset_folder, read_coco_dataset
+from annotator.formats.frame_names import FrameOrigin, read_frames
+from annotator.formats.reading import read_picture
+from annotator.formats.yolo import YoloPicture, read_yolo
+from annotator.image_bytes import (
+    PNG_SIGNATURE,
+    UPRIGHT,
+    Size,
+    box_as_stored,
+    declared_size,
+    described,
+    orientation_of,
+    turned_size,
+)
+from annotator.project import Project, ViewGeometry
+from annotator.text import OutsideError, inside, is_absolute, normal, stem_of
+from annotator.types import Box2D, BoxKind, Camera, Frame
+from annotator.types.errors import FormatError, FrameError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing.placing import Matched, Place, Renamed, match
+from annotator.workflows.views.pairs import ViewPlace
+
+
+class FlatFormat(StrEnum):
+    """Formats of 2D boxes."""
+
+    COCO = "coco"
+    YOLO = "yolo"
+
+
+@dataclass(frozen=True, eq=False)
+class PictureLabels:
+    """The boxes of one image.
+
+    Attributes:
+        file_name: the image's name in the dataset.
+        folder: the folder of `file_name`.
+        labels: class of each box.
+        size_px: width and height from the dataset; None if boxes are fractions of the image size.
+        box_kind: what the boxes enclose, if the dataset says so.
+        boxes_on: returns the boxes on an image of the given width and height, pixels.
+        values: attributes of each box; () if none has any.
+        attributes: of the image.
+        around: number of boxes that are the rectangles around turned boxes or polygons.
+    """
+
+    file_name: str
+    folder: Path
+    labels: tuple[str, ...]
+    size_px: tuple[int, int] | None
+    boxes_on: Callable[[int, int], tuple[Box2D, ...]]
+    box_kind: BoxKind | None = None
+    values: tuple[Values, ...] = ()
+    attributes: Values = field(default_factory=dict)
+    around: int = 0
+
+    @property
+    def stem(self) -> str:
+        """The file's `normal` name without folder and suffix."""
+        return normal(stem_of(self.file_name))
+
+    def file(self, path: Path) -> Path | None:
+        """Returns the image file; None if it does not exist, such as one that was on another computer.
+
+        Args:
+            path: the dataset, for the message.
+
+        Raises:
+            FormatError: the name is invalid or leads out of its folder.
+        """
+        try:
+            file = inside(self.folder, self.file_name)
+        except OutsideError as error:
+            if is_absolute(self.file_name):
+                return None
+            raise FormatError(path, str(error)) from error
+        # labels without an image have the name of their label file, which may be in this folder
+        return file if file.is_file() and file.suffix.lower() != ".txt" else None
+
+
+@dataclass(frozen=True, eq=False)
+class PictureSet:
+    """All labelled images of a file or dataset, read and checked.
+
+    Attributes:
+        path: the file or folder that was read.
+        pictures: the images in its order.
+        origins: the frames of camera images from `frames.csv`, by stem.
+    """
+
+    path: Path
+    pictures: tuple[PictureLabels, ...]
+    origins: dict[str, FrameOrigin]
+
+
+def read_pictures(format: FlatFormat, path: Path, folder: Path | None = None) -> PictureSet:
+    """Reads the labelled images at `path`.
+
+    Args:
+        path: an annotation file, or the folder of a dataset.
+        folder: the image folder; None = the dataset's own.
+
+    Raises:
+        FormatError: the dataset does not follow the format.
+    """
+    if format is FlatFormat.COCO:
+        root = dataset_folder(path)
+        pictures = [
+            PictureLabels(
+                image.file_name,
+                folder or image_folder,
+                tuple(box.label for box in image.boxes),
+                (image.width_px, image.height_px),
+                lambda _w, _h, boxes=image.boxes: boxes,  # type: ignore[misc]
+                image.box_kind,
+                image.values,
+                image.attributes,
+                image.around,
+            )
+            for image_folder, images in read_coco_dataset(path)
+            for image in images
+        ]
+    else:
+        root = path if path.is_dir() else path.parent
+        pictures = [_of_yolo(picture, folder) for picture in read_yolo(path)]
+    return PictureSet(path, tuple(pictures), read_frames(root))
+
+
+def _of_yolo(picture: YoloPicture, folder: Path | None) -> PictureLabels:
+    name = picture.file_name
+    if folder is not None and picture.picture is None:
+        # labels without an image belong to a pseudo-view, which is a PNG file
+        name = f"{stem_of(name)}.png"
+    return PictureLabels(
+        name,
+        folder or picture.folder,
+        tuple(box.label for box in picture.boxes),
+        None,
+        lambda width_px, height_px: tuple(box.on(width_px, height_px) for box in picture.boxes),
+        picture.box_kind,
+        around=sum(box.is_around for box in picture.boxes),
+    )
+
+
+# Of a JPEG file, this holds the segment with its EXIF orientation, which has at most 64 KiB and is one of the first.
+HEAD_BYTES = 1 << 18
+
+
+@dataclass(frozen=True)
+class OnImage:
+    """Boxes for the camera image of a frame.
+
+    Attributes:
+        labels: the image in the dataset.
+        camera: of the frame; None if it cannot be read.
+    """
+
+    frame_id: int
+    labels: PictureLabels
+    boxes: tuple[Box2D, ...]
+    camera: Camera | None
+
+
+@dataclass(frozen=True)
+class CheckedImages:
+    """Images matched with frames, and the others.
+
+    Attributes:
+        unmatched: file names of images without a frame.
+        unreadable: frames that cannot be read, as `key: reason`.
+        renamed: the dataset's only recording, if it was matched with one of another name.
+    """
+
+    matched: tuple[OnImage, ...]
+    unmatched: tuple[str, ...]
+    unreadable: tuple[str, ...]
+    renamed: Renamed | None
+
+
+def checked_images(
+    project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
+) -> CheckedImages:
+    """Finds each image's frame, and its boxes in the frame's pixels.
+
+    Args:
+        pictures: the camera images of `dataset`.
+        recording: name of the only recording to search.
+
+    Raises:
+        FormatError: an image fits several recordings, occurs twice, has another size than the frame, or has an EXIF
+            orientation that its boxes may take into account or not; or no image has a frame in the project.
+        NotFoundError: no such recording.
+    """
+    placed = placed_pictures(project, dataset, pictures, recording).require_clear(dataset.path)
+    source = FrameSource(project)
+    ready, unreadable = [], []
+    for picture, stored in placed.matched:
+        try:
+            frame = source.read(stored)
+        except FrameError as error:
+            # without the frame, a size given by the dataset cannot be checked and is used as it is
+            if picture.size_px is not None:
+                ready.append(OnImage(stored.id, picture, picture.boxes_on(*picture.size_px), None))
+            else:
+                unreadable.append(f"{stored.key}: {error}")
+            continue
+        ready.append(OnImage(stored.id, picture, _boxes_on(dataset.path, picture, frame), frame.camera))
+    return CheckedImages(tuple(ready), placed.unmatched, tuple(unreadable), placed.renamed)
+
+
+def placed_pictures(
+    project: Project, dataset: PictureSet, pictures: Sequence[PictureLabels], recording: str | None
+) -> Matched[PictureLabels]:
+    """Finds the frames of images; some may fit several recordings. Arguments and errors as `checked_images`."""
+    places = []
+    for picture in pictures:
+        origin = dataset.origins.get(picture.stem)
+        at, key = (None, picture.stem) if origin is None else (origin.recording, origin.key)
+        places.append(Place(picture, picture.file_name, at, key))
+    nothing = FormatError(
+        dataset.path,
+        "none of the dataset's images has a frame in the project; name image files after the frames' keys "
+        "(000012.jpg for the frame 000012)",
+    )
+    return match(project, dataset.path, places, recording, nothing)
+
+
+def _boxes_on(path: Path, picture: PictureLabels, frame: Frame) -> tuple[Box2D, ...]:
+    """Returns an image's boxes in the frame's pixels, also if its EXIF orientation was applied to the boxes only.
+
+    Raises:
+        FormatError: the labelled image is a scaled or cropped copy, whose boxes would be misplaced; or it is not known
+            whether the boxes are for the image as stored or as shown (`annotator.image_bytes`).
+    """
+    size_px = (frame.camera.width_px, frame.camera.height_px)
+    file = picture.file(path)
+    said, orientation, is_as_stored = picture.size_px, frame.exif_orientation, True
+    if file is not None:
+        content, (height, width) = _content(file, is_decoded=said is None)
+        own = orientation_of(content)
+        if said is None and own == UPRIGHT:
+            said = (width, height)
+        if orientation == UPRIGHT:
+            orientation, is_as_stored = own, declared_size(content) == size_px
+    shown_px = turned_size(orientation, size_px)
+    is_exact = picture.size_px is not None
+    fits, fits_shown = (said is not None and _fits(said, size, is_exact) for size in (size_px, shown_px))
+    if orientation != UPRIGHT and (said is None or (fits_shown and (fits or not is_as_stored))):
+        raise FormatError(
+            path,
+            f"{picture.file_name} has the {described(orientation)}, and its boxes may be for the image as stored or as "
+            "shown; save the recording's images without this tag and label them, or give the boxes in COCO's format "
+            "with the images' sizes, if these differ",
+        )
+    if orientation != UPRIGHT and fits_shown:
+        return tuple(box_as_stored(box, orientation, size_px) for box in picture.boxes_on(*shown_px))
+    if said is not None and not fits:
+        remedy = "label the image itself, not a scaled copy"
+        if not is_exact:
+            remedy = "another aspect ratio; label the whole image, neither cropped nor padded"
+        raise FormatError(
+            path,
+            f"{picture.file_name} is {said[0]} x {said[1]} pixels, but the frame is {size_px[0]} x {size_px[1]}"
+            f"{'; ' if is_exact else ': '}{remedy}",
+        )
+    return picture.boxes_on(*size_px)
+
+
+def _content(file: Path, is_decoded: bool) -> tuple[bytes, tuple[int, int]]:
+    """Returns an image file's bytes, and the height and width as shown; if not decoded, its head, and (0, 0)."""
+    if is_decoded:
+        content, bgr = read_picture(file)
+        return content, (bgr.shape[0], bgr.shape[1])
+    try:
+        with open_file(file) as opened:
+            return opened.read(HEAD_BYTES), (0, 0)
+    except OSError:  # its size is known without it
+        return b"", (0, 0)
+
+
+def _fits(size: Size, other: Size, is_exact: bool) -> bool:
+    """True for the same size, or for the proportions of a copy that was scaled to whole pixels."""
+    if is_exact:
+        return size == other
+    return abs(size[0] * other[1] - size[1] * other[0]) <= max(other)
+
+
+@dataclass(frozen=True)
+class OnView:
+    """Boxes of a pseudo-view with the image `file`; frame, step and geometry are None if unknown."""
+
+    file: Path
+    boxes: tuple[Box2D, ...]
+    frame_id: int | None
+    step: int | None
+    geometry: ViewGeometry | None
+    box_kind: BoxKind | None = None
+
+    @property
+    def image_box(self) -> Box2D | None:
+        """The box on the camera image from which the view was rendered."""
+        return None if self.geometry is None else self.geometry.image_box
+
+
+def checked_views(
+    project: Project, path: Path, pictures: Sequence[tuple[PictureLabels, ViewPlace | None]]
+) -> tuple[OnView, ...]:
+    """Checks the views of a dataset and finds their frames.
+
+    Args:
+        path: the dataset, for messages.
+        pictures: the images, with their places if known.
+
+    Raises:
+        FormatError: an image is missing, not PNG, occurs twice, or has another size.
+        NotFoundError: a frame that the project does not have.
+    """
+    views: list[OnView] = []
+    # repeated images are refused: their boxes would replace those of the first
+    names: dict[tuple[str, int | None], str] = {}
+    for picture, place in pictures:
+        file, size_px, digest = _checked_picture(path, picture)
+        frame_id = None
+        if place is not None and place.recording is not None and place.frame is not None:
+            frame_id = project.frames.find(project.recordings.find(place.recording).id, place.frame).id
+        step, geometry = (None, None) if place is None else (place.step, place.geometry)
+        if (digest, frame_id) in names:
+            raise FormatError(
+                path, f"{names[digest, frame_id]} and {picture.file_name} are the same image; keep one of them"
+            )
+        names[digest, frame_id] = picture.file_name
+        views.append(OnView(file, picture.boxes_on(*size_px), frame_id, step, geometry, picture.box_kind))
+    return tuple(views)
+
+
+def _checked_picture(path: Path, picture: PictureLabels) -> tuple[Path, tuple[int, int], str]:
+    """Returns the image file, its width and height in pixels, and the hash of its content."""
+    file = picture.file(path)
+    if file is None:
+        raise FormatError(path, f"{picture.file_name} is not in {picture.folder}; give the folder of the images")
+    content, bgr = read_picture(file)
+    if not content.startswith(PNG_SIGNATURE):
+        raise FormatError(file, "is not a PNG image; save pseudo-views as PNG")
+    height_px, width_px = bgr.shape[:2]
+    if picture.size_px is not None and picture.size_px != (width_px, height_px):
+        raise FormatError(
+            path,
+            f"{picture.file_name} is {width_px} x {height_px} pixels, but the label file says {picture.size_px[0]} x "
+            f"{picture.size_px[1]}; label the image itself, not a scaled copy",
+        )
+    return file, (width_px, height_px), hashlib.sha256(content).hexdigest()

@@ -1,0 +1,328 @@
+"""Reads 3D boxes in each format as a `LabelSet`."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from annotator.formats.argoverse import ANNOTATIONS, read_argoverse
+from annotator.formats.attributes import Values
+from annotator.formats.box_csv import read_upright_boxes
+from annotator.formats.boxes_json import boxes_file, each_frame
+from annotator.formats.kitti_objects import KittiRows, each_kitti_frame, read_kitti_shifts
+from annotator.formats.kitti_rows import label_frame
+from annotator.formats.kitti_tracking import read_kitti_tracks
+from annotator.formats.labelcloud import LabelCloudFrame, read_labelcloud
+from annotator.formats.nuscenes import is_seen, read_nuscenes, read_results, read_world_poses
+from annotator.formats.openlabel import OpenLabelBox, read_openlabel
+from annotator.formats.packed_truths import PackedTruths
+from annotator.formats.rcv import read_rcv
+from annotator.formats.sunrgbd import read_extracted_folder
+from annotator.formats.sunrgbd_table import read_meta, upright_frame
+from annotator.formats.sustechpoints import SceneCamera, read_sustechpoints
+from annotator.formats.units import Angles, AngleUnit
+from annotator.project import Project
+from annotator.recordings.argoverse import ArgoverseLog
+from annotator.recordings.look_around import LookAround
+from annotator.recordings.nuscenes import NuScenes
+from annotator.recordings.sunrgbd import read_extracted_calibration
+from annotator.types import Frame, Label, Truth
+from annotator.types.errors import FormatError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.importing.label_set import LabelSet, PlacedBoxes, Pose, moved_in_world, transformed
+
+# Two cameras with matrices that differ less, as a share of the focal length, are the same.
+SAME_CAMERA = 0.01
+
+
+def boxes_labels(path: Path) -> PlacedBoxes:
+    """Reads a `boxes.json` file, or that of a folder. Raises FormatError: missing, or not valid."""
+    return PlacedBoxes(path, PackedTruths(each_frame(boxes_file(path))))
+
+
+def kitti_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
+    """Reads a folder of KITTI object labels. Raises FormatError as `each_kitti_frame` and `read_kitti_shifts`."""
+    found = KittiRows(Angles(angles))
+    objects = PackedTruths(each_kitti_frame(path, found))
+    return PlacedBoxes(path, objects, _from_rectified(read_kitti_shifts(path)), found.flat)
+
+
+def kitti_tracking_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
+    """Reads KITTI tracking labels of whole sequences. Raises FormatError as `read_kitti_tracks`."""
+    found = KittiRows(Angles(angles))
+    objects, shifts = read_kitti_tracks(path, found)
+    return PlacedBoxes(path, PackedTruths(objects.items()), _from_rectified(shifts), found.flat)
+
+
+def _from_rectified(shifts: Mapping[str, np.ndarray]) -> Pose:
+    """From the frame of rectified camera 0, by the dataset's calibration, else that of the frame's recording. Without
+    either, the labels are taken as being in the camera frame.
+
+    Args:
+        shifts: shift from rectified camera 0 to the colour camera, (3,) metres, of frames with a calibration.
+    """
+
+    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
+        shift = shifts.get(name)
+        return label_frame(read()) if shift is None else RigidTransform.from_translation(shift)
+
+    return pose
+
+
+def sunrgbd_labels(path: Path) -> PlacedBoxes:
+    """Reads SUN RGB-D labels: a folder in VoteNet's layout (upright boxes), or the data set's table (tilted boxes).
+
+    Raises FormatError for invalid labels, FrameError for invalid calibrations.
+    """
+    if path.suffix == ".mat":
+        frames = read_meta(path)
+        poses = {each.name: each.T_camera_upright for each in frames}
+        return PlacedBoxes(path, PackedTruths((each.name, each.truths) for each in frames), _from_upright(poses))
+    labelled = read_extracted_folder(path)
+    poses = {
+        name: read_extracted_calibration(each.calibration).T_camera_upright
+        for name, each in labelled.items()
+        if each.calibration is not None and each.calibration.is_file()
+    }
+    objects = PackedTruths((name, each.truths) for name, each in labelled.items())
+    return PlacedBoxes(path, objects, _from_upright(poses))
+
+
+def box_csv_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
+    """Reads a CSV file of boxes in upright depth. Raises FormatError as `read_upright_boxes`."""
+    return PlacedBoxes(path, PackedTruths(read_upright_boxes(path, angles).items()), _from_upright({}))
+
+
+def _from_upright(poses: Mapping[str, RigidTransform]) -> Pose:
+    """From upright depth.
+
+    Args:
+        poses: T_camera_upright of frames with a calibration in the dataset; for others it follows from the frame.
+    """
+
+    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform:
+        return poses[name] if name in poses else upright_frame(read())
+
+    return pose
+
+
+def labelcloud_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
+    """Reads a labelCloud project.
+
+    Raises FormatError: not a labelCloud project, or a label file that does not follow the format.
+    """
+    return of_labelcloud(path, read_labelcloud(path, angles=angles))
+
+
+def of_labelcloud(path: Path, frames: Mapping[str, LabelCloudFrame]) -> PlacedBoxes:
+    """Boxes in the frames of their clouds; transformed to the camera by the dataset's calibration, else the frame's."""
+    poses = {name: each.T_camera_cloud for name, each in frames.items()}
+
+    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
+        return read().T_camera_label if (T := poses[name]) is None else T
+
+    objects = ((name, [Truth(label, box) for label, box in each.boxes]) for name, each in frames.items())
+    return PlacedBoxes(path, PackedTruths(objects), pose)
+
+
+def nuscenes_tables(path: Path) -> PlacedBoxes:
+    """Reads the annotations of every camera's images in a folder of nuScenes tables.
+
+    Raises FormatError: no such folder, or rows that do not follow the schema.
+    """
+    objects = (
+        (name, [Truth(each.label, each.box, each.track_id, attributes=each.attributes) for each in boxes])
+        for name, boxes in read_nuscenes(path).items()
+    )
+    poses = read_world_poses(path)
+    return PlacedBoxes(path, PackedTruths(objects), lambda name, read: moved_in_world(poses.get(name), read))
+
+
+def sustechpoints_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
+    """Reads SUSTechPOINTS' labels, which are in the frames of their clouds.
+
+    They are transformed to the camera by the scene's calibration of the camera that the frame has. Without one, they
+    are in the frame of the recording's own labels: for a folder of clouds, that of the clouds.
+
+    Raises FormatError: as `read_sustechpoints`.
+    """
+    frames = read_sustechpoints(path, angles)
+    cameras = {name: (each.cameras, each.is_export, each.T_world_cloud) for name, each in frames.items()}
+
+    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
+        of_scene, is_export, T_world_cloud = cameras[name]
+        if not is_export:
+            return _by_camera(of_scene, read())
+        return of_scene[0].T_camera_cloud if (T := moved_in_world(T_world_cloud, read)) is None else T
+
+    return PlacedBoxes(path, PackedTruths((name, each.objects) for name, each in frames.items()), pose)
+
+
+def _by_camera(cameras: tuple[SceneCamera, ...], frame: Frame) -> RigidTransform | None:
+    K = frame.camera.matrix
+    off = [float(np.abs(camera.K - K).max() / K[0, 0]) for camera in cameras]
+    best = int(np.argmin(off)) if off else None
+    return frame.T_camera_label if best is None or off[best] > SAME_CAMERA else cameras[best].T_camera_cloud
+
+
+@dataclass(frozen=True)
+class _SampleBoxes(PlacedBoxes):
+    """Boxes around a vehicle, of which each camera's frame gets those that its image shows.
+
+    `objects` are by their sample, in the frame of the recordings' own labels.
+
+    Attributes:
+        places: the sample of each of a project's frames, by "RECORDING/KEY"; see `in_project`.
+    """
+
+    places: Mapping[str, str] = field(default_factory=dict)
+    # the places of the boxes that are in an image, by sample
+    _seen: defaultdict[str, set[int]] = field(default_factory=lambda: defaultdict(set), init=False)
+
+    @property
+    def frames(self) -> Sequence[str]:
+        found = set(self.places.values())
+        return (*self.places, *(sample for sample in self.objects if sample not in found))
+
+    def unseen(self) -> int:
+        return sum(len(self.objects[sample]) - len(seen) for sample, seen in self._seen.items())
+
+    def _objects(self, name: str) -> Sequence[Truth]:
+        return self.objects[self.places.get(name, name)]
+
+    def _in_camera(self, name: str, truths: Sequence[Truth], read: Callable[[], Frame]) -> list[Truth]:
+        frame = read()
+        K, size = frame.camera.matrix, (frame.camera.width_px, frame.camera.height_px)
+        moved = transformed(truths, frame.T_camera_label)
+        seen = [place for place, truth in enumerate(moved) if is_seen(truth.box, K, *size)]
+        self._seen[self.places.get(name, name)].update(seen)
+        return [moved[place] for place in seen]
+
+
+class NuScenesResults(_SampleBoxes):
+    """The boxes of a detector or tracker, in the global frame, by the token of their sample."""
+
+    def in_project(self, project: Project) -> LabelSet:
+        """Returns the boxes by the project's frames: those of each camera of the samples' recordings."""
+        source, places = FrameSource(project), dict[str, str]()
+        for stored in project.recordings.all():
+            if stored.format not in (NuScenes.format, LookAround.format):
+                continue
+            recording = source.recording(stored.id)
+            base = recording.base if isinstance(recording, LookAround) else recording
+            if isinstance(base, NuScenes):
+                samples = {key: base.sample(key) for key in base.keys}
+                found = {f"{stored.name}/{key}": each for key, each in samples.items() if each is not None}
+                places |= {name: each for name, each in found.items() if each in self.objects}
+        if not places:
+            problem = (
+                f"the project has none of its samples ({len(self.objects)}); add their scenes to the project first"
+            )
+            raise FormatError(self.path, problem)
+        return replace(self, places=places)
+
+
+def nuscenes_labels(path: Path) -> PlacedBoxes:
+    """Reads a file of results, or a folder of tables. Raises FormatError as `read_results` and `nuscenes_tables`."""
+    return nuscenes_results(path) if path.is_file() else nuscenes_tables(path)
+
+
+def nuscenes_results(path: Path) -> NuScenesResults:
+    """Reads a file of results of nuScenes' detection or tracking task. Raises FormatError as `read_results`."""
+    return NuScenesResults(path, PackedTruths(read_results(path)))
+
+
+class ArgoverseLabels(_SampleBoxes):
+    """The annotations of an Argoverse 2 log, in the ego frame, by the time of their sweep."""
+
+    def in_project(self, project: Project) -> LabelSet:
+        """Returns the boxes by the project's frames: those of each camera of the log."""
+        names = {
+            stored.id: stored.name
+            for stored in project.recordings.all()
+            if stored.format in (ArgoverseLog.format, LookAround.format)
+        }
+        frames = project.frames.of(tuple(names))
+        places = {f"{names[each.recording_id]}/{each.key}": each.key for each in frames if each.key in self.objects}
+        if not places:
+            problem = f"the project has none of its sweeps ({len(self.objects)}); add their log to the project first"
+            raise FormatError(self.path, problem)
+        return replace(self, places=places)
+
+
+def argoverse_labels(path: Path) -> ArgoverseLabels:
+    """Reads `annotations.feather`, or that of a log. Raises as `read_argoverse`."""
+    file = path / ANNOTATIONS if path.is_dir() else path
+    sweeps = (
+        (str(time_ns), [Truth(each.label, each.box, each.track) for each in boxes])
+        for time_ns, boxes in read_argoverse(file).items()
+    )
+    return ArgoverseLabels(path, PackedTruths(sweeps))
+
+
+def rcv_labels(path: Path) -> PlacedBoxes:
+    """Reads an `rcv` dataset.
+
+    Raises FormatError: not an `rcv` dataset, or a label file that does not follow the format.
+    """
+    dataset = read_rcv(path)
+    frames = [dataset.named_labels(i) for i in range(len(dataset))]
+    values = {name: values for name, _, values, _ in frames}
+    poses = {name: pose for name, *_, pose in frames}
+    return _reviewed(
+        path,
+        {name: labels for name, labels, *_ in frames},
+        lambda name, read: moved_in_world(poses[name], read),
+        values,
+    )
+
+
+def of_rcv(path: Path, key: str, labels: Sequence[Label]) -> PlacedBoxes:
+    """The labels of one frame of an `rcv` dataset, in its camera frame."""
+    return _reviewed(path, {key: labels}, None, {})
+
+
+def openlabel_labels(path: Path, angles: AngleUnit | None = None) -> PlacedBoxes:
+    """Reads OpenLABEL documents.
+
+    Raises FormatError: not an OpenLABEL document, or one that does not follow the standard.
+    """
+    frames = read_openlabel(path, angles)
+
+    def pose(name: str, read: Callable[[], Frame]) -> RigidTransform | None:
+        own = frames[name]
+        return moved_in_world(own.T_world_sensor, read) if own.of_camera else read().T_camera_label
+
+    boxes = {name: each.boxes for name, each in frames.items()}
+    return _reviewed(path, boxes, pose, {name: each.attributes for name, each in frames.items()})
+
+
+def _reviewed(
+    path: Path, frames: Mapping[str, Sequence[Label | OpenLabelBox]], pose: Pose | None, values: Mapping[str, Values]
+) -> PlacedBoxes:
+    """The formats whose boxes have a review state."""
+    objects = (
+        (
+            name,
+            [
+                Truth(
+                    each.label,
+                    each.box,
+                    each.track_id,
+                    each.score,
+                    box_kind=each.box_kind,
+                    attributes=each.attributes,
+                    said=each.said,
+                )
+                for each in boxes
+            ],
+        )
+        for name, boxes in frames.items()
+    )
+    states = {name: tuple(each.state for each in boxes) for name, boxes in frames.items()}
+    return PlacedBoxes(path, PackedTruths(objects), pose, states=states, values=values)

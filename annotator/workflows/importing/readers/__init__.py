@@ -1,1 +1,0 @@
-"""Reads 3D boxes in each format as a `ProposalSet`."""
