@@ -9,10 +9,7 @@ from importlib import import_module
 from fastapi import FastAPI
 
 from annotator import __version__
-from annotator.web.background.automatic_backups import AutomaticBackups
-from annotator.web.background.learning import Learner, StepAside
-from annotator.web.background.preload import preload
-from annotator.web.background.watch import Watch
+from annotator.web.background import AutomaticBackups, Learner, StepAside, Watch, preload
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.fairness import Fair

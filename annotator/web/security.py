@@ -34,7 +34,7 @@ from annotator.web.errors import (
     internal_error,
     status_of,
 )
-from annotator.web.limits.rates import Rate, address_key
+from annotator.web.limits import Rate, address_key
 from annotator.web.settings import ServerSettings
 
 LOG = logging.getLogger("annotator.web")

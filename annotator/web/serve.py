@@ -18,10 +18,8 @@ from fastapi import FastAPI
 from annotator.files import make_private
 from annotator.types.errors import ConfigError
 from annotator.web.app import create_app
-from annotator.web.background.heaps import tidy_heaps
-from annotator.web.limits.connections import Connections, most_connections
-from annotator.web.limits.log import limited_log
-from annotator.web.limits.protocols import LimitedConfig
+from annotator.web.background import tidy_heaps
+from annotator.web.limits import Connections, LimitedConfig, limited_log, most_connections
 from annotator.web.security import link
 from annotator.web.server_lock import JOBS_FOLDER, hold_server_lock
 from annotator.web.settings import ServerSettings

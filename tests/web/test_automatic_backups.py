@@ -13,7 +13,7 @@ from annotator.project import WriteContext, create_project
 from annotator.project.backup.automatic import FOLDER, Reason, automatic_backups, back_up_automatically
 from annotator.project.backup.take_in import restore
 from annotator.types import BoxKind
-from annotator.web.background.automatic_backups import PAUSE_S, AutomaticBackups
+from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups
 from annotator.web.context import Context
 from annotator.web.leftovers import clear_leftovers
 from annotator.web.settings import ServerSettings
@@ -58,11 +58,11 @@ def test_a_failed_backup_is_logged_and_tried_again_an_hour_later(
         with caplog.at_level(logging.WARNING, "annotator.web"):
             backups.make_due()
             in_the_way.unlink()
-            now[0] = PAUSE_S - 1
+            now[0] = BACKUPS_PAUSE_S - 1
             backups.make_due()
         assert ["no automatic backup" in record.message for record in caplog.records] == [True]
         assert automatic_backups(changed) == []
-        now[0] = PAUSE_S
+        now[0] = BACKUPS_PAUSE_S
         backups.make_due()
         assert len(automatic_backups(changed)) == 1
     finally:

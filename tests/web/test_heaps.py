@@ -14,7 +14,7 @@ import pytest
 COUNT = """
 import contextlib, ctypes, sys, threading, time
 sys.path.insert(0, sys.argv[1])
-from annotator.web.background.heaps import tidy_heaps
+from annotator.web.background import tidy_heaps
 libc = ctypes.CDLL(None)
 libc.malloc.restype = libc.fdopen.restype = ctypes.c_void_p
 rss = lambda: int(open("/proc/self/statm").read().split()[1]) >> 8
@@ -59,7 +59,7 @@ def test_threads_share_two_heaps_and_free_memory_is_returned() -> None:
 # Prints whether objects are left out of collections: at first, without new modules, and after one was loaded.
 LEFT_OUT = """
 import gc, time
-from annotator.web.background.heaps import tidy_heaps
+from annotator.web.background import tidy_heaps
 
 def grows_beyond(number, within_s):
     ends = time.monotonic() + within_s

@@ -20,9 +20,8 @@ from annotator.project.log import ChangedFrame, Log
 from annotator.project.models import Models
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
-from annotator.web.background import learning
-from annotator.web.background.learning import Learner
-from annotator.web.background.watch import Watch
+from annotator.web import background
+from annotator.web.background import Learner, Watch
 from annotator.web.context import Context
 from annotator.web.jobs import runner
 from annotator.web.jobs.messages import PAUSE, RESUME, STOP
@@ -88,7 +87,7 @@ def test_boxes_from_before_the_newest_detector_are_learned_already(
     monkeypatch.setattr(Labels, "count", lambda self, states: reviewed[0])
     decisions: list[Decision | None] = [None]
     monkeypatch.setattr(Models, "all", lambda self, role: ("a detector",) if role is DetectorKind.VIEW else ())
-    monkeypatch.setattr(learning, "decision_of", lambda model: decisions[0])
+    monkeypatch.setattr(background, "decision_of", lambda model: decisions[0])
     project.configure(settings=project.config.settings.model_copy(update={"learn_every": 10}))
     learner = Learner(jobs)
     for reviewed[0], waits in ((15, False), (24, False), (25, True)):
@@ -119,7 +118,7 @@ def test_a_training_that_somebody_started_has_learned_too(
     end_all(jobs)
     trained = Decision(objects=0, frames=0, mean_iou=None, compared=(), started_from="", outcome="", reviewed=20)
     monkeypatch.setattr(Models, "all", lambda self, role: ("a detector",) if role is DetectorKind.VIEW else ())
-    monkeypatch.setattr(learning, "decision_of", lambda model: trained)
+    monkeypatch.setattr(background, "decision_of", lambda model: trained)
     for reviewed[0], rounds in ((20, 0), (29, 0), (30, 1)):
         learner.look("room", project)
         assert sum(job.background for job in jobs.all()) == rounds

@@ -27,8 +27,7 @@ from annotator.project.labels import Labels
 from annotator.types.errors import NotFoundError
 from annotator.web import fairness, projects
 from annotator.web.app import create_app
-from annotator.web.background.learning import Learner
-from annotator.web.background.watch import Watch
+from annotator.web.background import Learner, Watch
 from annotator.web.fairness import Fair
 from annotator.web.leftovers import clear_leftovers
 from annotator.web.schemas import Box3DJson

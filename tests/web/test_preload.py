@@ -8,12 +8,12 @@ import sys
 
 import pytest
 
-from annotator.web.background import preload as module
-from annotator.web.background.preload import preload
+from annotator.web import background as module
+from annotator.web.background import preload
 
 LOADED = """
 import sys
-from annotator.web.background.preload import preload
+from annotator.web.background import preload
 before = {"numba", "viser"} & set(sys.modules)
 preload().join()
 from annotator.geometry.kernels.points_in_box import points_in_box

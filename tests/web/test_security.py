@@ -21,7 +21,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from annotator.types.errors import ConfigError
 from annotator.web import security
 from annotator.web.app import create_app
-from annotator.web.limits.rates import Rate
+from annotator.web.limits import Rate
 from annotator.web.security import (
     BODY_LIMIT,
     GUESSES_BURST,
