@@ -11,7 +11,7 @@ from pathlib import Path
 
 from annotator.files import private_folder
 from annotator.types.errors import ConfigError
-from annotator.web.jobs.journal import require_own_files
+from annotator.web.jobs.records import require_own_files
 
 LOG = logging.getLogger("annotator.web")
 

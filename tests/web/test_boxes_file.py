@@ -25,8 +25,7 @@ from annotator.types import Box2D, BoxKind, Source
 from annotator.types.errors import FormatError, NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
-from annotator.web.jobs.job_context import JobContext
-from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest
+from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 

@@ -24,8 +24,7 @@ from annotator.web import background
 from annotator.web.background import Learner, Watch
 from annotator.web.context import Context
 from annotator.web.jobs import runner
-from annotator.web.jobs.messages import PAUSE, RESUME, STOP
-from annotator.web.jobs.records import WORK, JobState, TrainRequest
+from annotator.web.jobs.records import PAUSE, RESUME, STOP, WORK, JobState, TrainRequest
 from annotator.web.jobs.runner import STEPPED_ASIDE, JobRunner
 from annotator.web.jobs.worker import Orders
 from annotator.workflows.training.held_out import Decision

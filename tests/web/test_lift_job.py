@@ -20,9 +20,7 @@ from annotator.rcv.config import AGNOSTIC_LABELS
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.web.jobs import work
-from annotator.web.jobs.job_context import JobContext, JobStoppedError
-from annotator.web.jobs.messages import Progress, WorkerMessage
-from annotator.web.jobs.records import LiftRequest
+from annotator.web.jobs.records import JobContext, JobStoppedError, LiftRequest, Progress, WorkerMessage
 from annotator.web.schemas import Box2DJson
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 

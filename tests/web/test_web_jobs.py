@@ -21,9 +21,8 @@ from test_events import listen, next_of
 
 from annotator.formats.rcv import read_rcv
 from annotator.project import open_project
-from annotator.web.jobs import process, runner
-from annotator.web.jobs.journal import FILE
-from annotator.web.jobs.records import WORK
+from annotator.web.jobs import runner
+from annotator.web.jobs.records import FILE, WORK
 from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, MOST_WAITING
 from annotator.web.jobs.worker import AUTOGROUP, NICENESS
 
@@ -109,7 +108,7 @@ def test_a_running_and_a_waiting_job_can_be_stopped(server: Live) -> None:
 
 
 def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "KILL_AFTER_S", 0.5)
+    monkeypatch.setattr(runner, "KILL_AFTER_S", 0.5)
     server.context.jobs._grace_s = 0.5
     job = begin(server, fake_jobs.DEAF)
     until(server, job, "running", "deaf")

@@ -1,18 +1,25 @@
-"""Requests for jobs, and records of jobs."""
+"""What a job is: its request, its record and journal, the messages of its worker, and the context of its work."""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
 from annotator.detection.config import MOST_MINUTES
+from annotator.files import TABLE_BYTES, link_out, private_folder, read_file, write_atomic
+from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind, ReviewState
-from annotator.types.errors import ConfigError
+from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.web.schemas import ClassName, RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 from annotator.workflows.importing.proposals_3d import MOST_NAME
+
 
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
@@ -231,3 +238,178 @@ class Job(BaseModel):
     curves: tuple[CurvePoint, ...] = ()
     download: Literal["kept", "gone"] | None = None
     background: bool = False
+
+
+LOG = logging.getLogger("annotator.web")
+
+FILE = "journal.json"
+SERVER_STOPPED = "the server was stopped"
+
+
+class _Journal(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    jobs: tuple[Job, ...]
+
+
+def require_own_files(folder: Path) -> None:
+    """Refuses a folder of jobs with links that lead out of it: somebody may have sent it, together with projects.
+
+    Raises:
+        ConfigError: the folder is a link, or has one that leads out of it.
+    """
+    try:
+        link = folder if folder.is_symlink() else link_out(folder) if folder.exists() else None
+    except OSError as error:
+        raise ConfigError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    if link is not None:
+        raise ConfigError(f"{link}: is a link that leads out of the projects' folder of jobs; remove it")
+
+
+def read_journal(folder: Path) -> list[Job]:
+    """The jobs in the journal, oldest first; unfinished ones become failed. Empty if it is missing or unreadable."""
+    path = folder / FILE
+    try:
+        jobs = _Journal.model_validate_json(read_file(path, TABLE_BYTES)).jobs
+    except FileNotFoundError:
+        return []
+    except (OSError, ValidationError) as error:
+        # the server can start without the list of earlier jobs
+        LOG.warning("%s: cannot be read, earlier jobs are not listed: %s", path, error)
+        return []
+    return [_ended(job) for job in jobs]
+
+
+def write_journal(folder: Path, jobs: Iterable[Job]) -> None:
+    """Writes the journal; an error is logged only."""
+    try:
+        private_folder(folder)
+        write_atomic(folder / FILE, _Journal(jobs=tuple(jobs)).model_dump_json().encode(), private=True)
+    except OSError as error:
+        LOG.warning("%s: the list of jobs cannot be written: %s", folder, error)
+
+
+def _ended(job: Job) -> Job:
+    if job.state.ended:
+        return job
+    return job.model_copy(update={"state": JobState.FAILED, "message": SERVER_STOPPED, "eta_s": None})
+
+
+# Orders to a running worker. PAUSE and RESUME are for jobs in the background.
+STOP, PAUSE, RESUME = "stop\n", "pause\n", "resume\n"
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Order(_Message):
+    """The job of a worker.
+
+    Attributes:
+        target: "module:function" of the work.
+        project: the project's folder.
+        folder: an empty folder for the results.
+        operator: who started it.
+        readable: as for `open_project`.
+    """
+
+    target: str
+    project: Path
+    folder: Path
+    operator: str
+    request: JobRequest
+    readable: tuple[Path, ...] | None = None
+
+
+class Progress(_Message):
+    """The progress of the job."""
+
+    type: Literal["progress"] = "progress"
+    stage: str
+    done: float
+    total: float
+    eta_s: float | None = None
+
+
+class Measured(_Message):
+    """A new point of the training curves."""
+
+    type: Literal["measured"] = "measured"
+    point: CurvePoint
+
+
+class Finished(_Message):
+    """The job is done."""
+
+    type: Literal["finished"] = "finished"
+    message: str
+    result: dict[str, Any]
+
+
+class Stopped(_Message):
+    """The job has stopped on request."""
+
+    type: Literal["stopped"] = "stopped"
+    message: str
+
+
+class Failed(_Message):
+    """The job has failed; `is_fault` is True for an unexpected exception, False for an error of its input."""
+
+    type: Literal["failed"] = "failed"
+    message: str
+    is_fault: bool
+
+
+WorkerMessage = Progress | Measured | Finished | Stopped | Failed
+WORKER_MESSAGE = TypeAdapter[WorkerMessage](Annotated[WorkerMessage, Field(discriminator="type")])
+
+
+class JobStoppedError(AnnotatorError):
+    """The job was stopped by an operator."""
+
+
+@dataclass(frozen=True, eq=False)
+class JobContext:
+    """The context of one job.
+
+    Attributes:
+        project: open.
+        folder: for the job's results; initially empty.
+        operator: who started the job.
+        send: sends a message to the server.
+        stopped: returns True once a stop is requested.
+    """
+
+    project: Project
+    folder: Path
+    operator: str
+    send: Callable[[WorkerMessage], None]
+    stopped: Callable[[], bool]
+
+    def progress(self, stage: str, done: float = 0.0, total: float = 0.0, eta_s: float | None = None) -> None:
+        """Reports the progress. A job stops at its next call of this method.
+
+        Raises:
+            JobStoppedError: a stop was requested.
+        """
+        if self.stopped():
+            raise JobStoppedError("stopped")
+        self.send(Progress(stage=stage, done=done, total=total, eta_s=eta_s))
+
+    def counter(self, stage: str) -> Callable[[int, int], None]:
+        """A progress callback (done, total) for a workflow."""
+        return lambda done, total: self.progress(stage, float(done), float(total))
+
+    def measured(self, point: CurvePoint) -> None:
+        """Adds a point to the training curves."""
+        self.send(Measured(point=point))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of a job: a message for people, and a result for programs."""
+
+    message: str
+    result: dict[str, Any]

@@ -18,9 +18,20 @@ from typing import TextIO
 
 from annotator.project import open_project
 from annotator.types.errors import AnnotatorError
-from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
-from annotator.web.jobs.messages import PAUSE, RESUME, Failed, Finished, Order, Progress, Stopped, WorkerMessage
-from annotator.web.jobs.records import in_background
+from annotator.web.jobs.records import (
+    PAUSE,
+    RESUME,
+    Failed,
+    Finished,
+    JobContext,
+    JobStoppedError,
+    Order,
+    Outcome,
+    Progress,
+    Stopped,
+    WorkerMessage,
+    in_background,
+)
 
 NICENESS, BACKGROUND_NICENESS = 10, 19
 # The priority of all processes of a session, where Linux groups them: sched(7), "The autogroup feature".
