@@ -112,9 +112,8 @@ def _wait_for_interrupt() -> None:
 def _workbench(root: Path) -> AbstractContextManager[None]:
     """The workbench on a free port, with the demo's project."""
     from annotator.cli.serve import first_page
+    from annotator.web.security import ServerSettings, with_token
     from annotator.web.serve import serving
-    from annotator.web.settings import ServerSettings
-    from annotator.web.tokens import with_token
 
     return serving(with_token(ServerSettings(root.resolve(), (root,), port=0)), first_page(PROJECT, root))
 

@@ -42,9 +42,8 @@ def run(
         loop: restart the recording after its last frame.
         rate: play the recording at this rate, frames per second; default: its own rate.
     """
-    from annotator.web.live.run import LiveOptions, run_live
-    from annotator.web.settings import ServerSettings
-    from annotator.web.tokens import with_token
+    from annotator.web.live import LiveOptions, run_live
+    from annotator.web.security import ServerSettings, with_token
     from annotator.workflows.live.rates import summary_line
 
     options = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)

@@ -32,10 +32,8 @@ def run(
         open: open the page in the browser.
         window: open the page in a window of its own.
     """
-    from annotator.web.security import is_loopback
+    from annotator.web.security import ServerSettings, is_loopback, with_token
     from annotator.web.serve import serve
-    from annotator.web.settings import ServerSettings
-    from annotator.web.tokens import with_token
 
     root = projects_root(projects)
     missing = [str(path) for path in folder if not path.is_dir()]

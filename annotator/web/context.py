@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 import shutil
 import tempfile
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import unquote
@@ -23,17 +26,80 @@ from annotator.project.database.patience import patience_s, waiting_at_most
 from annotator.project.store import BUSY_TIMEOUT_S
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
-from annotator.web.caches import Caches
 from annotator.web.errors import NotSignedInError, hide_paths
-from annotator.web.folders import Folders
+from annotator.web.folders import JOBS_FOLDER, Folders
 from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
-from annotator.web.security import is_loopback
-from annotator.web.server_lock import JOBS_FOLDER
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings, is_loopback
 from annotator.web.uploads import as_sent
+from annotator.workflows.workbench.frame_cache import FrameCache
+from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
+from annotator.workflows.workbench.sheet_pictures import SheetPictures
+from annotator.workflows.workbench.whole_boxes import WholeBoxes
+
+
+# The image of a pseudo-view takes some 30 kB.
+MOST_IMAGES = 1000
+
+
+class ViewImageCache:
+    """The latest PNG images of pseudo-views, by the SHA-256 of their content. Thread-safe."""
+
+    def __init__(self, most: int = MOST_IMAGES) -> None:
+        self._most = most
+        self._lock = threading.Lock()
+        self._images: OrderedDict[str, bytes] = OrderedDict()
+
+    def add(self, content: bytes) -> str:
+        """Adds the content of a PNG file; returns its id, the same as that of `project.views.store`."""
+        name = hashlib.sha256(content).hexdigest()
+        with self._lock:
+            self._images[name] = content
+            self._images.move_to_end(name)
+            while len(self._images) > self._most:
+                self._images.popitem(last=False)
+        return name
+
+    def get(self, name: str) -> bytes | None:
+        """The PNG, or None if it is not in the cache."""
+        with self._lock:
+            return self._images.get(name)
+
+
+class Caches:
+    """The caches of one application.
+
+    Attributes:
+        frames: recently opened frames.
+        view_images: images of the pseudo-views shown by pages.
+        sheets: pictures of contact sheets.
+        detectors: loaded detectors of the projects.
+    """
+
+    def __init__(self) -> None:
+        self.frames = FrameCache()
+        self.view_images = ViewImageCache()
+        self.sheets = SheetPictures(self.frames)
+        self.detectors = ReadyDetectors()
+        self._lock = threading.Lock()
+        self._whole: dict[Path, WholeBoxes] = {}
+
+    def whole_boxes(self, project: Project) -> WholeBoxes:
+        """What offers whole boxes for the drawn objects of a project."""
+        with self._lock:
+            known = self._whole.get(project.path)
+            if known is None or known.project is not project:  # opened again
+                known = self._whole[project.path] = WholeBoxes(project, partial(self.frames.look, project))
+            return known
+
+    def close(self) -> None:
+        """Stops the background threads of the caches."""
+        self.frames.close()
+        self.sheets.close()
+        self.detectors.close()
+
 
 LOG = logging.getLogger("annotator.web")
 

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import errno
+import logging
+import os
+import re
+import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.files import private_folder
+from annotator.project.backup.automatic import FOLDER as BACKUPS
+from annotator.project.backup.unfinished import remove_abandoned
 from annotator.recordings import detect_format
-from annotator.types.errors import NotFoundError, RecordingError
+from annotator.types.errors import ConfigError, NotFoundError, RecordingError
+from annotator.web.jobs.records import require_own_files
 
 # Maximum number of listed entries per folder: detecting the format of each takes time.
 MOST_ENTRIES = 1000
@@ -123,3 +133,91 @@ def _named(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
             name = f"{base}-{number}"
         taken.add(name)
         yield name, folder
+
+
+LOG = logging.getLogger("annotator.web")
+
+# Younger files may be in use, although one is written in moments; folders have locks.
+OLD_S = 3600.0
+
+# As `files.write_atomic`, `project.create_project` and `keep_replaced` name them; SQLite may have files beside one.
+_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp(-wal|-shm|-journal)?|unfinished)")
+
+
+def clear_leftovers(projects_root: Path) -> None:
+    """Removes them, and logs it; what may not be removed stays."""
+    oldest_s = time.time() - OLD_S
+    for path in _unfinished(projects_root):
+        with suppress(OSError):
+            if path.is_dir() and not path.is_symlink():
+                if not remove_abandoned(path):
+                    continue
+            elif path.lstat().st_mtime < oldest_s:
+                path.unlink()
+            else:
+                continue
+            LOG.warning("%s: removed, a process that was killed had left it", path)
+
+
+def _unfinished(projects_root: Path) -> Iterator[Path]:
+    for folder in (projects_root, *_children(projects_root), *_children(projects_root / BACKUPS)):
+        for path in _children(folder):
+            if _UNFINISHED.fullmatch(path.name):
+                yield path
+            elif path.name == "views" and folder != projects_root:
+                yield from (image for image in _children(path) if _UNFINISHED.fullmatch(image.name))
+
+
+def _children(folder: Path) -> list[Path]:
+    try:
+        return [] if folder.is_symlink() else list(folder.iterdir())
+    except OSError:
+        return []
+
+
+# Within the projects folder: what the server keeps, for its own user only. Hidden, thus not a project.
+JOBS_FOLDER = ".jobs"
+LOCK = Path(JOBS_FOLDER) / "lock"
+
+
+@contextmanager
+def hold_server_lock(projects_root: Path) -> Iterator[None]:
+    """Holds the lock of a projects folder within the `with` block; the system releases it when the process ends.
+
+    On a file system without locks, or for a folder that cannot be written, it logs a warning instead.
+
+    Raises:
+        ConfigError: another server holds the lock, or the lock file cannot be written or is reached by a link.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a POSIX system: no lock
+        yield
+        return
+    path = projects_root / LOCK
+    require_own_files(path.parent)
+    if projects_root.is_dir() and not os.access(projects_root, os.W_OK):
+        LOG.warning("%s: cannot be written: its projects can be read and exported, but not changed", projects_root)
+        yield
+        return
+    try:
+        private_folder(path.parent)
+        file = path.open("w")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error}; choose another folder with --projects") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+                LOG.warning(
+                    "%s: the file system does not support locks (%s); make sure that only one `annotator serve` uses "
+                    "these projects",
+                    projects_root,
+                    error.strerror,
+                )
+            else:
+                raise ConfigError(
+                    f"{projects_root}: another `annotator serve` uses these projects; use its page, or stop it first"
+                ) from error
+        yield

@@ -9,8 +9,7 @@ from live_server import running
 from raw import request, require_alive
 
 from annotator.project import open_project
-from annotator.web.security import cookie_name
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings, cookie_name
 
 if TYPE_CHECKING:
     from live_server import Live

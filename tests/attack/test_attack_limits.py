@@ -17,8 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from annotator.project import create_project
 from annotator.web import limits
 from annotator.web.limits import BURST, FILE, limited_log
-from annotator.web.security import GUESSES_BURST
-from annotator.web.settings import ServerSettings
+from annotator.web.security import GUESSES_BURST, ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live

@@ -16,7 +16,7 @@ from live_server import Live, ended, running
 from sound import content_of
 
 from annotator.cli.main import main
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 SECRET = "the secret of another folder"
 PLACES = (

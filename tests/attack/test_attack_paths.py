@@ -11,7 +11,7 @@ import pytest
 from live_server import running
 from raw import request, require_alive
 
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live

@@ -15,7 +15,7 @@ from sound import require_sound
 from test_kill_server import EDITS_BEFORE_KILL, Editor, server
 
 from annotator.project import open_project
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 # 20 kills on a busy machine
 pytestmark = pytest.mark.timeout(3600)

@@ -18,7 +18,7 @@ from annotator.project import create_project, open_project
 from annotator.recordings import open_recording
 from annotator.recordings.frame_writer import FrameWriter
 from annotator.types.errors import RecordingError
-from annotator.web.live import run as live_run
+from annotator.web import live as live_run
 from annotator.web.serve import Running
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.recorder import Recorder

@@ -21,7 +21,7 @@ from annotator.cli import demo as demo_command
 from annotator.cli.main import main
 from annotator.project import create_project
 from annotator.types.errors import ConfigError, MissingExtraError
-from annotator.web import window
+from annotator.web import serve
 from annotator.web.serve import Running
 
 Capture = pytest.CaptureFixture[str]
@@ -90,7 +90,7 @@ def test_a_window_needs_pywebview_and_a_display(root: Path, monkeypatch: pytest.
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setitem(sys.modules, "webview", None)
     with pytest.raises(MissingExtraError, match="scripts/setup desktop"):
-        window.check_window()
+        serve.check_window()
     monkeypatch.setitem(sys.modules, "webview", object())
     assert main(["serve", "--window", "--projects", str(root)]) == 2
     assert "no display for a window" in capsys.readouterr().err
@@ -113,7 +113,7 @@ def test_closing_the_window_stops_the_server(monkeypatch: pytest.MonkeyPatch) ->
         WebViewException=RuntimeError,
     )
     monkeypatch.setitem(sys.modules, "webview", toolkit)
-    window.in_window(serving, stopped.set, "http://h/")
+    serve.in_window(serving, stopped.set, "http://h/")
     assert calls == ["http://h/", True, "ended"]
 
 

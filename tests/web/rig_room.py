@@ -8,7 +8,7 @@ import numpy as np
 
 from annotator.project import NewLabel, Project, WriteContext, create_project
 from annotator.types import OrientedBox, Source
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 # 45 degrees to the left of ahead.
 PLACE = np.array([10.0, 10.0, 0.0])

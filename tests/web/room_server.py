@@ -10,7 +10,7 @@ from live_server import Live, running
 
 from annotator.project import create_project
 from annotator.recordings import open_recording
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import register_recording
 
 

@@ -15,8 +15,8 @@ from annotator.project.backup.take_in import restore
 from annotator.types import BoxKind
 from annotator.web.background import BACKUPS_PAUSE_S, AutomaticBackups
 from annotator.web.context import Context
-from annotator.web.leftovers import clear_leftovers
-from annotator.web.settings import ServerSettings
+from annotator.web.folders import clear_leftovers
+from annotator.web.security import ServerSettings
 
 OLD = 1_000_000_000
 

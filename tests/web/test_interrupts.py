@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from annotator.web.live.interrupts import Interrupts
+from annotator.web.live import Interrupts
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

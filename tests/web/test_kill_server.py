@@ -19,7 +19,7 @@ import httpx
 from live_server import PATIENCE_S, wait_until
 
 from annotator.project import Project, open_project
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 ROUNDS = 2
 # The minimum number of edits before each kill.

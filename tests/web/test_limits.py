@@ -18,7 +18,7 @@ from live_server import PATIENCE_S, running, wait_until
 from annotator.project import create_project
 from annotator.web import limits
 from annotator.web.limits import FILE, MOST_KEYS, Connections, Rate, address_key, limited_log, most_connections
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live

@@ -20,9 +20,8 @@ from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox
-from annotator.web.live.overlay import BOX_COLOR, LOST_COLOR, draw_detections, edges_px
-from annotator.web.live.page import LivePage, table
-from annotator.web.settings import ServerSettings
+from annotator.web.live import BOX_COLOR, LOST_COLOR, LivePage, draw_detections, edges_px, table
+from annotator.web.security import ServerSettings
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.pipeline import Pipeline
 from annotator.workflows.live.playback import Playback

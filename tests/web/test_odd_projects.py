@@ -25,14 +25,12 @@ from annotator.project import create_project
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.labels import Labels
 from annotator.types.errors import NotFoundError
-from annotator.web import fairness, projects
-from annotator.web.app import create_app
+from annotator.web import app, projects
+from annotator.web.app import Fair, create_app
 from annotator.web.background import Learner, Watch
-from annotator.web.fairness import Fair
-from annotator.web.leftovers import clear_leftovers
+from annotator.web.folders import clear_leftovers, hold_server_lock
 from annotator.web.schemas import Box3DJson
-from annotator.web.server_lock import hold_server_lock
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 from annotator.workflows.workbench import sheet_pictures
 
 if TYPE_CHECKING:
@@ -230,7 +228,7 @@ def test_a_locked_project_delays_no_other(
 
 
 def test_requests_to_one_project_leave_threads_to_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fairness, "AT_ONCE", 2)
+    monkeypatch.setattr(app, "AT_ONCE", 2)
     begun: list[str] = []
 
     async def passing() -> None:

@@ -12,7 +12,7 @@ from room_api import state
 
 from annotator.project import WriteContext
 from annotator.types import Source
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live

@@ -27,12 +27,12 @@ from annotator.web.security import (
     GUESSES_BURST,
     MESSAGES_BURST,
     STRANGERS_BURST,
+    ServerSettings,
     check_settings,
     cookie_name,
     is_loopback,
     link,
 )
-from annotator.web.settings import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from annotator.types.errors import ConfigError
-from annotator.web.server_lock import hold_server_lock
+from annotator.web.folders import hold_server_lock
 
 
 def test_a_second_server_is_refused_while_the_first_one_runs(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from annotator.cli.main import main
 from annotator.project import open_project
 from annotator.project.tidying.folders import rename_project, set_aside
 from annotator.types.errors import InUseError
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live

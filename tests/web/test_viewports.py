@@ -22,8 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 from annotator.project.labels import NewLabel
 from annotator.project.writing import WriteContext
 from annotator.types import OrientedBox, ReviewState
-from annotator.web.viewport.server import MOST_SILENT, start_viser
-from annotator.web.viewport.viewports import MOST_PER_OPERATOR, Viewports
+from annotator.web.viewport.viewports import MOST_PER_OPERATOR, MOST_SILENT, Viewports, start_viser
 
 PROTOCOL = f"viser-v{viser.__version__}"
 

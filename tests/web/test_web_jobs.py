@@ -29,7 +29,7 @@ from annotator.web.jobs.worker import AUTOGROUP, NICENESS
 if TYPE_CHECKING:
     from live_server import Live
 
-    from annotator.web.settings import ServerSettings
+    from annotator.web.security import ServerSettings
 
 WaitFor = Callable[[Callable[[], Any]], None]
 JOBS = "/api/projects/room/jobs"

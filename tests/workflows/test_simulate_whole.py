@@ -15,7 +15,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction
-from annotator.web.caches import Caches
+from annotator.web.context import Caches
 from annotator.workflows import simulate_whole
 from annotator.workflows.add_recordings import move_recording
 from annotator.workflows.frame_source import FrameSource

@@ -10,7 +10,7 @@ from rig_room import label_object, rig_settings
 
 from annotator.project import WriteContext
 from annotator.types import Source
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 expect = pytest.importorskip("playwright.sync_api").expect
 

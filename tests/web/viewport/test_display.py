@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from annotator.recordings import open_recording
 from annotator.types import Camera, Frame, PointCloud
-from annotator.web.viewport.content import PointColor
-from annotator.web.viewport.display import initial_camera, point_colors, point_size_m, shown_points
+from annotator.web.viewport.drawing import PointColor, initial_camera, point_colors, point_size_m, shown_points
 
 UP = np.array([0.0, -1.0, 0.0])
 

@@ -14,7 +14,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.operator import first_views
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, OrientedBox
-from annotator.web.viewport.lines import arrow_lines, frustum_lines, placed_box_lines, view_placement
+from annotator.web.viewport.drawing import arrow_lines, frustum_lines, placed_box_lines, view_placement
 from annotator.workflows.recorded.reading import load_truth
 
 

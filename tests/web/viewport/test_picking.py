@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.types import OrientedBox
-from annotator.web.viewport.picking import pick
+from annotator.web.viewport.drawing import pick
 
 unit = st.floats(-1, 1)
 
