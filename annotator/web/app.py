@@ -23,7 +23,6 @@ from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.folders import clear_leftovers
 from annotator.web.security import Guard, ServerSettings, check_settings
 
-
 PLOTLY = "/assets/vendor/plotly.min.js"
 
 

@@ -27,7 +27,6 @@ from annotator.workflows.training.model_report import decision_of
 from annotator.workflows.warm_up import BOX, warm_frame
 from annotator.workflows.workbench.contact_sheet import picture
 
-
 LOG = logging.getLogger("annotator.web")
 
 

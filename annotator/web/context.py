@@ -39,7 +39,6 @@ from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
 from annotator.workflows.workbench.sheet_pictures import SheetPictures
 from annotator.workflows.workbench.whole_boxes import WholeBoxes
 
-
 # The image of a pseudo-view takes some 30 kB.
 MOST_IMAGES = 1000
 

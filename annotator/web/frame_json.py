@@ -43,6 +43,10 @@ from annotator.workflows.workbench.review_priority import doubt
 
 LOG = logging.getLogger("annotator.web")
 
+STALE: dict[int | str, dict[str, Any]] = {
+    409: {"description": "The frame has changed since the given revision; the response contains both versions."}
+}
+
 
 class ModelResponse(JSONResponse):
     """A pydantic model as JSON, serialised by pydantic without a second validation.

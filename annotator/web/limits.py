@@ -1,4 +1,4 @@
-"""Limits that keep a server usable for those who have signed in, whatever others send: connections, times, rates, log."""
+"""Limits that keep a server usable for those who have signed in, whatever others send."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from uvicorn.server import ServerState
 
 from annotator.files import make_private
-
 
 # Number of keys that are remembered; the one that was not used for the longest time is forgotten first.
 MOST_KEYS = 4096

@@ -26,7 +26,6 @@ from annotator.web.folders import JOBS_FOLDER, hold_server_lock
 from annotator.web.limits import Connections, LimitedConfig, limited_log, most_connections
 from annotator.web.security import ServerSettings, link
 
-
 SIZE = (1366, 768)
 INSTEAD = "leave --window out, and open the link in a browser"
 

@@ -20,7 +20,6 @@ from annotator.web.schemas import ClassName, RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 from annotator.workflows.importing.proposals_3d import MOST_NAME
 
-
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 

@@ -48,7 +48,6 @@ from annotator.web.jobs.records import (
     write_journal,
 )
 
-
 LOG = logging.getLogger("annotator.web")
 
 # Work stops at its next batch; a worker that takes longer than this is assumed to hang.

@@ -13,7 +13,7 @@ from annotator.web.schemas import RowId
 from annotator.web.uploads import Upload, add_upload, find_upload, remove_upload
 from annotator.workflows.importing import BoxFormat, FlatFormat, preview, preview_3d
 
-router = APIRouter(prefix="/api/projects/{project}/boxes-files", tags=["boxes"])
+router = APIRouter(tags=["jobs"])
 
 UploadId = Annotated[str, Path(pattern="^[0-9a-f]{32}$")]
 FileName = Annotated[str, Query(min_length=1, max_length=255)]
@@ -56,7 +56,7 @@ class BoxesFile(BaseModel):
     taken_for: list[str]
 
 
-@router.post("", status_code=201)
+@router.post("/api/projects/{project}/boxes-files", status_code=201)
 def upload(project: str, name: FileName, content: Content, ctx: Ctx, operator: Operator) -> BoxesFile:
     """Send a JSON file of 2D or 3D boxes, a CSV file of 3D boxes, or a packed folder of boxes. Nothing is imported."""
     opened = ctx.project(project)
@@ -68,7 +68,7 @@ def upload(project: str, name: FileName, content: Content, ctx: Ctx, operator: O
         raise
 
 
-@router.get("/{id}")
+@router.get("/api/projects/{project}/boxes-files/{id}")
 def look(project: str, id: UploadId, ctx: Ctx, operator: Operator, recording: RowId | None = None) -> BoxesFile:
     """A file that was sent, matched with one recording, or with all."""
     opened = ctx.project(project)

@@ -14,7 +14,7 @@ from annotator.web.context import Context, Ctx, Operator
 from annotator.web.hub import Client
 from annotator.web.schemas import ClassName, RowId, Schema
 
-router = APIRouter()
+router = APIRouter(tags=["session"])
 
 # Time limit for sending an event to a page; after that the page is disconnected.
 SEND_WITHIN_S = 10.0

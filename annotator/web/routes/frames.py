@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
@@ -15,15 +15,11 @@ from annotator.types.errors import HistoryError, StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.errors import error_response
 from annotator.web.frame_changes import ChangesIn
-from annotator.web.frame_json import frame_response, frame_row, frame_state, stale_response
+from annotator.web.frame_json import STALE, frame_response, frame_row, frame_state, stale_response
 from annotator.web.schemas import Effort, FrameListJson, FrameStateJson, RowId, Schema
 from annotator.workflows.workbench.apply_changes import apply_changes
 
 router = APIRouter(tags=["frames"])
-
-STALE: dict[int | str, dict[str, Any]] = {
-    409: {"description": "The frame has changed since the given revision; the response contains both versions."}
-}
 
 
 class StepIn(Schema):

@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from annotator.web.context import Ctx
 from annotator.web.schemas import RowId
 
-router = APIRouter(tags=["images"])
+router = APIRouter(tags=["frames"])
 
 # The URL identifies the content (an image's URL contains a version), so it may be cached forever.
 CACHE_FOREVER = "private, max-age=31536000, immutable"

@@ -14,8 +14,7 @@ from annotator.project import Project, WriteContext
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import drawn_view, frame_state, stale_response
-from annotator.web.routes.frames import STALE
+from annotator.web.frame_json import STALE, drawn_view, frame_state, stale_response
 from annotator.web.schemas import (
     MOST_BOXES,
     Axes,

@@ -19,7 +19,7 @@ from annotator.web.schemas import RowId
 from annotator.workflows.training.held_out import Decision
 from annotator.workflows.training.model_report import model_facts
 
-router = APIRouter(prefix="/api/projects/{project}/models", tags=["models"])
+router = APIRouter(tags=["jobs"])
 
 PictureNumber = Annotated[int, Path(ge=0, le=1000)]
 
@@ -66,7 +66,7 @@ class ModelList(BaseModel):
     material: TrainingData
 
 
-@router.get("")
+@router.get("/api/projects/{project}/models")
 def models(project: str, ctx: Ctx, operator: Operator) -> ModelList:
     """All detectors of a project."""
     opened = ctx.project(project)
@@ -92,20 +92,20 @@ class Learning(BaseModel):
     every: Annotated[int, Field(ge=1, le=1_000_000)] | None
 
 
-@router.put("/learning", status_code=204)
+@router.put("/api/projects/{project}/models/learning", status_code=204)
 def set_learning(project: str, body: Learning, ctx: Ctx, operator: Operator) -> None:
     """Switch rounds of training in the background on or off."""
     opened = ctx.project(project)
     opened.configure(settings=opened.config.settings.model_copy(update={"learn_every": body.every}))
 
 
-@router.post("/load", status_code=204)
+@router.post("/api/projects/{project}/models/load", status_code=204)
 def load(project: str, ctx: Ctx, operator: Operator) -> None:
     """Begin to load the detectors in use, since the operator is about to draw."""
     ctx.caches.detectors.warm(ctx.project(project), at_once=True)
 
 
-@router.post("/base/activate", status_code=204)
+@router.post("/api/projects/{project}/models/base/activate", status_code=204)
 def use_base(project: str, ctx: Ctx, operator: Operator) -> None:
     """Use the base detector in place of the project's own view detectors."""
     if not has_base():
@@ -113,7 +113,7 @@ def use_base(project: str, ctx: Ctx, operator: Operator) -> None:
     ctx.project(project).models.deactivate(DetectorKind.VIEW)
 
 
-@router.post("/{model}/activate")
+@router.post("/api/projects/{project}/models/{model}/activate")
 def activate(project: str, model: RowId, ctx: Ctx, operator: Operator) -> ModelDetails:
     """Make a detector the active one of its role."""
     opened = ctx.project(project)
@@ -121,7 +121,7 @@ def activate(project: str, model: RowId, ctx: Ctx, operator: Operator) -> ModelD
     return _details(project, opened, model)
 
 
-@router.get("/{model}/pictures/{number}.jpg", response_class=FileResponse)
+@router.get("/api/projects/{project}/models/{model}/pictures/{number}.jpg", response_class=FileResponse)
 def picture(project: str, model: RowId, number: PictureNumber, ctx: Ctx, operator: Operator) -> FileResponse:
     """An image outside a detector's training data, with its detections."""
     pictures = model_facts(ctx.project(project).models.get(model)).pictures

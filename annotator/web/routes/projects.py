@@ -13,7 +13,7 @@ from annotator.project.tidying.folders import rename_project, set_aside
 from annotator.web.context import Ctx, Operator
 from annotator.web.projects import ProjectInfo, ProjectSummary, project_info, summary, summary_of
 
-router = APIRouter(prefix="/api/projects", tags=["projects"])
+router = APIRouter(tags=["projects"])
 
 ClassName = Annotated[str, Field(min_length=1, max_length=64)]
 Classes = Annotated[list[ClassName], Field(min_length=1, max_length=200)]
@@ -59,13 +59,13 @@ class ProjectList(BaseModel):
     projects: list[ProjectSummary]
 
 
-@router.get("")
+@router.get("/api/projects")
 def projects(ctx: Ctx, operator: Operator) -> ProjectList:
     """All projects in the server's projects folder."""
     return ProjectList(projects=[summary(ctx, listed) for listed in list_projects(ctx.settings.projects_root)])
 
 
-@router.post("", status_code=201)
+@router.post("/api/projects", status_code=201)
 def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     """Create a project."""
     settings = ProjectSettings(rotation=body.rotation)
@@ -73,13 +73,13 @@ def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     return summary_of(body.name, ctx.project(body.name))
 
 
-@router.get("/{project}")
+@router.get("/api/projects/{project}")
 def project(project: str, ctx: Ctx, operator: Operator) -> ProjectInfo:
     """One project with its recordings and detectors."""
     return project_info(project, ctx.project(project))
 
 
-@router.patch("/{project}")
+@router.patch("/api/projects/{project}")
 def change(project: str, body: ProjectChange, ctx: Ctx, operator: Operator) -> ProjectInfo:
     """Change the classes or the rotation of boxes."""
     opened = ctx.project(project)
@@ -89,7 +89,7 @@ def change(project: str, body: ProjectChange, ctx: Ctx, operator: Operator) -> P
     return project_info(project, opened)
 
 
-@router.post("/{project}/rename")
+@router.post("/api/projects/{project}/rename")
 def rename(project: str, body: NewName, ctx: Ctx, operator: Operator) -> ProjectSummary:
     """Rename a project; pages that show it are told its new name."""
     with ctx.closed(project) as folder:
@@ -99,7 +99,7 @@ def rename(project: str, body: NewName, ctx: Ctx, operator: Operator) -> Project
     return summary_of(name, ctx.project(name))
 
 
-@router.delete("/{project}")
+@router.delete("/api/projects/{project}")
 def remove(project: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     """Move a project into the folder of removed ones, from which it can be brought back."""
     with ctx.closed(project) as folder:

@@ -14,7 +14,7 @@ from annotator.workflows.importing.proposals_3d import MOST_NAME
 from annotator.workflows.workbench.review_queue import Order
 from annotator.workflows.workbench.review_queue import queue as all_items
 
-router = APIRouter(tags=["queue"])
+router = APIRouter(tags=["review"])
 
 # The page requests the queue again long before it has shown this many items.
 MOST_ITEMS = 500

@@ -26,7 +26,6 @@ from annotator.workflows.add_recordings import add_recordings, bring_back, move_
 from annotator.workflows.recorded.own_labels import has_own_labels
 from annotator.workflows.workbench.bag_preview import preview_bag
 
-
 router = APIRouter(tags=["recordings"])
 
 BagPath = Annotated[str, Query(min_length=1, max_length=4096)]

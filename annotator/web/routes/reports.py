@@ -9,7 +9,7 @@ from annotator.web.schemas import RowId
 from annotator.workflows.checking.project_labels import CheckReport, check_project
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 
-router = APIRouter(tags=["reports"])
+router = APIRouter(tags=["review"])
 
 # Time limit for counting points; the next request counts those of further frames.
 READING_S = 3.0

@@ -14,8 +14,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import drawn_view, frame_state, quality_json, stale_response
-from annotator.web.routes.frames import STALE
+from annotator.web.frame_json import STALE, drawn_view, frame_state, quality_json, stale_response
 from annotator.web.schemas import (
     Box2DJson,
     Box3DJson,

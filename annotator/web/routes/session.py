@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from annotator import __version__
 from annotator.web.context import LONGEST_NAME, OPERATOR_COOKIE, Ctx, check_operator, operator_or_none
 
-router = APIRouter(prefix="/api/session", tags=["session"])
+router = APIRouter(tags=["session"])
 
 A_YEAR_S = 365 * 24 * 3600
 
@@ -32,20 +32,20 @@ class Session(BaseModel):
     token_required: bool
 
 
-@router.get("")
+@router.get("/api/session")
 def session(request: Request, ctx: Ctx) -> Session:
     """The operator who is signed in on this browser."""
     return _session(ctx, operator_or_none(request))
 
 
-@router.post("")
+@router.post("/api/session")
 def sign_in(body: SignIn, response: Response, ctx: Ctx) -> Session:
     """Sign in with a name, which becomes the author of all changes."""
     response.set_cookie(OPERATOR_COOKIE, quote(body.operator), max_age=A_YEAR_S, httponly=True, samesite="strict")
     return _session(ctx, body.operator)
 
 
-@router.delete("")
+@router.delete("/api/session")
 def sign_out(response: Response, ctx: Ctx) -> Session:
     """Sign out."""
     response.delete_cookie(OPERATOR_COOKIE, httponly=True, samesite="strict")

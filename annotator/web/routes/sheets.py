@@ -23,7 +23,7 @@ from annotator.web.schemas import Effort, RowId, Schema, Uid
 from annotator.workflows.tracks.previous_boxes import boxes_of
 from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 
-router = APIRouter(tags=["sheets"])
+router = APIRouter(tags=["tracks"])
 
 # A sheet of so many boxes would be too long to look at.
 MOST_BOXES = 2000

@@ -13,8 +13,7 @@ from annotator.types import DetectorKind, ReviewState
 from annotator.types.errors import DetectionError, StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.follow_runs import Direction, FollowRequest, FollowRunJson
-from annotator.web.frame_json import frame_state, stale_response
-from annotator.web.routes.frames import STALE
+from annotator.web.frame_json import STALE, frame_state, stale_response
 from annotator.web.schemas import Box3DJson, Effort, FrameStateJson, RowId, Schema, Uid
 from annotator.workflows.tracks.carry_correction import carry_correction
 from annotator.workflows.tracks.copy_next import copy_next

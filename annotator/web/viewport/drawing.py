@@ -1,4 +1,4 @@
-"""What a viewport shows, as data: its content, the shown points with their colours, and the lines of boxes, frustums and views."""
+"""What a viewport shows, as data: its content, the shown points and their colours, the lines of boxes and views."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES
 from annotator.geometry.projection import undistort_px
 from annotator.geometry.thinning import thin
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, PseudoView, ReviewState
-
 
 # Default limit of shown points, which graphics cards and networks handle without delay.
 MOST_POINTS = 150_000
