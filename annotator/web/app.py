@@ -7,7 +7,6 @@ import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 
 from fastapi import APIRouter, FastAPI
@@ -21,6 +20,19 @@ from annotator.web.background import AutomaticBackups, Learner, StepAside, Watch
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
 from annotator.web.folders import clear_leftovers
+from annotator.web.routes import (
+    alignment,
+    classes,
+    frames,
+    jobs,
+    label,
+    projects,
+    recordings,
+    review,
+    session,
+    tracks,
+    viewport,
+)
 from annotator.web.security import Guard, ServerSettings, check_settings
 
 PLOTLY = "/assets/vendor/plotly.min.js"
@@ -125,27 +137,7 @@ class Fair:
 
 
 # Modules of `annotator.web.routes`; each defines `router`.
-ROUTES: tuple[str, ...] = (
-    "session",
-    "sheets",
-    "projects",
-    "classes",
-    "recordings",
-    "bags",
-    "boxes",
-    "frames",
-    "label",
-    "review",
-    "tracks",
-    "queue",
-    "alignment",
-    "reports",
-    "images",
-    "jobs",
-    "models",
-    "events",
-    "viewport",
-)
+ROUTES = (session, projects, classes, recordings, frames, label, review, tracks, alignment, jobs, viewport)
 
 
 def create_app(settings: ServerSettings) -> FastAPI:
@@ -182,8 +174,8 @@ def create_app(settings: ServerSettings) -> FastAPI:
     )
     app.state.context = context
     add_error_handlers(app)
-    for name in ROUTES:
-        app.include_router(import_module(f"annotator.web.routes.{name}").router)
+    for module in ROUTES:
+        app.include_router(module.router)
     add_static(app)
     app.add_middleware(StepAside, jobs=context.jobs)
     app.add_middleware(Fair)

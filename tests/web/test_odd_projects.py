@@ -25,10 +25,11 @@ from annotator.project import create_project
 from annotator.project.backup.unfinished import unfinished_folder
 from annotator.project.labels import Labels
 from annotator.types.errors import NotFoundError
-from annotator.web import app, projects
+from annotator.web import app
 from annotator.web.app import Fair, create_app
 from annotator.web.background import Learner, Watch
 from annotator.web.folders import clear_leftovers, hold_server_lock
+from annotator.web.routes import projects
 from annotator.web.schemas import Box3DJson
 from annotator.web.security import ServerSettings
 from annotator.workflows.workbench import sheet_pictures

@@ -6,7 +6,7 @@ import asyncio
 import threading
 from contextlib import suppress
 
-from annotator.web.routes.sheets import AHEAD, THREADS, drawn_ahead
+from annotator.web.routes.tracks import AHEAD, THREADS, drawn_ahead
 
 
 def test_pictures_come_in_order() -> None:

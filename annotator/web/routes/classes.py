@@ -18,7 +18,7 @@ from annotator.types.errors import ConfigError, StaleRevisionError
 from annotator.types.validation import first_problem
 from annotator.web.context import Ctx, Operator
 from annotator.web.frame_json import STALE, frame_state, stale_response
-from annotator.web.projects import ProjectInfo, project_info
+from annotator.web.routes.projects import ProjectInfo, project_info
 from annotator.web.schemas import ClassName, Effort, FrameStateJson, RowId, Schema, Uid
 
 router = APIRouter(tags=["classes"])

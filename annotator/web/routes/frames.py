@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Query
-from fastapi.responses import JSONResponse
+from fastapi import APIRouter, Path, Query
+from fastapi.responses import JSONResponse, Response
 
 from annotator.project import Project, Reverted
 from annotator.project.overview import list_frames
@@ -108,3 +108,26 @@ def _step(
         ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
     state = frame_state(ctx, name, reverted.frame_id, operator)
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)
+
+
+# The URL identifies the content (an image's URL contains a version), so it may be cached forever.
+CACHE_FOREVER = "private, max-age=31536000, immutable"
+
+ViewId = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$")]
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}/image.jpg", response_class=Response)
+def image(ctx: Ctx, name: str, frame_id: RowId, v: str | None = None) -> Response:
+    """The camera image. With the version `v` from a frame's state, browsers may cache it."""
+    opened = ctx.caches.frames.open(ctx.project(name), frame_id)
+    return Response(opened.jpeg, media_type="image/jpeg", headers={"Cache-Control": CACHE_FOREVER if v else "no-cache"})
+
+
+@router.get("/api/projects/{name}/views/{view_id}.png", response_class=Response)
+def view(ctx: Ctx, name: str, view_id: ViewId) -> Response:
+    """The image of a pseudo-view, from the cache or the project."""
+    project = ctx.project(name)
+    content = ctx.caches.view_images.get(view_id)
+    if content is None:
+        content = project.views.content(view_id)
+    return Response(content, media_type="image/png", headers={"Cache-Control": CACHE_FOREVER, "ETag": f'"{view_id}"'})

@@ -20,7 +20,7 @@ from annotator.types.errors import InputError, MovedError
 from annotator.web.context import Ctx, Operator
 from annotator.web.errors import error_response, status_of
 from annotator.web.jobs.records import ImportRequest, Job
-from annotator.web.projects import RecordingInfo, recording_info
+from annotator.web.routes.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
 from annotator.workflows.recorded.own_labels import has_own_labels
