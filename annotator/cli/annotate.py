@@ -9,10 +9,8 @@ from typing import Annotated
 from pydantic import JsonValue
 from tyro.conf import arg
 
-from annotator.cli.options import BackendOption, Limit, ProjectName, Projects, RecordingNames, Rotation
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
+from annotator.cli.options import BackendOption, Limit, ProjectName, Projects, RecordingNames, Rotation, open_named
+from annotator.cli.output import counted, print_line
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy

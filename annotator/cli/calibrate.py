@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName
+from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName, open_named
 from annotator.cli.output import print_facts, print_json
-from annotator.cli.projects import open_named
 from annotator.project import Basis
 from annotator.types import NO_CORRECTION
 from annotator.types.errors import ConfigError

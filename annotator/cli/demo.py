@@ -14,8 +14,7 @@ from rich.progress import TaskID
 
 from annotator.cli.generate import Preset
 from annotator.cli.options import Seed
-from annotator.cli.output import print_line
-from annotator.cli.progress import progress_bar
+from annotator.cli.output import print_line, progress_bar
 from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
 from annotator.demo.stages import PROJECT, Progress
 from annotator.demo.trained import TrainedPlan, TrainedResult, run_trained

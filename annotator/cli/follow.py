@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from annotator.cli.options import ProjectName, Projects, RecordingName
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
+from annotator.cli.options import ProjectName, Projects, RecordingName, open_named
+from annotator.cli.output import counted, print_line
 from annotator.types.amounts import amount
 from annotator.workflows.tracks.follow_recording import follow_recording
 from annotator.workflows.workbench.loaded_detectors import view_with_classes

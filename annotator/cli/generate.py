@@ -6,8 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from annotator.cli.options import Seed
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
+from annotator.cli.output import counted, print_line
 from annotator.synthetic import write_generated
 from annotator.types.amounts import amount
 

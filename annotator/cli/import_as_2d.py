@@ -6,8 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
+from annotator.cli.output import counted, print_line
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types.amounts import amount

@@ -6,9 +6,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from annotator.cli.options import ProjectName, Projects, RecordingName
+from annotator.cli.options import ProjectName, Projects, RecordingName, open_named
 from annotator.cli.output import print_line
-from annotator.cli.projects import open_named
 from annotator.project import Project
 from annotator.types.amounts import amount
 from annotator.workflows.frame_source import FrameSource

@@ -9,10 +9,8 @@ from tyro.conf import arg
 
 from annotator.cli.annotate import summary_lines
 from annotator.cli.import_boxes import print_left_out, print_renamed
-from annotator.cli.options import BackendOption, BoxKindOption, ProjectName, Projects
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
+from annotator.cli.options import BackendOption, BoxKindOption, ProjectName, Projects, open_named
+from annotator.cli.output import counted, print_line
 from annotator.detection.config import Backend
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind

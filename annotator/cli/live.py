@@ -5,9 +5,19 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from annotator.cli.options import BackendOption, Host, Limit, NoToken, Port, ProjectName, Projects, TokenFile
+from annotator.cli.options import (
+    BackendOption,
+    Host,
+    Limit,
+    NoToken,
+    Port,
+    ProjectName,
+    Projects,
+    TokenFile,
+    open_named,
+    projects_root,
+)
 from annotator.cli.output import print_line
-from annotator.cli.projects import open_named, projects_root
 from annotator.detection.config import Backend
 from annotator.types.amounts import amount
 

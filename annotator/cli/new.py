@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from annotator.cli.options import Projects, Rotation, names_in
+from annotator.cli.options import Projects, Rotation, names_in, projects_root
 from annotator.cli.output import print_line
-from annotator.cli.projects import projects_root
 from annotator.project import BoxRotation, ProjectSettings, create_project
 
 

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from annotator.cli.options import ModelsOption, ProjectName, Projects
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import named_folder
+from annotator.cli.options import ModelsOption, ProjectName, Projects, named_folder
+from annotator.cli.output import counted, print_line
 from annotator.project.backup.content import ModelChoice
 from annotator.project.backup.make import back_up
 from annotator.types.amounts import amount

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.options import ModelsOption, Projects
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import no_project, projects_root
+from annotator.cli.options import ModelsOption, Projects, no_project, projects_root
+from annotator.cli.output import counted, print_line
 from annotator.project import open_project
 from annotator.project.backup.content import ModelChoice
 from annotator.project.backup.take_in import copy_project

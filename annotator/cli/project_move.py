@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.options import ProjectName, Projects, RecordingName
+from annotator.cli.options import ProjectName, Projects, RecordingName, open_named
 from annotator.cli.output import print_line
-from annotator.cli.projects import open_named
 from annotator.types.amounts import amount
 from annotator.workflows.add_recordings import move_recording
 

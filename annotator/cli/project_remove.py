@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.options import ProjectName, Projects, Yes
+from annotator.cli.options import ProjectName, Projects, Yes, named_folder, open_named
 from annotator.cli.output import print_line, require_yes
-from annotator.cli.projects import named_folder, open_named
 from annotator.project import open_project
 from annotator.project.tidying.folders import set_aside
 from annotator.types.amounts import amount

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from annotator.cli.options import ProjectName, Projects
+from annotator.cli.options import ProjectName, Projects, named_folder
 from annotator.cli.output import print_line
-from annotator.cli.projects import named_folder
 from annotator.project.tidying.folders import rename_project
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from annotator.cli.options import ProjectName, Projects
+from annotator.cli.options import ProjectName, Projects, named_folder
 from annotator.cli.output import print_line
 from annotator.cli.project_backup import print_missing
-from annotator.cli.projects import named_folder
 from annotator.project.backup.repair import repair
 from annotator.types.amounts import amount
 

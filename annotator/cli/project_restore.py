@@ -5,10 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
-from annotator.cli.options import Projects
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import projects_root
+from annotator.cli.options import Projects, projects_root
+from annotator.cli.output import counted, print_line
 from annotator.project.backup.take_in import restore
 from annotator.types.amounts import amount
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.options import AsJson, ProjectName, Projects
+from annotator.cli.options import AsJson, ProjectName, Projects, named_folder
 from annotator.cli.output import print_json, print_line
-from annotator.cli.projects import named_folder
 from annotator.project.backup.automatic import automatic_backups
 from annotator.project.backup.verify import Verification, verify
 from annotator.types.amounts import amount

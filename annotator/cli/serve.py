@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.options import Host, NoToken, Port, Projects, TokenFile
+from annotator.cli.options import Host, NoToken, Port, Projects, TokenFile, open_named, projects_root
 from annotator.cli.output import print_line
-from annotator.cli.projects import open_named, projects_root
 from annotator.types.errors import ConfigError
 
 

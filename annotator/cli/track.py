@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from annotator.cli.options import ProjectName, Projects, RecordingNames
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
+from annotator.cli.options import ProjectName, Projects, RecordingNames, open_named
+from annotator.cli.output import counted, print_line
 from annotator.types.amounts import amount
 from annotator.workflows.tracks.link import link_tracks
 

@@ -10,10 +10,8 @@ from typing import Annotated
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import ProjectName, Projects, Seed
-from annotator.cli.output import print_line
-from annotator.cli.progress import progress_bar
-from annotator.cli.projects import open_named
+from annotator.cli.options import ProjectName, Projects, Seed, open_named
+from annotator.cli.output import print_line, progress_bar
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
 from annotator.detection.progress import TrainingProgress
 from annotator.types import DetectorKind

@@ -9,9 +9,8 @@ import numpy as np
 import tyro
 from pydantic import BaseModel, ConfigDict
 
-from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName
+from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName, open_named
 from annotator.cli.output import print_facts, print_json
-from annotator.cli.projects import open_named
 from annotator.project import Project
 from annotator.types.errors import ConfigError, GeometryError
 from annotator.workflows.frame_source import FrameSource

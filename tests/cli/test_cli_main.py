@@ -18,7 +18,7 @@ from annotator import __version__
 from annotator.cli import main as cli
 from annotator.cli.completion import Shell
 from annotator.cli.main import main
-from annotator.cli.reader_options import ReadAs
+from annotator.cli.options import ReadAs
 from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
 from annotator.types.errors import FormatError
 

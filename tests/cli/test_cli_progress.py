@@ -7,15 +7,15 @@ import io
 import pytest
 from rich.console import Console
 
-from annotator.cli import progress
+from annotator.cli import output
 from annotator.cli.main import main
-from annotator.cli.progress import counted
+from annotator.cli.output import counted
 
 
 @pytest.mark.parametrize("terminal", [True, False])
 def test_the_bar_is_removed_only_after_an_error(monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
     shown = io.StringIO()
-    monkeypatch.setattr(progress, "Console", lambda stderr: Console(file=shown, force_terminal=terminal, width=100))
+    monkeypatch.setattr(output, "Console", lambda stderr: Console(file=shown, force_terminal=terminal, width=100))
     with counted("drawing") as tell:
         tell(3, 4)
     assert "3/4" in _left(shown.getvalue())
