@@ -160,6 +160,6 @@ def test_a_correction_by_another_meanwhile_is_not_overwritten(opened: Project, m
         project.adjustments.correct(recording, theirs, "Bob")
         return correct_calibration(project, recording, *rest)
 
-    monkeypatch.setattr("annotator.cli.calibrate.correct_calibration", late)
+    monkeypatch.setattr("annotator.cli.adjust.correct_calibration", late)
     assert main(["calibrate", "p", "room", "--turn", "3", "0", "0"]) != 0
     assert opened.recordings.all()[0].correction == theirs

@@ -17,9 +17,8 @@ import pytest
 from annotator import __version__
 from annotator.cli import main as cli
 from annotator.cli.completion import Shell
-from annotator.cli.main import main
+from annotator.cli.main import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command, main
 from annotator.cli.options import ReadAs
-from annotator.cli.table import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command
 from annotator.types.errors import FormatError
 
 HEAVY = ("torch", "torchvision", "ultralytics", "open3d", "viser", "av", "ray")
@@ -44,7 +43,7 @@ def test_every_command_exists_and_its_help_loads_nothing_heavy() -> None:
 import contextlib, io, sys
 from annotator.cli.completion import Shell
 from annotator.cli.main import main
-from annotator.cli.table import COMMANDS
+from annotator.cli.main import COMMANDS
 for name in COMMANDS:
     text = io.StringIO()
     try:

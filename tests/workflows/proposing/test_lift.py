@@ -201,7 +201,7 @@ def test_without_a_view_detector_and_a_base_detector_the_error_says_what_to_do(
 def test_the_command_lifts_drawn_boxes(
     people: Project, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("annotator.cli.lift.require_view", lambda _: base)
+    monkeypatch.setattr("annotator.cli.annotate.require_view", lambda _: base)
     stored = people.frames.of()[1]
     drawn = ImageBoxesSet(boxes=outlines(people, 1), box_kind=BoxKind.BOX)
     people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))
