@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, overload
 
 from annotator import project as store
-from annotator.api.inputs import up_of
+from annotator.api.frames import up_of
 from annotator.api.labels import read_labels
 from annotator.api.proposing import (
     ImageDetector,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
-from annotator.api.inputs import require_on_image
+from annotator.api.frames import require_on_image
 from annotator.geometry.image_shares import clip_to_image
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig

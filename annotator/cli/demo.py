@@ -16,8 +16,7 @@ from rich.progress import TaskID
 from annotator.cli.options import Seed
 from annotator.cli.output import counted, print_line, progress_bar
 from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
-from annotator.demo.stages import PROJECT, Progress
-from annotator.demo.trained import TrainedPlan, TrainedResult, run_trained
+from annotator.demo.trained import PROJECT, Progress, TrainedPlan, TrainedResult, run_trained
 from annotator.detection.base_detector import has_base
 from annotator.synthetic import write_generated
 from annotator.types.amounts import amount

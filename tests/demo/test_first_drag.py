@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from annotator.demo import first_drag
-from annotator.demo.first_drag import FirstDragPlan, run_first_drag
-from annotator.demo.reviewing import GOOD_IOU, SAME_IOU, Reviewed, SimulatedOperator
-from annotator.demo.stages import add_recording, generate, new_project
+from annotator.demo.first_drag import GOOD_IOU, SAME_IOU, FirstDragPlan, Reviewed, SimulatedOperator, run_first_drag
+from annotator.demo.trained import add_recording, generate, new_project
 from annotator.detection import base_detector
 from annotator.detection.nearest_cluster import NearestCluster
 from annotator.formats.rcv import read_rcv
