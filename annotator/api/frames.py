@@ -16,7 +16,6 @@ from annotator.recordings.plausible import are_returns
 from annotator.types import Box2D, Camera, Frame, PointCloud
 from annotator.types.errors import ArgumentError
 
-
 # Depths with a larger median cannot be metres, since no RGB-D camera reaches so far; they are probably millimetres.
 LONGEST_MEDIAN_DEPTH_M = 200.0
 # If no integer depth is larger, the values are rejected: they are probably rounded metres, not millimetres.

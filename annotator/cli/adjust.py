@@ -19,7 +19,6 @@ from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.recorded.calibration import correct_calibration
 from annotator.workflows.recorded.up_direction import RecordingUp, estimate_recording_up
 
-
 UP_AUTHOR = "annotator up"
 ORIGINS = {"files": "from the recording's files", "project": "set in the project"}
 

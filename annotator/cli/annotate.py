@@ -42,7 +42,6 @@ from annotator.workflows.views.write_pictures import COCO, write_views
 from annotator.workflows.workbench.drawing_steps import to_draw_on
 from annotator.workflows.workbench.loaded_detectors import require_view
 
-
 SHOWN_FAILURES = 10
 
 

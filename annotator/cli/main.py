@@ -18,7 +18,7 @@ from annotator import __version__
 
 
 class Command(NamedTuple):
-    """A plain function, "module:function", that returns None or an exit code; and the line that `annotator --help` shows.
+    """A plain function, "module:function", that returns None or an exit code; its line in `annotator --help`.
 
     tyro builds the command line from its signature and docstring.
     """

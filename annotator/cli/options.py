@@ -1,4 +1,4 @@
-"""Options and arguments that several commands share, one name, meaning and help text for each; the project they name."""
+"""Options and arguments that several commands share: one name, meaning and help text each; the project they name."""
 
 from __future__ import annotations
 

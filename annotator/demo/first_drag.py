@@ -39,7 +39,6 @@ from annotator.workflows.tracks.follow_recording import follow_recording
 from annotator.workflows.tracks.propose_boxes import next_track_id
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, require_view
 
-
 # The operator accepts a proposal with at least this IoU, and adjusts a worse one.
 GOOD_IOU = 0.5
 # A proposal with a lower IoU is not recognised as the object, and rejected.

@@ -25,7 +25,6 @@ from annotator.workflows.simulate import Drawn, simulate_recording
 from annotator.workflows.training.samples import SampleConfig
 from annotator.workflows.training.train import IMAGE_DEFAULTS, VIEW_DEFAULTS, Trained, TrainPlan, train
 
-
 RECORDING, PROJECT = "recording", "demo"
 LABELS = {"people": "person", "hands": "hand", "objects": "object"}
 # People and objects stand upright; hands may be turned in any way.
