@@ -47,7 +47,7 @@ EXCEPT = {
     "project/backup/unfinished.py": "folders of our own",
     "project/database/expected.py": "SQLite, in memory",
     "project/database/replaced.py": "SQLite, on a copy of our own",
-    "web/tokens.py": "the token may come from a pipe",
+    "web/security.py": "the token may come from a pipe",
 }
 
 

@@ -167,11 +167,7 @@ def _is_interactive() -> bool:
 
 
 def _require_counts(least: int, **options: int | None) -> None:
-    """Checks numbers before the work starts; otherwise the demo would fail after minutes.
-
-    Raises:
-        ConfigError: a number is too small.
-    """
+    """Checks numbers before the work starts; otherwise the demo would fail after minutes."""
     for name, number in options.items():
         if number is not None and number < least:
             raise ConfigError(f"--{name.replace('_', '-')} must be {least} or more, not {number}")

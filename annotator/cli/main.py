@@ -226,11 +226,7 @@ def _options(words: list[str]) -> list[str]:
 
 
 def _refuse_repeated_options(options: list[str]) -> None:
-    """Refuses an option that is given twice: tyro would use the last one only, and not say so.
-
-    Raises:
-        ConfigError: the message shows how to give several values.
-    """
+    """Refuses an option that is given twice: tyro would use the last one only, and not say so."""
     for option in options:
         if options.count(option) > 1:
             from annotator.types.errors import ConfigError

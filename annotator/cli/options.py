@@ -103,12 +103,7 @@ def projects_root(projects: Path | None) -> Path:
 
 
 def open_named(name: str, projects: Path | None) -> Project:
-    """Opens the project of this name.
-
-    Raises:
-        ConfigError: as `named_folder`.
-        ProjectError: the project cannot be opened.
-    """
+    """Opens the project of this name."""
     # imported here, so that `annotator doctor` runs without the database's package
     from annotator.project import open_project
 
@@ -116,12 +111,7 @@ def open_named(name: str, projects: Path | None) -> Project:
 
 
 def named_folder(name: str, projects: Path | None) -> Path:
-    """The folder of the project of this name, which may be damaged.
-
-    Raises:
-        ConfigError: there is no such project (the message names the one that is probably meant, or those that exist),
-            or the name is a path.
-    """
+    """The folder of the project of this name, which may be damaged."""
     from annotator.project.config import check_name
 
     folder = projects_root(projects)
@@ -173,11 +163,7 @@ class ReadAs:
     min_confidence: Annotated[int | None, option("min_confidence")] = None
 
     def options(self) -> ReaderOptions:
-        """The options as readers take them, of one scene and one camera.
-
-        Raises:
-            ConfigError: an invalid value.
-        """
+        """The options as readers take them, of one scene and one camera."""
         given = asdict(self)
         for name in ("scene", "camera"):
             given[name] = _only(name, given[name])

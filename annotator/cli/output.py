@@ -19,11 +19,7 @@ def print_line(text: str) -> None:
 
 
 def require_yes(question: str, yes: bool) -> None:
-    """Asks at a terminal whether to go on, unless `yes`.
-
-    Raises:
-        ConfigError: the answer is no, or there is nobody to ask.
-    """
+    """Asks at a terminal whether to go on, unless `yes`."""
     if yes:
         return
     if not sys.stdin.isatty():

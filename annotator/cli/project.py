@@ -269,11 +269,7 @@ def run_copy(
 
 
 def _folder(source: str, root: Path) -> tuple[Path, bool]:
-    """The folder of a project that is given by its name or its path, and whether it is not one of those in `root`.
-
-    Raises:
-        ConfigError: there is none, or there are two.
-    """
+    """The folder of a project that is given by its name or its path, and whether it is not one of those in `root`."""
     path = Path(source)
     # as for `annotator check`: ./NAME is a path
     named = root / source if len(path.parts) == 1 and not source.startswith(".") else None

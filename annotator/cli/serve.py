@@ -60,11 +60,7 @@ def serve(
 
 
 def first_page(name: str, root: Path) -> str:
-    """The page to open first: review if the project has proposals, else label.
-
-    Raises:
-        ConfigError, ProjectError: as `open_named`.
-    """
+    """The page to open first: review if the project has proposals, else label."""
     with open_named(name, root) as project:
         return f"{name}/review" if project.statistics().frames_with_proposals else f"{name}/label"
 

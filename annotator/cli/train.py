@@ -97,20 +97,12 @@ def run(
 
 
 def _check_minutes(minutes: float | None) -> None:
-    """
-    Raises:
-        ConfigError: not above 0.
-    """
     if minutes is not None and not 0 < minutes <= MOST_MINUTES:
         raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
 
 
 def _with(config: TrainingConfig, of_image: bool, **changes: object) -> TrainingConfig:
-    """A checked copy with the settings that are not None.
-
-    Raises:
-        ConfigError: a setting is out of its range.
-    """
+    """A checked copy with the settings that are not None."""
     settings = {name: value for name, value in changes.items() if value is not None}
     with _errors_by_flag(of_image):
         return TrainingConfig.model_validate({**config.model_dump(), **settings})
@@ -118,11 +110,7 @@ def _with(config: TrainingConfig, of_image: bool, **changes: object) -> Training
 
 @contextmanager
 def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
-    """Turns validation errors into errors that name the command line option.
-
-    Raises:
-        ConfigError: a setting is out of its range.
-    """
+    """Turns validation errors into errors that name the command line option."""
     try:
         yield
     except ValidationError as error:

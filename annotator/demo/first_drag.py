@@ -79,10 +79,6 @@ class SimulatedOperator:
     """Labels one recording of a project."""
 
     def __init__(self, project: Project, recording_id: int) -> None:
-        """
-        Raises:
-            RecordingError: the recording cannot be read.
-        """
         self.done = Reviewed()
         self._project, self._recording_id = project, recording_id
         self._source = FrameSource(project)
@@ -178,11 +174,7 @@ class SimulatedOperator:
         return [track for track in tracks if track in present]
 
     def _changed(self, stored: StoredFrame, change: Callable[[WriteContext], Changed]) -> Changed:
-        """Changes a frame as it is now. If a viewer of the workbench is faster, the frame is read and changed again.
-
-        Raises:
-            StaleRevisionError, TrackTakenError: the viewer is faster again and again.
-        """
+        """Changes a frame as it is now. If a viewer of the workbench is faster, the frame is read and changed again."""
         for attempt in range(TRIES):
             # the revision is read before the labels, so that a change in between is noticed
             context = WriteContext(self._project.frames.get(stored.id).revision, AUTHOR, Source.MANUAL)
@@ -251,10 +243,6 @@ def run_first_drag(
 
     Args:
         on_proposals: called when the first proposals are stored; never, if there is nothing to draw.
-
-    Raises:
-        ConfigError, ProjectError: a file or folder of that name exists.
-        DetectionError: this installation has no base detector.
     """
     require_free(root, plan.preset)
     if not has_base():

@@ -59,22 +59,14 @@ def dataset_folder(root: Path, preset: str) -> Path:
 
 
 def require_free(root: Path, preset: str) -> None:
-    """Checks that the demo overwrites nothing, before minutes of work.
-
-    Raises:
-        ConfigError: a file or folder of the demo exists.
-    """
+    """Checks that the demo overwrites nothing, before minutes of work."""
     for path in (root / RECORDING, root / PROJECT, dataset_folder(root, preset)):
         if path.exists():
             raise ConfigError(f"{path}: exists already; choose another folder for the demo")
 
 
 def generate(root: Path, preset: str, frames: int, seed: int, progress: Progress) -> None:
-    """Writes the recording.
-
-    Raises:
-        ConfigError: unknown preset.
-    """
+    """Writes the recording."""
     write_generated(root / RECORDING, preset, frames, seed, report=counted(progress, "ray-cast the recording"))
 
 
@@ -120,11 +112,7 @@ class TrainedResult:
 
 
 def run_trained(root: Path, plan: TrainedPlan, progress: Progress) -> TrainedResult:
-    """Runs the loop in the folder `root`: `recording`, the project `demo`, and the dataset `3D_*`.
-
-    Raises:
-        ConfigError, ProjectError: a file or folder of that name exists.
-    """
+    """Runs the loop in the folder `root`: `recording`, the project `demo`, and the dataset `3D_*`."""
     require_free(root, plan.preset)
     watch = Stopwatch()
     generate(root, plan.preset, plan.frames, plan.seed, progress)

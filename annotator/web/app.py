@@ -39,11 +39,7 @@ PLOTLY = "/assets/vendor/plotly.min.js"
 
 
 def web_assets() -> Path:
-    """The folder `web_assets`: within the package in a wheel, beside it in a clone.
-
-    Raises:
-        ConfigError: the folder is missing.
-    """
+    """The folder `web_assets`: within the package in a wheel, beside it in a clone."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "web_assets", package.parent / "web_assets"):
         if folder.is_dir():
@@ -141,11 +137,7 @@ ROUTES = (session, projects, classes, recordings, frames, label, review, tracks,
 
 
 def create_app(settings: ServerSettings) -> FastAPI:
-    """The application of one server.
-
-    Raises:
-        ConfigError: the page's files are missing, or the server would be open to the network without a token.
-    """
+    """The application of one server."""
     check_settings(settings)
     context = Context(settings)
 

@@ -133,12 +133,7 @@ class Context:
         self._opens: dict[str, threading.Lock] = {}
 
     def project(self, name: str) -> Project:
-        """The project of that name; it stays open after the first call, but is opened anew once it was replaced.
-
-        Raises:
-            NotFoundError: no such project.
-            ProjectError: it cannot be opened, or another process has locked it.
-        """
+        """The project of that name; it stays open after the first call, but is opened anew once it was replaced."""
         project = self._projects.get(name)
         if project is not None and project.is_current:
             return project
@@ -159,12 +154,7 @@ class Context:
 
     @contextmanager
     def closed(self, name: str) -> Iterator[Path]:
-        """Closes a project, which no request can open within the block; yields its folder.
-
-        Raises:
-            NotFoundError: no such project.
-            InUseError: a job of it runs or waits.
-        """
+        """Closes a project, which no request can open within the block; yields its folder."""
         folder = self._folder(name)
         _require(folder)
         self.jobs.require_none(name)
@@ -177,12 +167,7 @@ class Context:
             yield folder
 
     def frame(self, project: Project, frame_id: int) -> Frame:
-        """A frame with its image and cloud, from the cache if possible.
-
-        Raises:
-            NotFoundError: no such frame.
-            FrameError: it cannot be read.
-        """
+        """A frame with its image and cloud, from the cache if possible."""
         return self.caches.frames.read(project, frame_id)
 
     def is_open(self, name: str) -> bool:
@@ -234,11 +219,7 @@ class Context:
 
     @contextmanager
     def _opening(self, name: str) -> Iterator[None]:
-        """Held by the thread that opens a project: others wait for that project only.
-
-        Raises:
-            ProjectError: another thread waits for it, too, and for longer than this one may wait.
-        """
+        """Held by the thread that opens a project: others wait for that project only."""
         with self._lock:
             lock = self._opens.setdefault(name, threading.Lock())
         ends_s = time.monotonic() + patience_s(BUSY_TIMEOUT_S)
@@ -288,11 +269,7 @@ async def context(connection: HTTPConnection) -> Context:
 
 
 async def operator(connection: HTTPConnection) -> str:
-    """The signed-in operator's name, for `Depends`.
-
-    Raises:
-        NotSignedInError: the browser has not signed in.
-    """
+    """The signed-in operator's name, for `Depends`."""
     name = operator_or_none(connection)
     if name is None:
         raise NotSignedInError("no operator is signed in; sign in with your name first")
@@ -308,11 +285,7 @@ def operator_or_none(connection: HTTPConnection) -> str | None:
 
 
 def check_operator(name: str) -> str:
-    """Returns an operator's name without spaces around it.
-
-    Raises:
-        ValueError: it is empty, too long, or has characters that cannot be printed.
-    """
+    """Returns an operator's name without spaces around it."""
     name = name.strip()
     if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
         raise ValueError(f"a name has 1 to {LONGEST_NAME} printable characters")

@@ -1,4 +1,4 @@
-"""The folders that recordings may be added from, under names that do not reveal their paths."""
+"""The folders of a server: those that recordings may be added from, and its projects folder with lock and leftovers."""
 
 from __future__ import annotations
 
@@ -49,17 +49,16 @@ class Listing:
 
 
 class Folders:
-    """Maps paths of browsers to paths on this computer; paths outside the registered folders are refused."""
+    """Maps paths of browsers to paths on this computer, under names that do not reveal these.
+
+    Paths that lead outside the registered folders, such as through a link, are not found.
+    """
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._roots = dict(_named(folders))
 
     def list(self, path: str) -> Listing:
-        """Lists the sub-folders and recordings of a folder; "" lists the roots.
-
-        Raises:
-            NotFoundError: no such folder.
-        """
+        """Lists the sub-folders and recordings of a folder; "" lists the roots."""
         if not path:
             return Listing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
         folder = self.find(path)
@@ -75,11 +74,7 @@ class Folders:
         return tuple((root, name) for name, root in nested_first)
 
     def find(self, path: str) -> Path:
-        """The real path of a file or folder below a root.
-
-        Raises:
-            NotFoundError: no such path, or it leads outside the roots, such as through a link.
-        """
+        """The real path of a file or folder below a root."""
         name, *parts = path.split("/")
         root = self._roots.get(name)
         # a backslash separates components on other systems
@@ -145,7 +140,7 @@ _UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp(-wal|-shm|-journal)?|unfinis
 
 
 def clear_leftovers(projects_root: Path) -> None:
-    """Removes them, and logs it; what may not be removed stays."""
+    """Removes half-written files and half-created projects of killed processes, and logs it; what may not be removed stays."""
     oldest_s = time.time() - OLD_S
     for path in _unfinished(projects_root):
         with suppress(OSError):
@@ -182,12 +177,10 @@ LOCK = Path(JOBS_FOLDER) / "lock"
 
 @contextmanager
 def hold_server_lock(projects_root: Path) -> Iterator[None]:
-    """Holds the lock of a projects folder within the `with` block; the system releases it when the process ends.
+    """Holds the lock of a projects folder: a second server would mark the jobs of the first one as failed.
 
-    On a file system without locks, or for a folder that cannot be written, it logs a warning instead.
-
-    Raises:
-        ConfigError: another server holds the lock, or the lock file cannot be written or is reached by a link.
+    The system releases it when the process ends. On a file system without locks, or for a folder that cannot be written,
+    it logs a warning instead.
     """
     try:
         import fcntl

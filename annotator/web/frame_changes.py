@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import uuid
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from annotator.project import Origin, WriteContext
+from annotator.project import Origin
 from annotator.project.event_types import (
     FrameFinalised,
     FrameReopened,
@@ -28,8 +28,7 @@ from annotator.web.schemas import (
     Box2DJson,
     Box3DJson,
     ClassName,
-    Effort,
-    RowId,
+    FrameChange,
     Schema,
     SuggestionJson,
     Uid,
@@ -153,17 +152,15 @@ ChangeIn = Annotated[
 ]
 
 
-class ChangesIn(Schema):
+class ChangesIn(FrameChange):
     """Changes of one frame, based on one revision of it."""
 
-    revision: RowId
     changes: Annotated[list[ChangeIn], Field(min_length=1, max_length=MOST_BOXES)]
-    effort: Effort | None = None
     subject: Uid | None = None
 
     def payloads(self) -> list[Payload]:
         return [entry.payload() for entry in self.changes]
 
-    def context(self, author: str) -> WriteContext:
-        effort = None if self.effort is None else self.effort.stored()
-        return WriteContext(self.revision, author, effort=effort, effort_target=self.subject)
+    def sent(self) -> list[Any]:
+        changes: list[Any] = self.model_dump(mode="json")["changes"]
+        return changes

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import logging
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from fastapi.responses import JSONResponse
@@ -16,11 +17,12 @@ from annotator.project.overview import FrameRow
 from annotator.types import PseudoView, Quality
 from annotator.types.errors import RecordingError, StaleRevisionError
 from annotator.web.context import Context
-from annotator.web.errors import ErrorBody
+from annotator.web.errors import AnsweredError, ErrorBody
 from annotator.web.schemas import (
     Box2DOut,
     Box3DOut,
     CameraJson,
+    FrameChange,
     FrameJson,
     FrameRowJson,
     FrameStateJson,
@@ -73,22 +75,20 @@ def frame_response(ctx: Context, name: str, frame_id: int, operator: str) -> Mod
     return ModelResponse(frame_state(ctx, name, frame_id, operator))
 
 
-def stale_response(
-    ctx: Context, name: str, frame_id: int, operator: str, error: StaleRevisionError, changes: Any
-) -> ModelResponse:
-    """The response to a stale change (409) with both versions of a frame; errors as in `frame_state`."""
-    body = ErrorBody(kind=type(error).__name__, message=str(error))
-    state = frame_state(ctx, name, frame_id, operator)
-    return ModelResponse(BothVersions.model_construct(error=body, state=state, changes=changes), 409)
+@contextmanager
+def both_versions(ctx: Context, name: str, frame_id: int, operator: str, body: FrameChange) -> Iterator[None]:
+    """Within the block, a stale change is answered (409) with both versions of the frame."""
+    try:
+        yield
+    except StaleRevisionError as error:
+        why = ErrorBody(kind=type(error).__name__, message=str(error))
+        state = frame_state(ctx, name, frame_id, operator)
+        both = BothVersions.model_construct(error=why, state=state, changes=body.sent())
+        raise AnsweredError(ModelResponse(both, 409)) from error
 
 
 def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameStateJson:
-    """The present state of a frame for one operator's page.
-
-    Raises:
-        NotFoundError: no such project or frame.
-        FrameError, RecordingError: the frame cannot be read.
-    """
+    """The present state of a frame for one operator's page."""
     project = ctx.project(name)
     with project.store.snapshot():
         return _frame_state(ctx, name, project, frame_id, operator)

@@ -78,7 +78,11 @@ SILENT, OF_ADDRESS = 0.75, 0.5
 
 
 class Connections:
-    """Counts connections, and closes the oldest silent ones if there are too many."""
+    """Counts connections. One is *silent* until the headers of its first request are complete.
+
+    Only silent connections are turned out, the oldest first, so that there is always room for those who have signed in:
+    an honest browser sends its headers at once. Whoever then lacks the token gets a refusal, and is disconnected.
+    """
 
     def __init__(self, most: int) -> None:
         """
@@ -172,7 +176,10 @@ class LimitedConfig(uvicorn.Config):
 
 
 class LimitedHttp(H11Protocol):
-    """HTTP on one connection; ends it if headers or a body take too long."""
+    """HTTP on one connection; ends it if headers or a body take too long.
+
+    uvicorn's own timer runs only between requests, and middleware sees a request only when its headers are complete.
+    """
 
     config: LimitedConfig
 

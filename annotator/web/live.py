@@ -320,9 +320,6 @@ def run_live(
 
     Args:
         report: called with each log line while the session runs.
-
-    Raises:
-        AnnotatorError: the source, the detectors, the recording or the address cannot be used, or fail later.
     """
     check_settings(settings)
     if options.record is not None:
@@ -405,11 +402,7 @@ class _LimitedLog:
 
 
 def live_app(settings: ServerSettings, page: LivePage) -> FastAPI:
-    """An application that forwards requests to the page's viser server, with the same checks as the workbench.
-
-    Raises:
-        ConfigError: the server would be open to the network without a token.
-    """
+    """An application that forwards requests to the page's viser server, with the same checks as the workbench."""
     check_settings(settings)
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
@@ -430,10 +423,6 @@ def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, int
 
     Args:
         interrupts: a context that the caller has entered, and leaves after storing a recording.
-
-    Raises:
-        ConfigError: the address cannot be used.
-        AnnotatorError: the reason why the pipeline failed.
     """
     server = Running(settings, live_app(settings, page))
 

@@ -6,13 +6,14 @@ Pixel coordinates are continuous, (0, 0) is the centre of the first pixel; metre
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 from scipy.spatial.transform import Rotation
 
 from annotator.project import Effort as StoredEffort
+from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
 from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source, Suggestion
 
@@ -133,6 +134,29 @@ class Effort(Schema):
 
     def stored(self) -> StoredEffort:
         return StoredEffort(self.actions, self.seconds)
+
+
+class WithEffort(Schema):
+    """A change, and what it took the operator."""
+
+    effort: Effort | None = None
+
+    def stored_effort(self) -> StoredEffort | None:
+        return None if self.effort is None else self.effort.stored()
+
+
+class FrameChange(WithEffort):
+    """A change of a frame, based on one revision of it."""
+
+    revision: RowId
+
+    def context(self, author: str, target: str | None = None) -> WriteContext:
+        """The context of the change; `target`: uid of the label that the effort is for."""
+        return WriteContext(self.revision, author, effort=self.stored_effort(), effort_target=target)
+
+    def sent(self) -> list[Any]:
+        """The changes as the page has sent them, for the answer to a stale one."""
+        return [self.model_dump(mode="json", by_alias=True)]
 
 
 class ViewJson(Schema):

@@ -116,11 +116,7 @@ def is_loopback(host: str) -> bool:
 
 
 def check_settings(settings: ServerSettings) -> None:
-    """Refuses settings that would open the server to the network.
-
-    Raises:
-        ConfigError: an address that is not loopback without a token, or a weak token.
-    """
+    """Refuses settings that would open the server to the network."""
     if settings.token is None and not is_loopback(settings.host):
         raise ConfigError(
             f"{settings.host} can be reached from other computers: it needs a token; leave --no-token out"
@@ -234,11 +230,7 @@ def _address(connection: HTTPConnection) -> str:
 
 
 def _count(rate: Rate, connection: HTTPConnection) -> None:
-    """Counts something that an address may not do often.
-
-    Raises:
-        TooManyError: it has done it too often.
-    """
+    """Counts something that an address may not do often."""
     address = _address(connection)
     if not rate.take(address):
         raise TooManyError(f"too many requests without the right token; wait {math.ceil(rate.wait_s(address))} s")
@@ -267,11 +259,7 @@ def _check_origin(connection: HTTPConnection) -> None:
 
 
 async def _whole_body(scope: Scope, headers: Headers, receive: Receive) -> bytes | None:
-    """Reads the body of a request; None for requests without one.
-
-    Raises:
-        TooLargeError: the body exceeds the limit, whatever its declared length.
-    """
+    """Reads the body of a request; None for requests without one."""
     if scope["type"] != "http" or scope["method"] in SAFE_METHODS:
         return None
     declared = headers.get("content-length", "0")
@@ -375,10 +363,6 @@ def with_token(settings: ServerSettings, token_file: Path | None = None, *, no_t
 
     Args:
         no_token: everyone who can reach the server may use it; on loopback addresses only.
-
-    Raises:
-        ConfigError: the file is unusable, or others may read it; the token is too short; or no token on an address that
-            other computers can reach.
     """
     named = os.environ.pop(VARIABLE, None)
     if no_token:

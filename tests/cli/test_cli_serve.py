@@ -74,7 +74,6 @@ def test_it_serves_the_page_until_an_interrupt(root: Path) -> None:
         (["--host", "999.1.1.1"], "cannot listen on 999.1.1.1"),
         (["--host", "0.0.0.0", "--no-token"], "it needs a token"),
         (["--port", "99999"], "cannot listen on 127.0.0.1 port 99999"),
-        (["--token", "x" * 20], "--token is now --token-file FILE"),
         (["--token-file", "/no/such"], "--token-file /no/such: cannot be read"),
         (["--token-file", "/no/such", "--no-token"], "exclude each other"),
     ],

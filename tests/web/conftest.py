@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 from live_server import PATIENCE_S, wait_until
-from room_server import live, web_settings
+from room_server import live, live_of_file, own_live, projects_with_room, web_settings
 
 from annotator.types import BoxKind
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.tracks.follow_frames import Follower
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector, ReadyDetectors
 
-__all__ = ["live", "web_settings"]
+__all__ = ["live", "live_of_file", "own_live", "projects_with_room", "web_settings"]
 
 
 @pytest.fixture

@@ -181,15 +181,6 @@ def test_steps_are_answered_without_storing_anything(live: Live, generated: Path
     assert five.status_code == 422
 
 
-def test_a_stale_object_shows_both_versions(live: Live, generated: Path) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    body = {"revision": 3, "image_boxes": [scene.image_box(0)], "box_kind": "silhouette", "object": None}
-    refused = live.client.post(f"{ROOM}/frames/1/label/object", json=body)
-    assert refused.status_code == 409
-    assert refused.json()["changes"][0]["image_boxes"] == body["image_boxes"]
-    assert refused.json()["state"]["frame"]["revision"] == 0
-
-
 def test_review_tools_render_fit_and_copy(
     live: Live, project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -314,7 +314,7 @@ def test_a_box_csv(live: Live, tmp_path: Path, is_packed: bool) -> None:
     assert run(project, tmp_path, upload=sent["id"], become="proposals").result["boxes"] == 1
 
 
-@pytest.mark.parametrize("folder", ["", "label/", "room/label/", "data/room/label/"])
+@pytest.mark.parametrize("folder", ["", "data/room/label/"])
 def test_a_packed_scene_with_labels_of_one_frame(live: Live, tmp_path: Path, folder: str) -> None:
     project = live.context.project("room")
     key = project.frames.of()[0].key

@@ -49,16 +49,13 @@ def test_a_deleted_object_is_no_training_data_until_the_undo(live: Live, project
     assert training_data(project) == (1, ["silhouette"] * 4, 1)
 
 
-@pytest.mark.parametrize("kind", ["delete", "reject"])
-def test_removing_a_drawn_label_in_review_removes_its_boxes(
-    live: Live, project: Project, generated: Path, kind: str
-) -> None:
+def test_rejecting_a_drawn_label_in_review_removes_its_boxes(live: Live, project: Project, generated: Path) -> None:
     scene = Scene.of(generated / "people", 0, ["person"])
     uids = [draw_object(live.client, "room", 1, scene, number)["uid"] for number in range(2)]
     drawn = state(live.client)
     (proposed,) = propose(project, 1, 5.0)
     revision = state(live.client)["frame"]["revision"]
-    both = [{"kind": kind, "uid": uids[0]}, {"kind": kind, "uid": proposed}]
+    both = [{"kind": "reject", "uid": uids[0]}, {"kind": "reject", "uid": proposed}]
     left = change(live.client, revision, *both).json()
     on_images, kinds, _ = training_data(project)
     assert (on_images, kinds) == (1, ["silhouette"] * 4)
@@ -68,8 +65,6 @@ def test_removing_a_drawn_label_in_review_removes_its_boxes(
     assert training_data(project)[:2] == (2, ["silhouette"] * 8)
     redone = live.client.post(f"{ROOM}/redo", json={}).json()["state"]
     assert redone["objects"] == left["objects"]
-    if kind == "delete":
-        return
     back = change(live.client, redone["frame"]["revision"], {"kind": "accept", "uid": uids[0]}).json()
     assert [entry["uid"] for entry in back["objects"]] == [uids[1], uids[0]], "an accepted object is not background"
 
@@ -97,17 +92,3 @@ def test_a_changed_box_kind_measures_finished_objects_again(live: Live, project:
     for _ in range(2):
         live.client.post(f"{ROOM}/undo", json={})
     assert iou_3d(project.labels.get(uids[0]).label.box, drawn[uids[0]]) == pytest.approx(1)
-
-
-def test_a_changed_box_kind_applies_to_views_too(live: Live, project: Project, generated: Path) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    revision = draw_object(live.client, "room", 1, scene, 0)["state"]["frame"]["revision"]
-    views = [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()]
-    boxes = {"kind": "image_boxes", "boxes": [scene.image_box(0)], "box_kind": "box"}
-    answer = change(live.client, revision, boxes).json()
-    assert (answer["image_boxes"]["box_kind"], len(answer["objects"][0]["views"])) == ("box", 4)
-    assert training_data(project) == (1, ["box"] * 4, 1)
-    assert [(view.view_id, view.boxes, view.step, view.geometry) for view in project.boxes.on_views()] == views
-    live.client.post(f"{ROOM}/undo", json={})
-    assert training_data(project) == (1, ["silhouette"] * 4, 1)
-    assert state(live.client)["image_boxes"]["box_kind"] == "silhouette"

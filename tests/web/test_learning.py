@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import fake_jobs
@@ -16,13 +15,10 @@ from test_web_jobs import JOBS, begin, fake, until  # noqa: F401  (`fake` is a f
 
 from annotator.project import Project, create_project
 from annotator.project.labels import Labels
-from annotator.project.log import ChangedFrame, Log
 from annotator.project.models import Models
 from annotator.types import DetectorKind
-from annotator.types.errors import ConfigError
 from annotator.web import background
-from annotator.web.background import Learner, Watch
-from annotator.web.context import Context
+from annotator.web.background import Learner
 from annotator.web.jobs import runner
 from annotator.web.jobs.records import PAUSE, RESUME, STOP, WORK, JobState, TrainRequest
 from annotator.web.jobs.runner import STEPPED_ASIDE, JobRunner
@@ -146,29 +142,6 @@ def test_a_round_that_stepped_aside_starts_again_when_no_other_job_runs(
     for _ in range(3):
         learner.look("room", project)
     assert len(jobs.all()) == 3
-
-
-def test_a_round_that_cannot_start_loses_no_event(
-    project: Project, jobs: JobRunner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(self: Learner, name: str, project: Project) -> None:
-        raise ConfigError("20 jobs are waiting already")
-
-    monkeypatch.setattr(Learner, "look", fail)
-    monkeypatch.setattr(Log, "changed_frames", lambda self, event_id: (event_id + 1, (ChangedFrame(7, 2, "Ada"),)))
-    sent: list[int] = []
-    hub = SimpleNamespace(
-        projects=lambda: {"room": 0},
-        frame_changed=lambda name, frame_id, *_: sent.append(frame_id),
-        recordings_are=lambda name, ids: None,
-    )
-    monkeypatch.setattr(Context, "is_open", lambda self, name: True)
-    monkeypatch.setattr(Context, "project", lambda self, name: project)
-    context = object.__new__(Context)
-    vars(context)["hub"] = hub
-    watch = Watch(context, Learner(jobs))
-    watch.poll()
-    assert sent == [7]
 
 
 def test_a_paused_job_waits_and_a_stop_ends_the_pause() -> None:

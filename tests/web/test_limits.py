@@ -17,7 +17,7 @@ from live_server import PATIENCE_S, running, wait_until
 
 from annotator.project import create_project
 from annotator.web import limits
-from annotator.web.limits import FILE, MOST_KEYS, Connections, Rate, address_key, limited_log, most_connections
+from annotator.web.limits import FILE, MOST_KEYS, Connections, Rate, address_key, limited_log
 from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
@@ -62,8 +62,8 @@ def rest(connection: socket.socket) -> bytes:
 
 @pytest.mark.parametrize(
     ("sent", "more"),
-    [(b"", b""), (HEAD, b""), (HEAD, b"X-Slow: yes\r\n")],
-    ids=["nothing", "half", "drop by drop"],
+    [(b"", b""), (HEAD, b"X-Slow: yes\r\n")],
+    ids=["nothing", "drop by drop"],
 )
 def test_headers_must_come_in_time(locked: Live, monkeypatch: pytest.MonkeyPatch, sent: bytes, more: bytes) -> None:
     monkeypatch.setattr(limits, "HEADERS_WITHIN_S", 0.2)
@@ -156,12 +156,6 @@ def test_room_is_kept_for_those_who_have_signed_in() -> None:
     assert [transport.closed for transport in [*arrive("r"), silent[0]]] == [False, True], "room for 6 silent ones"
 
 
-def test_there_are_descriptors_for_all_connections() -> None:
-    import resource
-
-    assert 64 <= most_connections() <= max(64, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
-
-
 def test_rates_refill_and_forget() -> None:
     now = 0.0
     rate = Rate(2.0, 3, clock=lambda: now)
@@ -175,19 +169,10 @@ def test_rates_refill_and_forget() -> None:
     assert len(rate._left) == MOST_KEYS
 
 
-@pytest.mark.parametrize(
-    ("host", "key"),
-    [
-        ("10.0.0.1", "10.0.0.1"),
-        ("::ffff:10.0.0.1", "10.0.0.1"),
-        ("2001:db8:0:1:2::3", "2001:db8:0:1::/64"),
-        ("fe80::1%eth0", "fe80::/64"),
-        ("testclient", "testclient"),
-        ("", ""),
-    ],
-)
-def test_addresses_of_one_network_count_as_one(host: str, key: str) -> None:
-    assert address_key(host) == key
+def test_addresses_of_one_network_count_as_one() -> None:
+    assert address_key("10.0.0.1") == address_key("::ffff:10.0.0.1") == "10.0.0.1"
+    assert address_key("2001:db8:0:1:2::3") == "2001:db8:0:1::/64"
+    assert (address_key("fe80::1%eth0"), address_key("testclient"), address_key("")) == ("fe80::/64", "testclient", "")
 
 
 def test_the_log_has_few_lines_and_rotates(

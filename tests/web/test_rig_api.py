@@ -23,6 +23,11 @@ def web_settings(tmp_path: Path) -> ServerSettings:
     return rig_settings(tmp_path)
 
 
+@pytest.fixture
+def live(own_live: Live) -> Live:
+    return own_live
+
+
 def add_all(live: Live, **options: Any) -> list[dict[str, Any]]:
     body = {"path": "clouds/drive", "options": {"look_around": 4, **options}}
     answer = live.client.post("/api/projects/room/recordings", json=body)

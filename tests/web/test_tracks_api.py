@@ -217,21 +217,6 @@ def test_what_cannot_be_followed_is_refused(
     assert refused.json()["error"]["message"] == "the view detector cannot be used: the weights are damaged"
 
 
-def test_no_detector_is_needed(live: Live, project: Project, generated: Path) -> None:
-    accept_truth(project, generated)
-    assert follow(live)["has_detector"] is False
-    wait_until(lambda: latest(live)["state"] != "running")
-    assert latest(live)["tracks"][0]["boxes"] == 4
-
-
-@pytest.mark.usefixtures("following_view")
-def test_a_stale_revision_returns_both_versions(live: Live, project: Project, generated: Path) -> None:
-    (uid,) = accept_truth(project, generated)
-    stale = live.client.post(f"{ROOM}/frames/1/follow", json={"revision": 0, "uid": uid})
-    assert (stale.status_code, stale.json()["state"]["frame"]["revision"]) == (409, 1)
-    assert latest(live) is None
-
-
 def test_a_sheet_shows_pictures_and_accepts_in_one_step(live: Live, project: Project) -> None:
     uids = [propose(project, frame, 0.1)[0] for frame in (1, 2, 3)]
     for frame, uid in enumerate(uids, 1):

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from test_web_jobs import JOBS, ended
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -38,12 +37,3 @@ def test_detectors_are_loaded_at_once_when_the_page_asks(live: Live, monkeypatch
     monkeypatch.setattr(detectors, "warm", lambda project, at_once=False: asked.append((project.path, at_once)))
     assert live.client.post(f"{MODELS}/load").status_code == 204
     assert [(path.name, at_once) for path, at_once in asked] == [("room", True)]
-
-
-def test_missing_training_data_is_reported(live: Live) -> None:
-    job = live.client.post(JOBS, json={"kind": "train"}).json()
-    now = ended(live, job)
-    assert now["state"] == "failed"
-    assert "to learn from" in now["message"]
-    propose = live.client.post(JOBS, json={"kind": "propose"}).json()
-    assert "detector yet" in ended(live, propose)["message"]

@@ -252,11 +252,7 @@ class _Journal(BaseModel):
 
 
 def require_own_files(folder: Path) -> None:
-    """Refuses a folder of jobs with links that lead out of it: somebody may have sent it, together with projects.
-
-    Raises:
-        ConfigError: the folder is a link, or has one that leads out of it.
-    """
+    """Refuses a folder of jobs with links that lead out of it: somebody may have sent it, together with projects."""
     try:
         link = folder if folder.is_symlink() else link_out(folder) if folder.exists() else None
     except OSError as error:
@@ -388,11 +384,7 @@ class JobContext:
     stopped: Callable[[], bool]
 
     def progress(self, stage: str, done: float = 0.0, total: float = 0.0, eta_s: float | None = None) -> None:
-        """Reports the progress. A job stops at its next call of this method.
-
-        Raises:
-            JobStoppedError: a stop was requested.
-        """
+        """Reports the progress. A job stops at its next call of this method."""
         if self.stopped():
             raise JobStoppedError("stopped")
         self.send(Progress(stage=stage, done=done, total=total, eta_s=eta_s))

@@ -166,9 +166,6 @@ class JobRunner:
         """
         Args:
             readable: as for `open_project`.
-
-        Raises:
-            ConfigError: a link leads out of the folder.
         """
         require_own_files(folder)
         self.folder = folder
@@ -192,11 +189,7 @@ class JobRunner:
         self._thread.start()
 
     def add(self, project: str, path: Path, request: JobRequest, operator: str) -> Job:
-        """Adds a job for the project in the folder `path`.
-
-        Raises:
-            ConfigError: too many jobs are waiting.
-        """
+        """Adds a job for the project in the folder `path`."""
         job = Job(
             id=uuid.uuid4().hex,
             project=project,
@@ -282,22 +275,14 @@ class JobRunner:
             return sorted(self._jobs.values(), key=lambda job: job.created_ns, reverse=True)
 
     def get(self, job_id: str) -> Job:
-        """One job.
-
-        Raises:
-            NotFoundError: no such job.
-        """
+        """One job."""
         with self._lock:
             if job_id not in self._jobs:
                 raise NotFoundError(f"there is no job {job_id!r}; it may be too old to be listed")
             return self._jobs[job_id]
 
     def cancel(self, job_id: str) -> Job:
-        """Stops a job: a waiting one at once, a running one at its next safe point.
-
-        Raises:
-            NotFoundError: no such job.
-        """
+        """Stops a job: a waiting one at once, a running one at its next safe point."""
         job = self.get(job_id)
         with self._lock:
             waiting = [entry for entry in self._waiting if entry[0] == job_id]
@@ -313,11 +298,7 @@ class JobRunner:
         return self._update(job_id, stage="stopping") if running else job
 
     def require_none(self, project: str) -> None:
-        """Checks that no job of a project runs or waits.
-
-        Raises:
-            InUseError: one does.
-        """
+        """Checks that no job of a project runs or waits."""
         for job in self.all():
             if job.project == project and not job.state.ended:
                 raise InUseError(
@@ -333,11 +314,7 @@ class JobRunner:
             write_journal(self.folder, reversed(self.all()))
 
     def file(self, job_id: str) -> Path:
-        """The file of an export.
-
-        Raises:
-            NotFoundError: no such job, or its file does not exist.
-        """
+        """The file of an export."""
         job = self.get(job_id)
         path = self._export_file(job)
         if path is None or job.download == "gone" or not path.is_file():

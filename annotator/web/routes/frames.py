@@ -11,22 +11,21 @@ from fastapi.responses import JSONResponse, Response
 
 from annotator.project import Project, Reverted
 from annotator.project.overview import list_frames
-from annotator.types.errors import HistoryError, StaleRevisionError
+from annotator.types.errors import HistoryError
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.errors import error_response
+from annotator.web.errors import AnsweredError, error_response
 from annotator.web.frame_changes import ChangesIn
-from annotator.web.frame_json import STALE, frame_response, frame_row, frame_state, stale_response
-from annotator.web.schemas import Effort, FrameListJson, FrameStateJson, RowId, Schema
+from annotator.web.frame_json import STALE, both_versions, frame_response, frame_row, frame_state
+from annotator.web.schemas import FrameListJson, FrameStateJson, RowId, Schema, WithEffort
 from annotator.workflows.workbench.apply_changes import apply_changes
 
 router = APIRouter(tags=["frames"])
 
 
-class StepIn(Schema):
+class StepIn(WithEffort):
     """`skip`: skip actions whose targets another operator has changed since."""
 
     skip: bool = False
-    effort: Effort | None = None
 
 
 class StepOut(Schema):
@@ -63,17 +62,16 @@ def changes(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Chan
     """Change one frame: all changes or none, as one undo step."""
     project = ctx.project(name)
     open_frame = partial(ctx.caches.frames.open, project, frame_id)
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
         known = ctx.caches.frames.known_page(project, frame_id)
-        receipt = apply_changes(project, frame_id, body.payloads(), body.context(operator), open_frame, known)
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, body.model_dump(mode="json")["changes"])
+        context = body.context(operator, body.subject)
+        receipt = apply_changes(project, frame_id, body.payloads(), context, open_frame, known)
     ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
     return frame_response(ctx, name, frame_id, operator)
 
 
-@router.post("/api/projects/{name}/undo", response_model=StepOut, responses=STALE)
-def undo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSONResponse:
+@router.post("/api/projects/{name}/undo", responses=STALE)
+def undo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut:
     """Undo the operator's last action, on whichever frame. A run that follows objects is stopped first.
 
     Refused while 2D boxes of a file are being stored for this operator.
@@ -81,31 +79,30 @@ def undo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSO
     return _step(ctx, operator, name, body, lambda project: project.history.undo)
 
 
-@router.post("/api/projects/{name}/redo", response_model=StepOut, responses=STALE)
-def redo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut | JSONResponse:
+@router.post("/api/projects/{name}/redo", responses=STALE)
+def redo(ctx: Ctx, operator: Operator, name: str, body: StepIn) -> StepOut:
     """Redo the action that was undone last; otherwise as `undo`."""
     return _step(ctx, operator, name, body, lambda project: project.history.redo)
 
 
 def _step(
     ctx: Context, operator: str, name: str, body: StepIn, method: Callable[[Project], Callable[..., Reverted]]
-) -> StepOut | JSONResponse:
-    effort = None if body.effort is None else body.effort.stored()
+) -> StepOut:
     if ctx.jobs.stores_boxes(name, operator):
         # the import is one action: what it stores after its undo could not be undone
         raise HistoryError("your import of boxes is still running; stop it or wait, then undo it as a whole")
     project = ctx.project(name)
     ctx.follow_runs.stop(project, operator)
     try:
-        reverted = method(project)(operator, skip=body.skip, effort=effort)
+        reverted = method(project)(operator, skip=body.skip, effort=body.stored_effort())
     except HistoryError as error:
         if error.frame_id is None:
             raise
         present = frame_state(ctx, name, error.frame_id, operator).model_dump(mode="json")
-        return error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
+        answer = error_response("HistoryError", str(error), 409, frame=error.frame_id, state=present)
+        raise AnsweredError(answer) from error
     ctx.follow_runs.forget(project, operator, reverted.original)
-    for frame_id, receipt in ((reverted.frame_id, reverted.receipt), *reverted.others):
-        ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
+    ctx.hub.frames_changed(project, ((reverted.frame_id, reverted.receipt), *reverted.others), operator)
     state = frame_state(ctx, name, reverted.frame_id, operator)
     return StepOut.model_construct(frame=reverted.frame_id, state=state, done=reverted.words)
 

@@ -5,24 +5,21 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
-from fastapi.responses import JSONResponse
 from pydantic import Field
 
-from annotator.project import WriteContext
 from annotator.project.classes.attributes import AttributeOf
 from annotator.project.review.value_filter import ValueFilter
 from annotator.project.views import png
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import STALE, drawn_view, frame_state, quality_json, stale_response
+from annotator.web.frame_json import STALE, both_versions, drawn_view, frame_state, quality_json
 from annotator.web.schemas import (
     Box2DJson,
     Box3DJson,
     Box3DOut,
     ClassName,
-    Effort,
+    FrameChange,
     FrameStateJson,
     Outline,
     QualityJson,
@@ -107,12 +104,10 @@ class FitOut(Schema):
     too_few_points: bool
 
 
-class CopyIn(Schema):
+class CopyIn(FrameChange):
     """The frame to copy from; null = the previous one."""
 
-    revision: RowId
     source: Annotated[RowId | None, Field(alias="from")] = None
-    effort: Effort | None = None
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/ortho")
@@ -167,14 +162,12 @@ def _ready(ctx: Context, name: str, frame_id: int, operator: str) -> tuple[OpenF
     return opened, frame_config(project, opened.frame, ready.detector, image_kind=image_kind), ready
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/copy", response_model=FrameStateJson, responses=STALE)
-def copy(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/copy", responses=STALE)
+def copy(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyIn) -> FrameStateJson:
     """Copy the reviewed boxes of another frame, except those that this frame already has."""
-    project, effort = ctx.project(name), None if body.effort is None else body.effort.stored()
-    try:
-        receipt = copy_boxes(project, frame_id, body.source, WriteContext(body.revision, operator, effort=effort))
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json", by_alias=True)])
+    project = ctx.project(name)
+    with both_versions(ctx, name, frame_id, operator, body):
+        receipt = copy_boxes(project, frame_id, body.source, body.context(operator))
     ctx.hub.frame_changed(project, frame_id, receipt.revision, operator)
     return frame_state(ctx, name, frame_id, operator)
 

@@ -11,16 +11,16 @@ from itertools import islice
 from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Path
-from fastapi.responses import JSONResponse, StreamingResponse
+from fastapi.responses import StreamingResponse
 from pydantic import Field
 
 from annotator.project import Project, StoredFrame
 from annotator.types import DetectorKind, Label, ReviewState
-from annotator.types.errors import AnnotatorError, DetectionError, StaleRevisionError
+from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.follow_runs import Direction, FollowRequest, FollowRunJson
-from annotator.web.frame_json import STALE, frame_state, stale_response
-from annotator.web.schemas import Box3DJson, Effort, FrameStateJson, RowId, Schema, Uid
+from annotator.web.frame_json import STALE, both_versions, frame_state
+from annotator.web.schemas import Box3DJson, FrameChange, FrameStateJson, RowId, Schema, Uid, WithEffort
 from annotator.workflows.tracks.carry_correction import carry_correction
 from annotator.workflows.tracks.copy_next import copy_next
 from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
@@ -53,12 +53,10 @@ class TrackOut(Schema):
     boxes: list[TrackBox]
 
 
-class CopyNextIn(Schema):
+class CopyNextIn(FrameChange):
     """A label, reviewed or not."""
 
-    revision: RowId
     uid: Uid
-    effort: Effort | None = None
 
 
 class CopyNextOut(Schema):
@@ -68,13 +66,11 @@ class CopyNextOut(Schema):
     uid: str
 
 
-class CarryIn(Schema):
+class CarryIn(FrameChange):
     """A reviewed label, and its box before it was corrected."""
 
-    revision: RowId
     uid: Uid
     was: Box3DJson
-    effort: Effort | None = None
 
 
 class CarryOut(Schema):
@@ -83,13 +79,11 @@ class CarryOut(Schema):
     changed: int
 
 
-class FollowIn(Schema):
+class FollowIn(FrameChange):
     """A reviewed label to follow; null = all reviewed labels of the frame."""
 
-    revision: RowId
     uid: Uid | None = None
     direction: Direction = "forward"
-    effort: Effort | None = None
 
 
 class FollowOut(Schema):
@@ -98,13 +92,11 @@ class FollowOut(Schema):
     run: FollowRunJson | None
 
 
-class InterpolateIn(Schema):
+class InterpolateIn(FrameChange):
     """A reviewed label; proposals fill the frames back to its track's previous key frame. `refit`: refit each box."""
 
-    revision: RowId
     uid: Uid
     refit: bool = False
-    effort: Effort | None = None
 
 
 class InterpolateOut(Schema):
@@ -137,15 +129,12 @@ def track(ctx: Ctx, name: str, recording_id: RowId, track_id: TrackId) -> TrackO
     )
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/copy-next", response_model=CopyNextOut, responses=STALE)
-def copy_to_next(
-    ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyNextIn
-) -> CopyNextOut | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/copy-next", responses=STALE)
+def copy_to_next(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyNextIn) -> CopyNextOut:
     """Propose a box in the next frame, moved along its track; one undo step."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
     opened = _opener(ctx, project, operator)
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
         done = copy_next(
             project,
             frame_id,
@@ -153,37 +142,30 @@ def copy_to_next(
             body.revision,
             operator,
             read=lambda frame: opened(frame).frame,
-            effort=effort,
+            effort=body.stored_effort(),
         )
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
-    for changed, receipt in done.changed:
-        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
+    ctx.hub.frames_changed(project, done.changed, operator)
     return CopyNextOut(frame=done.frame_id, uid=done.uid)
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/carry", response_model=CarryOut, responses=STALE)
-def carry(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CarryIn) -> CarryOut | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/carry", responses=STALE)
+def carry(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CarryIn) -> CarryOut:
     """Correct the later proposals of a track like this box; one undo step."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
-    try:
-        done = carry_correction(project, frame_id, body.uid, body.revision, body.was.box(), operator, effort=effort)
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
-    for changed, receipt in done:
-        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
+    with both_versions(ctx, name, frame_id, operator, body):
+        was, effort = body.was.box(), body.stored_effort()
+        done = carry_correction(project, frame_id, body.uid, body.revision, was, operator, effort=effort)
+    ctx.hub.frames_changed(project, done, operator)
     return CarryOut(changed=len(done))
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/follow", response_model=FollowRunJson, responses=STALE)
-def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FollowIn) -> FollowRunJson | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/follow", responses=STALE)
+def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FollowIn) -> FollowRunJson:
     """Follow reviewed boxes through the recording; one undo step. The operator's last run is stopped first."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
     view = _own_view(ctx, project)
     ctx.follow_runs.stop(project, operator)
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
         run = follow_from_frame(
             project,
             frame_id,
@@ -192,10 +174,8 @@ def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Follo
             operator,
             uid=body.uid,
             forward=body.direction == "forward",
-            effort=effort,
+            effort=body.stored_effort(),
         )
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     request = FollowRequest(run, frame_id, body.direction, view is not None)
     return ctx.follow_runs.start(project, operator, request)
 
@@ -212,20 +192,15 @@ def stop_following(ctx: Ctx, operator: Operator, name: str) -> FollowOut:
     return FollowOut(run=ctx.follow_runs.stop(ctx.project(name), operator))
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/interpolate", response_model=InterpolateOut, responses=STALE)
-def interpolate(
-    ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: InterpolateIn
-) -> InterpolateOut | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/interpolate", responses=STALE)
+def interpolate(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: InterpolateIn) -> InterpolateOut:
     """Propose boxes between a reviewed box and its track's previous reviewed box; one undo step."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
     fit = _box_fitter(ctx, project, _opener(ctx, project, operator)) if body.refit else None
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
+        effort = body.stored_effort()
         done = interpolate_back(project, frame_id, body.uid, body.revision, operator, fit=fit, effort=effort)
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
-    for changed, receipt in done.filled:
-        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
+    ctx.hub.frames_changed(project, done.filled, operator)
     state = frame_state(ctx, name, frame_id, operator)
     return InterpolateOut.model_construct(
         filled=len(done.filled), finalised=done.finalised, covered=done.covered, state=state
@@ -237,11 +212,7 @@ def _opener(ctx: Context, project: Project, operator: str) -> Callable[[StoredFr
 
 
 def _own_view(ctx: Context, project: Project) -> ReadyDetector | None:
-    """The project's own view detector, or None.
-
-    Raises:
-        DetectionError: it cannot be loaded.
-    """
+    """The project's own view detector, or None."""
     if not has_view_with_classes(project):
         return None
     ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
@@ -280,11 +251,10 @@ class SeenJson(Schema):
     uid: Uid
 
 
-class AcceptIn(Schema):
+class AcceptIn(WithEffort):
     """The proposals that were not clicked out."""
 
     boxes: Annotated[list[SeenJson], Field(max_length=MOST_BOXES)]
-    effort: Effort | None = None
 
 
 class AcceptOut(Schema):
@@ -354,7 +324,6 @@ async def drawn_ahead(draw: Callable[[Entry], str], entries: Sequence[Entry]) ->
 def accept(ctx: Ctx, operator: Operator, name: str, body: AcceptIn) -> AcceptOut:
     """Accept proposals in several frames, all or none, as one undo step."""
     boxes = [SeenBox(seen.frame, seen.revision, seen.uid) for seen in body.boxes]
-    project, effort = ctx.project(name), None if body.effort is None else body.effort.stored()
-    for frame, receipt in accept_boxes(project, boxes, operator, effort):
-        ctx.hub.frame_changed(project, frame, receipt.revision, operator)
+    project = ctx.project(name)
+    ctx.hub.frames_changed(project, accept_boxes(project, boxes, operator, body.stored_effort()), operator)
     return AcceptOut(accepted=len(boxes))

@@ -59,9 +59,6 @@ def start_viser(host: str, origin: str) -> viser.ViserServer:
 
     Any page in any browser on this computer may open a WebSocket to a port of 127.0.0.1, and viser accepts all of them.
     With a secret origin, which no browser sends, only the proxy can connect.
-
-    Raises:
-        RuntimeError: this version of viser cannot be restricted in this way.
     """
     import viser
 
@@ -358,11 +355,7 @@ class Viewports:
         return new
 
     def get(self, id: str, operator: str) -> Viewport:
-        """An operator's viewport.
-
-        Raises:
-            NotFoundError: no such viewport, or it belongs to another operator.
-        """
+        """An operator's viewport."""
         with self._lock:
             viewport = self._open.get(id)
         if viewport is None or viewport.operator != operator:
@@ -370,11 +363,7 @@ class Viewports:
         return viewport
 
     def close_one(self, id: str, operator: str) -> None:
-        """Closes a viewport.
-
-        Raises:
-            NotFoundError: as in `get`.
-        """
+        """Closes a viewport."""
         viewport = self.get(id, operator)
         with self._lock:
             removed = self._open.pop(id, None)
