@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import io
 import json
 import os
 import re
@@ -13,13 +14,18 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+from rich.console import Console
 
 from annotator import __version__
 from annotator.cli import main as cli
+from annotator.cli import output
 from annotator.cli.completion import Shell
 from annotator.cli.main import COMMANDS, GROUPS, Command, main
 from annotator.cli.options import ReadAs
+from annotator.cli.output import counted
 from annotator.types.errors import FormatError
+from annotator.workflows import doctor
+from annotator.workflows.doctor import Line, Report, State
 
 HEAVY = ("torch", "torchvision", "ultralytics", "open3d", "viser", "av", "ray")
 LIGHTER = ("numpy", "scipy", "cv2", "pydantic", "sqlalchemy", "tyro", "rich")
@@ -264,3 +270,88 @@ sys.exit(cli.main(["x"]))
     assert process.stderr.read() == b""
     assert process.wait(30) == 128 + 13
     process.stderr.close()
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_the_bar_is_removed_only_after_an_error(monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
+    shown = io.StringIO()
+    monkeypatch.setattr(output, "Console", lambda stderr: Console(file=shown, force_terminal=terminal, width=100))
+    with counted("drawing") as tell:
+        tell(3, 4)
+    assert "3/4" in _left(shown.getvalue())
+    shown.truncate(0)
+    with pytest.raises(ValueError, match="no"), counted("drawing"):
+        raise ValueError("no")
+    assert "drawing" not in _left(shown.getvalue())
+
+
+def test_an_error_is_printed_without_a_bar(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", "somewhere", "--frames", "0"]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+def _left(written: str) -> str:
+    """The final content of a terminal, without the lines that were erased."""
+    lines = [""]
+    for piece in written.split("\x1b["):
+        if piece.startswith("2K"):
+            lines[-1] = ""
+        if piece.startswith("1A"):
+            lines.pop()
+        text = piece.split("m", 1)[-1] if "m" in piece[:8] else piece
+        head, *more = text.split("\n")
+        lines[-1] += head
+        lines += more
+    return "\n".join(lines)
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize(("state", "code"), [(State.OK, 0), (State.WARNING, 0), (State.FAILED, 1)])
+def test_the_exit_code_is_1_if_a_check_failed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, state: State, code: int
+) -> None:
+    asked: list[Path] = []
+
+    def examine(projects: Path) -> Report:
+        asked.append(projects)
+        line = Line(section="machine", name="thing", state=state, found="there")
+        return Report(annotator_version="1", lines=(line,))
+
+    monkeypatch.setattr(doctor, "examine", examine)
+    assert main(["doctor", "--projects", str(tmp_path)]) == code
+    assert f"thing  there: {state}\n" in capsys.readouterr().out
+    assert main(["doctor", "--json", "--projects", str(tmp_path)]) == code
+    assert Report.model_validate_json(capsys.readouterr().out).lines[0].state is state
+    assert asked == [tmp_path, tmp_path]
+
+
+@pytest.mark.slow
+def test_the_report_contains_no_home_path_and_leaves_no_files(tmp_path: Path) -> None:
+    """Run in a temporary home: no path in it is printed, and the only new files are ultralytics' settings."""
+    home, temporary, here = tmp_path / "home", tmp_path / "temporary", tmp_path / "home" / "data"
+    here.mkdir(parents=True)
+    temporary.mkdir()
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "ANNOTATOR_"))}
+    environment |= {"HOME": str(home), "TMPDIR": str(temporary), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-m", "annotator", "doctor", "--json"],
+        cwd=here,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=False,
+    )
+    report = Report.model_validate_json(done.stdout)
+    assert done.returncode == int(report.failed), done.stderr
+    failed = [line for line in report.lines if line.state is State.FAILED]
+    assert failed == [], "this machine has what the tests need"
+    assert report.annotator_version == __version__
+    assert str(home) not in done.stdout
+    assert "for ~/data/projects" in done.stdout
+    sections = list(dict.fromkeys(line.section for line in report.lines))
+    assert sections == ["machine", "packages", "extras", "backends", "detectors", "self-test"]
+    assert list(temporary.iterdir()) == []
+    assert {path.name for path in home.rglob("*") if path.is_file()} <= {"settings.json"}

@@ -18,8 +18,9 @@ from annotator.demo.trained import TrainedPlan
 from annotator.detection import base_detector
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
+from annotator.project import WriteContext, open_project
 from annotator.recordings import open_recording
-from annotator.types import Box2D
+from annotator.types import Box2D, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.batch_store import AnnotateSummary
 from annotator.workflows.proposing.engines.sources import GivenDetectors
@@ -366,3 +367,83 @@ def test_import_names_a_missing_pseudo_view_image(project: str, tmp_path: Path, 
     assert stats(capsys)["view_boxes"]["boxes"] == 0
     shutil.rmtree(tmp_path / "pictures")
     assert "is not in pictures" in run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
+
+
+@pytest.fixture
+def labelled_room(generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the project `room`: five frames with three labelled people."""
+    folder = tmp_path / "projects"
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
+    assert main(["new", "room", "--classes", "person"]) == 0
+    assert main(["add", "room", str(generated / "people")]) == 0
+    return folder / "room"
+
+
+def test_interpolate_and_track(labelled_room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_project(labelled_room) as project:
+        for frame in project.frames.of()[1:4]:
+            for revision, label in enumerate(project.labels.of_frame(frame.id), frame.revision):
+                project.labels.delete(frame.id, label.uid, WriteContext(revision, "ann"))
+    capsys.readouterr()
+    assert main(["interpolate", "room", "people", "--track", "1"]) == 0
+    assert "track 1: 3 frames filled" in capsys.readouterr().out
+    assert main(["interpolate", "room", "people", "--track", "2", "--from", "000000", "--to", "000004", "--refit"]) == 0
+    with open_project(labelled_room) as project:
+        states = [[label.state for label in project.labels.of_frame(frame.id)] for frame in project.frames.of()]
+        assert states[2] == [ReviewState.PROPOSED] * 2
+        assert all(label.track_id in (1, 2, 3) for f in project.frames.of() for label in project.labels.of_frame(f.id))
+    assert main(["interpolate", "room", "people", "--track", "9"]) == 2
+    assert "track 9 has 0 reviewed boxes" in capsys.readouterr().err
+    assert main(["track", "room", "--recordings", "people"]) == 0
+    assert "12 boxes in 3 tracks of 1 recording, 0 changed" in capsys.readouterr().out
+    assert main(["track", "room", "--no-smooth"]) == 0
+
+
+@pytest.mark.slow
+def test_from_a_recording_to_a_dataset(
+    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path / "projects"))
+    monkeypatch.chdir(tmp_path)
+
+    def annotator(*words: str | Path) -> str:
+        code, printed = main([str(word) for word in words]), capsys.readouterr()
+        assert code == 0, printed.err
+        return printed.out
+
+    annotator("new", "room", "--classes", "person")
+    assert "imported as labels: 15 boxes of class person" in annotator("add", "room", generated / "people")
+
+    said = annotator(
+        *("train", "room", "--epochs", "1", "--image-epochs", "1"),
+        *("--size", "64", "--image-size", "64", "--views", "16", "--weights", "never"),
+    )
+    assert "image detector: trained on" in said
+    assert "view detector: trained on" in said
+    assert said.count("random weights") == 2
+    assert "next: annotator annotate room" in said
+
+    said = annotator("annotate", "room")
+    assert said.startswith("5 frames done, ")
+    assert ", 0 skipped, 0 failed; " in said
+    assert annotator("annotate", "room").startswith(
+        "0 frames done, 0 proposals (0 frames without), 5 skipped, 0 failed"
+    )
+
+    assert "5 frames, " in annotator("export", "room", "--format", "rcv", "out/3D_ROOM")
+    counts = json.loads(annotator("stats", "room", "--json"))
+    assert (counts["frames"], counts["models"], counts["runs"], counts["frames_failed"]) == (5, 2, 2, 0)
+    assert counts["labels"]["by_source"]["imported"] == 15
+    dataset = read_rcv(tmp_path / "out" / "3D_ROOM")
+    assert len(dataset) == 5
+    assert dataset.manifest.counts.objects == counts["labels"]["total"]
+    # only backends that ran are listed; briefly trained detectors may propose nothing
+    proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
+    assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])
+
+    # the manifest of each model lists its training labels
+    for manifest in (tmp_path / "projects" / "room" / "models").glob("*/*-*/manifest.json"):
+        entries = json.loads(manifest.read_text())["entries"]
+        assert {uid for entry in entries for uid in entry["label_uids"]} == {
+            label.uid for index in range(5) for label in dataset.labels(index) if label.source == "imported"
+        }

@@ -14,15 +14,14 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from coco_sample import coco
 from live_server import PATIENCE_S, ended, look
-from room_api import ROOM
+from room_api import ROOM, coco
 
 from annotator.project import Project, StoredFrame, WriteContext
 from annotator.project.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Source
-from annotator.types.errors import FormatError, NotFoundError
+from annotator.types.errors import NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
 from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext
@@ -217,36 +216,6 @@ def test_frames_that_an_import_leaves_unchanged_are_counted_before(live: Live, t
         project.history.undo("Ada")
 
 
-@pytest.mark.parametrize("become", ["labels", "proposals"])
-def test_an_import_of_3d_boxes_says_which_values_and_scores_it_leaves_out(
-    live: Live, tmp_path: Path, become: str
-) -> None:
-    project = live.context.project("room")
-    entry = {"label": "person", "size": [4.0, 1.6, 1.5], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
-    entry |= {"center": [0.0, 0.0, 9.0], "score": 7.5, "attributes": {"pose": "sitting", "age": 7}}
-    sent = send(live, "mine.json", json.dumps({project.frames.of()[0].key: [entry]}).encode())
-    done = run(project, tmp_path, upload=sent["id"], become=become, source="mine")
-    values = (
-        "2 values of attributes left out: age (not an attribute of the project), pose (not an attribute of the project)"
-    )
-    assert (
-        done.message
-        == {
-            "labels": f"1 label imported in 1 frame, 1 score outside 0..1 dropped, {values}",
-            "proposals": f"1 box of mine proposed in 1 frame, scores from 7.5 to 7.5 are now 0 to 1, {values}",
-        }[become]
-    )
-    sent = send(live, "mine.json", json.dumps({project.frames.of()[0].key: [entry]}).encode())
-    done = run(project, tmp_path, upload=sent["id"], become=become, source="mine", add_attributes=True)
-    if become == "labels":
-        filled = "2 values of attributes for labels and frames that had none"
-        assert (
-            done.message == f"0 labels imported in 0 frames, 1 frame with labels or proposals left unchanged, {filled}"
-        )
-    (label,) = project.labels.of_frame(project.frames.of()[0].id)
-    assert dict(label.attributes) == {"age": 7, "pose": "sitting"}
-
-
 @pytest.mark.usefixtures("jobs_on_path")
 def test_nothing_is_undone_while_an_import_stores_its_boxes(
     live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch
@@ -341,17 +310,6 @@ def test_a_zip_of_macos_with_labels_beside_the_images(live: Live, tmp_path: Path
     assert run(project, tmp_path, upload=sent["id"]).result["boxes"] == 1
 
 
-def test_a_recording_of_another_name_is_shown(live: Live, tmp_path: Path) -> None:
-    project = live.context.project("room")
-    key, name = project.frames.of()[0].key, project.recordings.all()[0].name
-    files = {"classes.txt": "person\n", "0.txt": "0 0.5 0.5 0.2 0.4\n"}
-    files["frames.csv"] = f"id,recording,key,split\n0,other,{key},\n"
-    sent = send(live, "set.zip", packed(files))
-    assert (sent["renamed"], sent["taken_for"]) == ("other", [name])
-    done = run(project, tmp_path, upload=sent["id"])
-    assert f"recording other of the file taken for {name}" in done.message
-
-
 def test_images_of_several_recordings_need_a_choice(live: Live, generated: Path) -> None:
     project = live.context.project("room")
     register_recording(project, open_recording(generated / "hands"))
@@ -419,12 +377,3 @@ def test_a_file_may_be_larger_than_other_requests(live: Live, monkeypatch: pytes
     assert "boxes.json" in send(live, "boxes.json", filled, 400)["error"]["message"]
     assert send(live, "boxes.json", filled + b" " * 20, 413)["error"]["kind"] == "TooLargeError"
     assert live.client.post(f"{ROOM}/jobs", content=filled).status_code == 413
-
-
-def test_a_job_without_a_class_of_the_project_changes_nothing(live: Live, generated: Path, tmp_path: Path) -> None:
-    project = live.context.project("room")
-    sent = send(live, "boxes.json", json.dumps(coco(generated)).encode())
-    with pytest.raises(FormatError, match="none of the dataset's classes is in the project"):
-        run(project, tmp_path, upload=sent["id"])
-    assert project.boxes.on_images() == ()
-    assert live.client.get(f"{FILES}/{sent['id']}").status_code == 200, "another try needs no new upload"

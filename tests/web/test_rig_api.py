@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rig_room import label_object, rig_settings
-from room_api import state
+from room_api import label_object, rig_settings, state
 
 from annotator.project import WriteContext
 from annotator.types import Source

@@ -18,6 +18,7 @@ from live_server import PATIENCE_S
 from starlette.routing import BaseRoute
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from annotator import __version__
 from annotator.types.errors import ConfigError
 from annotator.web import security
 from annotator.web.app import create_app
@@ -35,6 +36,7 @@ from annotator.web.security import (
 
 if TYPE_CHECKING:
     from live_server import Live
+
 
 TOKEN = "a-token-for-the-tests"
 SECRET = "the-value-of-its-cookie"
@@ -286,3 +288,28 @@ def test_a_page_that_sends_too_many_messages_is_disconnected(live: Live) -> None
                 socket_.recv(timeout=PATIENCE_S)
     assert socket_.close_code == 1008
     assert live.client.get("/api/session").status_code == 200
+
+
+def test_sign_in_and_out(live: Live) -> None:
+    client = live.client
+    assert client.get("/api/session").json() == {"operator": "Ada", "version": __version__, "token_required": False}
+    answer = client.post("/api/session", json={"operator": " Zoë Ångström "})
+    assert answer.json()["operator"] == client.get("/api/session").json()["operator"] == "Zoë Ångström"
+    assert "HttpOnly" in answer.headers["set-cookie"]
+    assert "SameSite=strict" in answer.headers["set-cookie"]
+    assert client.delete("/api/session").json()["operator"] is None
+    assert client.get("/api/session").json()["operator"] is None
+
+
+@pytest.mark.parametrize("name", ["", "  ", "a\nb", "x" * 65, 3, None])
+def test_invalid_names_are_refused(live: Live, name: object) -> None:
+    answer = live.client.post("/api/session", json={"operator": name})
+    assert answer.status_code == 422
+    assert answer.json()["error"]["kind"] == "ValidationError"
+    assert "operator" in answer.json()["error"]["message"]
+
+
+def test_unknown_paths_are_404(live: Live) -> None:
+    for path in ("/api/nothing", "/nothing", "/assets/nothing.js", "/api/session/x"):
+        answer = live.client.get(path)
+        assert (answer.status_code, answer.json()["error"]["kind"]) == (404, "NotFoundError")

@@ -107,15 +107,6 @@ def test_a_removed_project_can_be_brought_back(live: Live, capsys: pytest.Captur
     assert live.client.get(ROOM).json()["labels_by_state"]["accepted"] == 1
 
 
-def test_a_damaged_project_can_be_removed(live: Live) -> None:
-    damaged = live.settings.projects_root / "damaged"
-    damaged.mkdir()
-    (damaged / "project.json").write_text("{")
-    assert live.client.post("/api/projects/damaged/rename", json={"name": "good"}).status_code == 400
-    assert live.client.delete("/api/projects/damaged").status_code == 200
-    assert not damaged.exists()
-
-
 def test_a_project_is_copied_by_a_job_with_and_without_its_labels(live: Live, tmp_path: Path) -> None:
     label_one(live)
     assert error(live.client.post(f"{ROOM}/jobs", json={"kind": "copy", "name": "room"}))[0] == 400

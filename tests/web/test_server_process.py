@@ -1,7 +1,9 @@
-"""What a server does with memory: few heaps for threads, free memory returned, modules left out of collections."""
+"""The process of a server: memory, what is loaded ahead, and one server a projects folder."""
 
 from __future__ import annotations
 
+import errno
+import logging
 import os
 import platform
 import subprocess
@@ -9,6 +11,11 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from annotator.types.errors import ConfigError
+from annotator.web import background as module
+from annotator.web.background import preload
+from annotator.web.folders import hold_server_lock
 
 # Prints how many MB 80 MB of freed pieces still take, the heaps after 16 threads have allocated at once, and whether
 # objects are left out of collections: at first, without new modules, after one was loaded, and at the end.
@@ -62,3 +69,63 @@ def test_threads_share_two_heaps_free_memory_is_returned_and_modules_are_set_asi
     done = subprocess.run([sys.executable, "-c", TIDY], capture_output=True, text=True, check=True, env=plain, cwd=root)
     assert done.stdout.splitlines()[:3] == ["True", "True False True", "0"]
     assert done.stdout.count("<heap nr=") <= 2
+
+
+LOADED = """
+import sys
+from annotator.web.background import preload
+before = {"numba", "viser"} & set(sys.modules)
+preload().join()
+from annotator.geometry.kernels.points_in_box import points_in_box
+print(sorted(before), sorted({"numba", "viser"} & set(sys.modules)), bool(points_in_box.signatures))
+"""
+
+
+def test_what_is_loaded_late_is_loaded_with_its_compiled_functions() -> None:
+    run = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True)
+    assert run.stdout.split("\n")[-2] == "[] ['numba', 'viser'] True", run.stdout + run.stderr
+
+
+def test_a_failure_is_logged_and_does_no_harm(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken() -> None:
+        raise OSError("no such library")
+
+    monkeypatch.setattr(module, "warm_frame", broken)
+    with caplog.at_level(logging.ERROR, "annotator.web"):
+        preload().join()
+    assert "no such library" in caplog.text
+
+
+def test_a_second_server_is_refused_while_the_first_one_runs(tmp_path: Path) -> None:
+    with hold_server_lock(tmp_path / "projects"):
+        with (
+            pytest.raises(ConfigError, match=r"projects: another `annotator serve` uses these projects"),
+            hold_server_lock(tmp_path / "projects"),
+        ):
+            pass
+        with hold_server_lock(tmp_path / "others"):
+            pass
+    with hold_server_lock(tmp_path / "projects"):
+        pass
+
+
+def test_a_file_system_without_locks_causes_only_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(file: object, how: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with hold_server_lock(tmp_path / "projects"):
+        assert "does not support locks (No locks available)" in caplog.text
+
+
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "projects").write_text("a file")
+    with (
+        pytest.raises(ConfigError, match="choose another folder with --projects"),
+        hold_server_lock(tmp_path / "projects"),
+    ):
+        pass
