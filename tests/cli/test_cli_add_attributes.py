@@ -33,11 +33,10 @@ def folder(tmp_path: Path, generated: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("as_", ["labels", "proposals"])
 def test_attributes_of_a_file_are_added_with_the_kind_of_their_values(
-    folder: Path, capsys: pytest.CaptureFixture[str], as_: str
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["import", "rooms", str(folder / "theirs.json"), "--as", as_, "--projects", str(folder)]
+    words = ["import", "rooms", str(folder / "theirs.json"), "--as", "proposals", "--projects", str(folder)]
     assert main([*words, "--add-attributes"]) == 0
     out = capsys.readouterr().out
     for line in (

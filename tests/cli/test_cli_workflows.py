@@ -38,11 +38,9 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def project(root: Path, generated: Path, capsys: Capture) -> str:
+def project(root: Path, made_rooms: Path) -> str:
     """A project of class person, with a recording but without its labels."""
-    assert main(["new", "room", "--classes", "person"]) == 0
-    assert main(["add", "room", str(generated / "people"), "--no-labels"]) == 0
-    capsys.readouterr()
+    shutil.copytree(made_rooms / "plain", root)
     return "room"
 
 
@@ -79,13 +77,6 @@ def test_add_imports_the_labels_of_the_recording(root: Path, generated: Path, ca
     assert "next: annotator train both" in said
     counts = stats(capsys, "both")
     assert counts["labels"]["by_source"]["imported"] == counts["labels"]["total"] == 15
-
-
-def test_add_without_labels(root: Path, generated: Path, capsys: Capture) -> None:
-    run(capsys, "new", "room", "--classes", "person")
-    said = run(capsys, "add", "room", generated / "people", "--no-labels")
-    assert "next: draw boxes" in said
-    assert stats(capsys)["labels"]["total"] == 0
 
 
 def test_add_lists_unreadable_frames(root: Path, own_copy: Callable[[str], Path], capsys: Capture) -> None:
@@ -347,11 +338,6 @@ def test_annotate_with_unusable_options(trained: str, capsys: Capture) -> None:
     assert stats(capsys)["runs"] == 0
 
 
-def test_debug_shows_the_traceback(project: str) -> None:
-    with pytest.raises(ConfigError, match="give 1 or more"):
-        main(["simulate", project, "people", "--every", "0", "--debug"])
-
-
 def test_import_names_a_missing_pseudo_view_image(project: str, tmp_path: Path, capsys: Capture) -> None:
     write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, (Box2D("person", 40.5, 40.5, 120.5, 200.5),))])
     run(capsys, "import", project, "c.json")
@@ -369,18 +355,9 @@ def test_import_names_a_missing_pseudo_view_image(project: str, tmp_path: Path, 
     assert "is not in pictures" in run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
 
 
-@pytest.fixture
-def labelled_room(generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the project `room`: five frames with three labelled people."""
-    folder = tmp_path / "projects"
-    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(folder))
-    assert main(["new", "room", "--classes", "person"]) == 0
-    assert main(["add", "room", str(generated / "people")]) == 0
-    return folder / "room"
-
-
-def test_interpolate_and_track(labelled_room: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with open_project(labelled_room) as project:
+def test_interpolate_and_track(root: Path, made_rooms: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(made_rooms / "labelled", root)
+    with open_project(root / "room") as project:
         for frame in project.frames.of()[1:4]:
             for revision, label in enumerate(project.labels.of_frame(frame.id), frame.revision):
                 project.labels.delete(frame.id, label.uid, WriteContext(revision, "ann"))
@@ -388,7 +365,7 @@ def test_interpolate_and_track(labelled_room: Path, capsys: pytest.CaptureFixtur
     assert main(["interpolate", "room", "people", "--track", "1"]) == 0
     assert "track 1: 3 frames filled" in capsys.readouterr().out
     assert main(["interpolate", "room", "people", "--track", "2", "--from", "000000", "--to", "000004", "--refit"]) == 0
-    with open_project(labelled_room) as project:
+    with open_project(root / "room") as project:
         states = [[label.state for label in project.labels.of_frame(frame.id)] for frame in project.frames.of()]
         assert states[2] == [ReviewState.PROPOSED] * 2
         assert all(label.track_id in (1, 2, 3) for f in project.frames.of() for label in project.labels.of_frame(f.id))
