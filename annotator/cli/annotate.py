@@ -135,7 +135,6 @@ def run_annotate(
 
 
 def summary_lines(done: AnnotateSummary) -> list[str]:
-    """The summary as lines of text."""
     rate = f", {done.seconds / done.done:.2f} s per frame" if done.done else ""
     named = ", ".join(dict.fromkeys(filter(None, done.backends)))
     backends = f"; detectors on {named}" if named else ""

@@ -243,7 +243,6 @@ def _run(name: str, command: Command, words: list[str]) -> int:
 
 
 def load(command: Command) -> Callable[..., int | None]:
-    """The command's function."""
     module, _, function = command.target.partition(":")
     target: Callable[..., int | None] = getattr(import_module(module), function)
     return target

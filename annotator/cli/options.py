@@ -103,7 +103,6 @@ def projects_root(projects: Path | None) -> Path:
 
 
 def open_named(name: str, projects: Path | None) -> Project:
-    """Opens the project of this name."""
     # imported here, so that `annotator doctor` runs without the database's package
     from annotator.project import open_project
 

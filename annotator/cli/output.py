@@ -14,7 +14,6 @@ from annotator.types.errors import ConfigError
 
 
 def print_line(text: str) -> None:
-    """Prints one line."""
     sys.stdout.write(text + "\n")
 
 
@@ -31,7 +30,6 @@ def require_yes(question: str, yes: bool) -> None:
 
 
 def print_json(model: BaseModel) -> None:
-    """Prints one JSON object on one line."""
     print_line(model.model_dump_json())
 
 

@@ -121,7 +121,6 @@ def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
 
 
 def _flag(setting: str, of_image: bool) -> str:
-    """The option of a setting."""
     name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
     return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
 

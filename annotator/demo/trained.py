@@ -54,7 +54,6 @@ def counted(progress: Progress, stage: str) -> Callable[[int, int], None]:
 
 
 def dataset_folder(root: Path, preset: str) -> Path:
-    """The folder of the demo's dataset."""
     return root / f"3D_{LABELS.get(preset, preset).upper()}"
 
 
@@ -66,12 +65,10 @@ def require_free(root: Path, preset: str) -> None:
 
 
 def generate(root: Path, preset: str, frames: int, seed: int, progress: Progress) -> None:
-    """Writes the recording."""
     write_generated(root / RECORDING, preset, frames, seed, report=counted(progress, "ray-cast the recording"))
 
 
 def new_project(root: Path, preset: str) -> AbstractContextManager[Project]:
-    """Creates the project of a recording."""
     return create_project(root, PROJECT, (LABELS[preset],), settings=ProjectSettings(rotation=ROTATIONS[preset]))
 
 

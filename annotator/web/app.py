@@ -137,7 +137,6 @@ ROUTES = (session, projects, classes, recordings, frames, label, review, tracks,
 
 
 def create_app(settings: ServerSettings) -> FastAPI:
-    """The application of one server."""
     check_settings(settings)
     context = Context(settings)
 

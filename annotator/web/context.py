@@ -94,7 +94,6 @@ class Caches:
             return known
 
     def close(self) -> None:
-        """Stops the background threads of the caches."""
         self.frames.close()
         self.sheets.close()
         self.detectors.close()

@@ -106,12 +106,10 @@ def hide_paths(text: str, path_names: Iterable[tuple[Path, str]]) -> str:
 
 
 def has_absolute_path(text: str) -> bool:
-    """True if a message contains an absolute path."""
     return _ABSOLUTE.search(text) is not None
 
 
 def status_of(error: AnnotatorError) -> int:
-    """The HTTP status code of an error."""
     return next(status for kind, status in STATUS if isinstance(error, kind))
 
 

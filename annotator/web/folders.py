@@ -24,7 +24,7 @@ MOST_ENTRIES = 1000
 
 
 @dataclass(frozen=True)
-class Entry:
+class FolderEntry:
     """One entry of a folder.
 
     Attributes:
@@ -40,12 +40,12 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Listing:
+class FolderListing:
     """The content of a folder; `parent` is None for the list of roots."""
 
     path: str
     parent: str | None
-    entries: tuple[Entry, ...]
+    entries: tuple[FolderEntry, ...]
 
 
 class Folders:
@@ -57,16 +57,16 @@ class Folders:
     def __init__(self, folders: Sequence[Path]) -> None:
         self._roots = dict(_named(folders))
 
-    def list(self, path: str) -> Listing:
+    def list(self, path: str) -> FolderListing:
         """Lists the sub-folders and recordings of a folder; "" lists the roots."""
         if not path:
-            return Listing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
+            return FolderListing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
         folder = self.find(path)
         if not folder.is_dir():
             raise _missing(path)
         parent = path.rpartition("/")[0]
         entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
-        return Listing(path, parent, tuple(e for e in entries if e.is_folder or e.recording is not None))
+        return FolderListing(path, parent, tuple(e for e in entries if e.is_folder or e.recording is not None))
 
     def roots(self) -> tuple[tuple[Path, str], ...]:
         """The roots with their names, nested ones first."""
@@ -101,12 +101,12 @@ class Folders:
                 continue
 
 
-def _entry(name: str, path: str, place: Path) -> Entry:
+def _entry(name: str, path: str, place: Path) -> FolderEntry:
     try:
         recording = detect_format(place)
     except RecordingError:  # a known format, but without frames or unreadable
         recording = None
-    return Entry(name, path, recording, place.is_dir())
+    return FolderEntry(name, path, recording, place.is_dir())
 
 
 def _is_unsafe(part: str) -> bool:
@@ -140,7 +140,7 @@ _UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp(-wal|-shm|-journal)?|unfinis
 
 
 def clear_leftovers(projects_root: Path) -> None:
-    """Removes half-written files and half-created projects of killed processes, and logs it; what may not be removed stays."""
+    """Removes half-written files and half-created projects of killed processes, as far as it may, and logs it."""
     oldest_s = time.time() - OLD_S
     for path in _unfinished(projects_root):
         with suppress(OSError):
@@ -179,8 +179,8 @@ LOCK = Path(JOBS_FOLDER) / "lock"
 def hold_server_lock(projects_root: Path) -> Iterator[None]:
     """Holds the lock of a projects folder: a second server would mark the jobs of the first one as failed.
 
-    The system releases it when the process ends. On a file system without locks, or for a folder that cannot be written,
-    it logs a warning instead.
+    The system releases it when the process ends. On a file system without locks, or for a folder that cannot be
+    written, it logs a warning instead.
     """
     try:
         import fcntl

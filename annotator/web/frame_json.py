@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import math
 from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -14,7 +13,7 @@ from pydantic import BaseModel
 
 from annotator.project import Project, ViewBoxes
 from annotator.project.overview import FrameRow
-from annotator.types import PseudoView, Quality
+from annotator.types import PseudoView
 from annotator.types.errors import RecordingError, StaleRevisionError
 from annotator.web.context import Context
 from annotator.web.errors import AnsweredError, ErrorBody
@@ -57,7 +56,6 @@ class ModelResponse(JSONResponse):
     """
 
     def render(self, content: Any) -> bytes:
-        """The model's JSON."""
         model: BaseModel = content
         return model.model_dump_json().encode()
 
@@ -139,7 +137,6 @@ def _siblings(ctx: Context, project: Project, shown: ShownFrame) -> tuple[Rigs, 
 
 
 def _others(shown: ShownFrame, opened: OpenFrame, others: Sequence[OtherLabel]) -> list[OtherLabelJson]:
-    """The labels of the rig's other cameras."""
     return [
         OtherLabelJson.model_construct(
             uid=each.other.label.uid,
@@ -184,7 +181,6 @@ def frame_row(row: FrameRow) -> FrameRowJson:
 
 
 def view_url(name: str, view_id: str) -> str:
-    """The URL of a pseudo-view's image."""
     return f"/api/projects/{name}/views/{view_id}.png"
 
 
@@ -251,7 +247,7 @@ def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
         author=label.author,
         time_ns=label.time_ns,
         track_id=label.track_id,
-        quality=quality_json(shown.stored.quality),
+        quality=QualityJson.of(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,
         suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
@@ -262,23 +258,6 @@ def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
         outline=shown.outline.round(2).tolist(),
         points=shown.points,
     )
-
-
-def quality_json(quality: Quality | None) -> QualityJson | None:
-    """The JSON of a quality; a signal without a value (NaN) is null."""
-    if quality is None:
-        return None
-    return QualityJson(
-        view_disagreement=_finite(quality.view_disagreement),
-        kept_share=_finite(quality.kept_share),
-        last_change=_finite(quality.last_change),
-        image_agreement=_finite(quality.image_agreement),
-        expected_iou_loss=_finite(quality.expected_iou_loss),
-    )
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
 
 
 def _objects(

@@ -77,7 +77,6 @@ class Hub:
             _put([client], _text(self._presence_event(client.project)))
 
     def leave(self, client: Client) -> None:
-        """Removes a page."""
         with self._lock:
             self._clients.pop(client, None)
         if client.frame is not None:

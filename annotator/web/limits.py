@@ -35,7 +35,6 @@ class Rate:
         self._left: OrderedDict[Hashable, tuple[float, float]] = OrderedDict()
 
     def allows(self, key: Hashable) -> bool:
-        """True if an event is allowed now."""
         return self._now(key) >= 1.0
 
     def take(self, key: Hashable) -> bool:
@@ -49,7 +48,6 @@ class Rate:
         return allowed
 
     def wait_s(self, key: Hashable) -> float:
-        """Seconds until an event is allowed."""
         return max(0.0, (1.0 - self._now(key)) / self._per_s)
 
     def _now(self, key: Hashable) -> float:
@@ -208,7 +206,6 @@ class LimitedHttp(H11Protocol):
         self._watch()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forgets the connection."""
         self._stop()
         self.config.open.leave(self.transport)
         super().connection_lost(exc)
@@ -248,7 +245,6 @@ class LimitedSocket(WebSocketsSansIOProtocol):
     config: LimitedConfig
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forgets the connection."""
         self.config.open.leave(self.transport)
         super().connection_lost(exc)
 

@@ -246,7 +246,6 @@ class LivePage:
             self._text.content = table(detected, self._pipeline.figures(), self._facts)
 
     def close(self) -> None:
-        """Stops the server."""
         with silence():
             self._server.stop()
 

@@ -31,7 +31,6 @@ INSTEAD = "leave --window out, and open the link in a browser"
 
 
 def has_display() -> bool:
-    """True if this computer has a display."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -132,12 +131,10 @@ class Running(uvicorn.Server):
             self.run(sockets=[self.socket])
 
     def stop(self) -> None:
-        """Asks the server to stop."""
         self.should_exit = True
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """A listening socket."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     # explicitly TCP: otherwise asyncio does not disable Nagle's algorithm, which delays every response by some 40 ms
     bound = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)

@@ -87,7 +87,6 @@ def _age(folder: Path) -> int:
 
 
 def find_upload(project: Project, upload_id: str) -> Upload:
-    """Returns a stored upload."""
     place = project.path / FOLDER / upload_id
     path = next(iter(place.iterdir()), None) if place.is_dir() else None
     if path is None:
@@ -120,7 +119,6 @@ def as_sent(text: str, root: str) -> str:
 
 
 def remove_upload(project: Project, upload_id: str) -> None:
-    """Removes an upload, if it is there."""
     shutil.rmtree(project.path / FOLDER / upload_id, ignore_errors=True)
 
 

@@ -123,7 +123,7 @@ def test_what_a_viewer_changes_meanwhile_is_kept(tmp_path: Path, monkeypatch: py
 
 @pytest.mark.usefixtures("clusters")
 def test_a_viewer_may_change_frames_at_any_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Around each step of the operator, a viewer doubles a box of a frame or deletes its boxes; at last it finalises."""
+    """Around each step of the operator, a viewer doubles or deletes boxes of a frame; at last it finalises it."""
     done: list[str] = []
     deeds = itertools.cycle(("copy", "delete"))
 

@@ -59,7 +59,7 @@ def jobs(tmp_path: Path) -> JobRunner:
 
 
 @pytest.fixture
-def server(live: Live, fake: None, monkeypatch: pytest.MonkeyPatch) -> Live:  # noqa: F811
+def server(live: Live, fake: None, in_threads: None, monkeypatch: pytest.MonkeyPatch) -> Live:  # noqa: F811
     monkeypatch.setitem(WORK, "train", "fake_jobs:train")
     return live
 

@@ -216,7 +216,7 @@ def test_frames_that_an_import_leaves_unchanged_are_counted_before(live: Live, t
         project.history.undo("Ada")
 
 
-@pytest.mark.usefixtures("jobs_on_path")
+@pytest.mark.usefixtures("in_threads")
 def test_nothing_is_undone_while_an_import_stores_its_boxes(
     live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

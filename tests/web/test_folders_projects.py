@@ -119,7 +119,9 @@ def test_folders_through_the_api(live: Live, generated: Path) -> None:
     assert live.client.get("/api/folders", params={"path": "a" * 5000}).status_code == 422
 
 
-def test_a_project_can_be_created_and_filled(live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_project_can_be_created_and_filled(
+    live: Live, generated: Path, in_threads: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     client, new = live.client, {"name": "two", "classes": ["person", "hand"], "rotation": "upright"}
     created = client.post("/api/projects", json=new)
     assert created.status_code == 201

@@ -17,7 +17,7 @@ from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.own_labels import import_own_labels
 
-EXAMPLES = 4
+EXAMPLES = 3
 PATIENT = settings(
     max_examples=EXAMPLES,
     phases=[Phase.generate],

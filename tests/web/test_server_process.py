@@ -18,10 +18,11 @@ from annotator.web.background import preload
 from annotator.web.folders import hold_server_lock
 
 # Prints how many MB 80 MB of freed pieces still take, the heaps after 16 threads have allocated at once, and whether
-# objects are left out of collections: at first, without new modules, after one was loaded, and at the end.
+# objects are left out of collections: at first, without new modules, after one was loaded, and at the end. Then it
+# prints what is loaded before and after `preload`.
 TIDY = """
 import ctypes, gc, sys, threading, time
-from annotator.web.background import tidy_heaps
+from annotator.web.background import preload, tidy_heaps
 libc = ctypes.CDLL(None)
 libc.malloc.restype = libc.fdopen.restype = ctypes.c_void_p
 rss = lambda: int(open("/proc/self/statm").read().split()[1]) >> 8
@@ -57,11 +58,16 @@ out = ctypes.c_void_p(libc.fdopen(1, b"w"))
 sys.stdout.flush()
 libc.malloc_info(0, out)
 libc.fflush(out)
+late = {"numba", "viser"}
+print("loaded late:", sorted(late & set(sys.modules)))
+preload().join()
+from annotator.geometry.kernels.points_in_box import points_in_box
+print("loaded ahead:", sorted(late & set(sys.modules)), bool(points_in_box.signatures))
 """
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the heaps of glibc")
-def test_threads_share_two_heaps_free_memory_is_returned_and_modules_are_set_aside() -> None:
+def test_memory_is_kept_tidy_and_what_the_first_page_needs_is_loaded_ahead() -> None:
     # these may set another number of heaps, or another allocator
     set_elsewhere = ("MALLOC_", "GLIBC_TUNABLES", "LD_PRELOAD")
     plain = {name: value for name, value in os.environ.items() if not name.startswith(set_elsewhere)}
@@ -69,21 +75,8 @@ def test_threads_share_two_heaps_free_memory_is_returned_and_modules_are_set_asi
     done = subprocess.run([sys.executable, "-c", TIDY], capture_output=True, text=True, check=True, env=plain, cwd=root)
     assert done.stdout.splitlines()[:3] == ["True", "True False True", "0"]
     assert done.stdout.count("<heap nr=") <= 2
-
-
-LOADED = """
-import sys
-from annotator.web.background import preload
-before = {"numba", "viser"} & set(sys.modules)
-preload().join()
-from annotator.geometry.kernels.points_in_box import points_in_box
-print(sorted(before), sorted({"numba", "viser"} & set(sys.modules)), bool(points_in_box.signatures))
-"""
-
-
-def test_what_is_loaded_late_is_loaded_with_its_compiled_functions() -> None:
-    run = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=True)
-    assert run.stdout.split("\n")[-2] == "[] ['numba', 'viser'] True", run.stdout + run.stderr
+    loaded = ["loaded late: []", "loaded ahead: ['numba', 'viser'] True"]
+    assert done.stdout.splitlines()[-2:] == loaded, "with the compiled functions"
 
 
 def test_a_failure_is_logged_and_does_no_harm(

@@ -107,11 +107,16 @@ def test_a_job_runs_and_reports_progress_and_result(server: Live) -> None:
     assert server.client.get(f"/api/jobs/{job['id']}/download").status_code == 404
 
 
-def test_jobs_fail_and_the_next_one_runs(server: Live) -> None:
+def test_a_job_whose_worker_is_killed_fails(server: Live) -> None:
+    now = ended(server, begin(server, fake_jobs.KILLED))
+    said = "the worker ended unexpectedly (killed, possibly out of memory)"
+    assert (now["state"], now["message"], now["eta_s"]) == ("failed", said, None)
+
+
+def test_jobs_fail_and_the_next_one_runs(server: Live, in_threads: None) -> None:
     messages = {
         fake_jobs.REFUSED: "project room has no image detector yet",
         fake_jobs.BUG: "internal error, see the server's log",
-        fake_jobs.KILLED: "the worker ended unexpectedly (killed, possibly out of memory)",
     }
     *failed, next_one = [begin(server, what) for what in (*messages, fake_jobs.QUICK)]
     for job, message in zip(failed, messages.values(), strict=True):
@@ -120,7 +125,7 @@ def test_jobs_fail_and_the_next_one_runs(server: Live) -> None:
     assert ended(server, next_one)["state"] == "done"
 
 
-def test_a_running_and_a_waiting_job_can_be_stopped(server: Live) -> None:
+def test_a_running_and_a_waiting_job_can_be_stopped(server: Live, in_threads: None) -> None:
     runs, waits, last = (begin(server, what) for what in (fake_jobs.LONG, fake_jobs.LONG, fake_jobs.QUICK))
     until(server, runs, "running", "on and on")
     assert look(server, waits["id"])["state"] == "queued"
@@ -144,7 +149,7 @@ def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest
         assert project.problems() == []
 
 
-def test_pages_get_events_for_changes_of_a_job(server: Live) -> None:
+def test_pages_get_events_for_changes_of_a_job(server: Live, in_threads: None) -> None:
     with listen(server) as socket:
         next_of(socket, "presence")
         begin(server, fake_jobs.EDITS)
@@ -152,7 +157,7 @@ def test_pages_get_events_for_changes_of_a_job(server: Live) -> None:
         assert (event["revision"], event["operator"]) == (1, "a job")
 
 
-def test_the_number_of_waiting_jobs_is_limited(server: Live) -> None:
+def test_the_number_of_waiting_jobs_is_limited(server: Live, in_threads: None) -> None:
     jobs = [begin(server, fake_jobs.LONG)]
     until(server, jobs[0], "running", "on and on")
     jobs += [begin(server, fake_jobs.QUICK) for _ in range(MOST_WAITING)]
@@ -168,7 +173,7 @@ def test_a_worker_imports_no_file_of_the_current_folder(
     assert ended(server, begin(server, fake_jobs.QUICK))["message"] == "counted to 2"
 
 
-def test_a_restarted_server_lists_former_jobs(fake: None, web_settings: ServerSettings) -> None:
+def test_a_restarted_server_lists_former_jobs(fake: None, in_threads: None, web_settings: ServerSettings) -> None:
     with running(web_settings) as live:
         done, runs, waits = (begin(live, what) for what in (fake_jobs.QUICK, fake_jobs.LONG, fake_jobs.QUICK))
         until(live, runs, "running", "on and on")

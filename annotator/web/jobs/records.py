@@ -190,7 +190,6 @@ class JobState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """True for a final state."""
         return self not in (JobState.QUEUED, JobState.RUNNING)
 
 
@@ -394,7 +393,6 @@ class JobContext:
         return lambda done, total: self.progress(stage, float(done), float(total))
 
     def measured(self, point: CurvePoint) -> None:
-        """Adds a point to the training curves."""
         self.send(Measured(point=point))
 
 

@@ -78,7 +78,6 @@ class WorkerProcess:
 
     @property
     def pid(self) -> int:
-        """The process's id."""
         return self._process.pid
 
     def messages(self) -> Iterator[WorkerMessage]:
@@ -234,7 +233,6 @@ class JobRunner:
             }
 
     def is_idle(self) -> bool:
-        """True if no job runs or waits."""
         with self._lock:
             return not self._waiting and self._running() is None
 
@@ -275,7 +273,6 @@ class JobRunner:
             return sorted(self._jobs.values(), key=lambda job: job.created_ns, reverse=True)
 
     def get(self, job_id: str) -> Job:
-        """One job."""
         with self._lock:
             if job_id not in self._jobs:
                 raise NotFoundError(f"there is no job {job_id!r}; it may be too old to be listed")
@@ -314,7 +311,6 @@ class JobRunner:
             write_journal(self.folder, reversed(self.all()))
 
     def file(self, job_id: str) -> Path:
-        """The file of an export."""
         job = self.get(job_id)
         path = self._export_file(job)
         if path is None or job.download == "gone" or not path.is_file():

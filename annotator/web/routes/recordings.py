@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -19,6 +18,7 @@ from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, MovedError
 from annotator.web.context import Ctx, Operator
 from annotator.web.errors import error_response, status_of
+from annotator.web.folders import FolderListing
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.routes.projects import RecordingInfo, recording_info
 from annotator.web.schemas import RowId
@@ -89,23 +89,6 @@ FolderPath = Annotated[str, Query(max_length=4096)]
 MOVED: dict[int | str, dict[str, Any]] = {
     400: {"description": "If it is a recording of the project that has only moved, `moved` has its id and name."}
 }
-
-
-class FolderEntry(BaseModel):
-    """A sub-folder, a recording, or both; see `annotator.web.folders.Entry`."""
-
-    name: str
-    path: str
-    recording: str | None
-    is_folder: bool
-
-
-class FolderListing(BaseModel):
-    """The content of a folder."""
-
-    path: str
-    parent: str | None
-    entries: list[FolderEntry]
 
 
 class RecordingPath(BaseModel):
@@ -182,9 +165,7 @@ class AddedRecordings(BaseModel):
 @router.get("/api/folders")
 def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListing:
     """The sub-folders and recordings in a folder; "" lists the server's folders."""
-    listing = ctx.folders.list(path)
-    entries = [FolderEntry(**asdict(entry)) for entry in listing.entries]
-    return FolderListing(path=listing.path, parent=listing.parent, entries=entries)
+    return ctx.folders.list(path)
 
 
 @router.get("/api/projects/{project}/recordings")

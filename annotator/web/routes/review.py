@@ -13,7 +13,7 @@ from annotator.project.views import png
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import STALE, both_versions, drawn_view, frame_state, quality_json
+from annotator.web.frame_json import STALE, both_versions, drawn_view, frame_state
 from annotator.web.schemas import (
     Box2DJson,
     Box3DJson,
@@ -127,7 +127,7 @@ def refit_box(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Re
     return RefitOut(
         box=Box3DOut.of(fitted.box),
         outline=fitted.outline.round(2).tolist(),
-        quality=quality_json(fitted.quality),
+        quality=QualityJson.of(fitted.quality),
         method=fitted.method,
         measured_by=ready.detector.title if ready.detector is not None and fitted.method == RCV else None,
         note=None if fitted.note is None else ctx.public_message(fitted.note),
@@ -144,7 +144,7 @@ def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FitIn) -
         outline=fitted.outline.round(2).tolist(),
         points=fitted.points,
         score=fitted.score,
-        quality=quality_json(fitted.quality),
+        quality=QualityJson.of(fitted.quality),
         measured_by=None if ready.detector is None else ready.detector.title,
         suggestion=None if ready.detector is None else SuggestionJson.of(ready.detector.suggestion),
         note=None if fitted.note is None else ctx.public_message(fitted.note),

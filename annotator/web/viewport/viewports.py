@@ -297,7 +297,6 @@ class Viewport:
                 self.send("box", uid=selected.uid, box=_box_json(box), final=event.phase == "end")
 
     def send(self, event: str, **fields: object) -> None:
-        """Sends an event to the page."""
         self.used_s = time.monotonic()
         self._send(self, {"type": "viewport", "workbench": self.id, "event": event, **fields})
 
@@ -322,19 +321,17 @@ class Viewports:
         self,
         send: Send,
         *,
-        most: int = MOST_PER_OPERATOR,
         unseen_s: float = UNSEEN_S,
         sweep_s: float = SWEEP_S,
     ) -> None:
         """
         Args:
             send: called with the events of all viewports.
-            most: maximum number per operator.
             unseen_s: time after which a viewport without a connected browser closes, seconds.
             sweep_s: interval between checks for such viewports, seconds.
         """
         self._send = send
-        self._most, self._unseen_s, self._sweep_s = most, unseen_s, sweep_s
+        self._unseen_s, self._sweep_s = unseen_s, sweep_s
         self._lock = threading.Lock()
         self._open: dict[str, Viewport] = {}
         self._stop = threading.Event()
@@ -346,7 +343,7 @@ class Viewports:
         with self._lock:
             self._open[new.id] = new
             of_operator = [viewport for viewport in self._open.values() if viewport.operator == operator]
-            surplus = [self._open.pop(viewport.id) for viewport in of_operator[: -self._most]]
+            surplus = [self._open.pop(viewport.id) for viewport in of_operator[:-MOST_PER_OPERATOR]]
             if self._sweeper is None:
                 self._sweeper = threading.Thread(target=self._sweep, name="viewports", daemon=True)
                 self._sweeper.start()
@@ -355,7 +352,6 @@ class Viewports:
         return new
 
     def get(self, id: str, operator: str) -> Viewport:
-        """An operator's viewport."""
         with self._lock:
             viewport = self._open.get(id)
         if viewport is None or viewport.operator != operator:
@@ -363,7 +359,6 @@ class Viewports:
         return viewport
 
     def close_one(self, id: str, operator: str) -> None:
-        """Closes a viewport."""
         viewport = self.get(id, operator)
         with self._lock:
             removed = self._open.pop(id, None)
