@@ -93,14 +93,6 @@ def test_the_way_out_of_a_recording_that_was_added_twice(people: Path, capsys: C
     assert labels(capsys) == LABELS
 
 
-def test_a_removed_recording_that_has_moved_is_recognised(people: Path, capsys: Capture) -> None:
-    run(capsys, "project remove room people --yes")
-    people.rename("archive")
-    assert "`annotator project move room people archive`" in run(capsys, "add room archive", code=2)
-    assert "people: 5 frames, now at" in run(capsys, "project move room people archive")
-    assert labels(capsys) == LABELS
-
-
 def test_another_recording_with_the_same_names_of_frames_is_added(
     people: Path, generated: Path, capsys: Capture
 ) -> None:

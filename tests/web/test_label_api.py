@@ -93,13 +93,6 @@ def test_one_request_stores_a_drag_and_answers_with_all_that_follows(
     assert len(encoded) == 4, "each picture is encoded once"
 
 
-def test_axes_must_be_those_of_a_view(live: Live, generated: Path) -> None:
-    image_box = Scene.of(generated / "people", 0, ["person"]).image_box(0)
-    skewed = [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]]
-    answer = live.client.post(STEPS, json={"image_box": image_box, "boxes": [], "axes": skewed})
-    assert answer.status_code == 422 and "must be a rotation matrix" in answer.text
-
-
 def test_a_failed_detector_is_reported_with_its_problem(live: Live, generated: Path, tmp_path: Path) -> None:
     project = live.context.project("room")
     weights = project.models_folder / "broken" / "best.pt"

@@ -49,7 +49,7 @@ from annotator.web.jobs.work import export_work, propose_work, train_work
 from annotator.web.jobs.worker import AUTOGROUP, NICENESS
 from annotator.web.schemas import Box2DJson
 from annotator.workflows.recorded.own_labels import import_own_labels
-from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -405,15 +405,3 @@ def test_the_project_and_its_statistics_name_the_base_detector_until_it_has_its_
     kind = {"labels": ["person"], "box_kind": BoxKind.BOX, "metrics": {}, "fingerprint": "own"}
     project.models.register(DetectorKind.VIEW, weights, **kind)
     assert named() == (None, "this project's view detector")
-
-
-def test_a_fit_in_review_names_the_detector(
-    live: Live, generated: Path, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ready = Readiness("ready", base)
-    monkeypatch.setattr(live.context.caches.detectors, "readiness", lambda project, role, wait_s=None: ready)
-    image_box = Scene.of(generated / "people", 0, ["person"]).image_box(0)
-    found = live.client.post(f"{ROOM}/frames/1/fit", json={"image_box": image_box}).json()
-    assert found["box"] is not None and found["measured_by"] == TITLE
-    again = live.client.post(f"{ROOM}/frames/1/refit", json={"box": found["box"], "label": "person"}).json()
-    assert (again["method"], again["measured_by"]) == ("rcv", TITLE)
