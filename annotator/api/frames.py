@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
@@ -27,6 +28,17 @@ MILLIMETRES_PER_METRE = 1000.0
 LEAST_FOCAL_SHARE = 0.04
 # Tolerance for R R^T = identity; calibration files hold rounded matrices.
 MOST_OFF_ROTATION = 1e-3
+
+
+Choice = TypeVar("Choice", bound=StrEnum)
+
+
+def choice(name: str, given: str, kinds: type[Choice]) -> Choice:
+    """The member of an enumeration that a caller gives by its value."""
+    try:
+        return kinds(given)
+    except ValueError as error:
+        raise ArgumentError(f"{name} must be one of {', '.join(kinds)}, not {given!r}") from error
 
 
 def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:

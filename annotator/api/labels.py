@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator import recordings
+from annotator.api.frames import choice
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
@@ -28,7 +29,6 @@ from annotator.workflows.importing import table
 from annotator.workflows.importing.label_set import LabelSet
 from annotator.workflows.recorded.reading import load_truth
 
-FORMATS = tuple(table.BoxFormat)
 Boxes = Mapping[str, Sequence[Truth | Label | Proposal]]
 """The boxes of each frame, by the frame's key."""
 
@@ -50,12 +50,8 @@ def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES, angles: s
         ConfigError: `angles` for a format without angles.
         FormatError: a file does not follow the format; the message names file and line.
     """
-    if angles not in (None, *AngleUnit):
-        raise ArgumentError(f"angles must be {' or '.join(AngleUnit)}, not {angles!r}")
-    if format not in FORMATS:
-        raise ArgumentError(f"format must be one of {', '.join(FORMATS)}, not {format!r}")
-    unit = None if angles is None else AngleUnit(angles)
-    return table.read_labels(table.BoxFormat(format), Path(path), unit)
+    unit = None if angles is None else choice("angles", angles, AngleUnit)
+    return table.read_labels(choice("format", format, table.BoxFormat), Path(path), unit)
 
 
 def write_labels(path: str | Path, labels: Boxes) -> None:
@@ -111,9 +107,7 @@ def evaluate_files(
         ArgumentError: an unknown protocol.
         FormatError, ConfigError: the files cannot be read, or detections and truth have different frames.
     """
-    if protocol not in tuple(Protocol):
-        raise ArgumentError(f"protocol must be one of {', '.join(Protocol)}, not {protocol!r}")
-    return evaluate_protocol(Path(detections), Path(truth), Protocol(protocol), options)
+    return evaluate_protocol(Path(detections), Path(truth), choice("protocol", protocol, Protocol), options)
 
 
 def open_recording(path: str | Path, **options: Any) -> Recording:
@@ -167,11 +161,10 @@ def perfect_detector(recording: Recording, box_kind: BoxKind | str = BoxKind.SIL
         ArgumentError: an unknown kind.
         RecordingError, FormatError: as `read_truth`.
     """
-    if box_kind not in tuple(BoxKind):
-        raise ArgumentError(f"box_kind must be one of {', '.join(BoxKind)}, not {box_kind!r}")
+    kind = choice("box_kind", box_kind, BoxKind)
     frames = [recording.frame(i) for i in range(len(recording))]
     scenes = [Scene.of(frame, load_truth(recording, i, frame)) for i, frame in enumerate(frames)]
-    return PerfectDetector(scenes, BoxKind(box_kind))
+    return PerfectDetector(scenes, kind)
 
 
 def read_truth(recording: Recording, index: int, frame: Frame | None = None) -> list[Truth]:

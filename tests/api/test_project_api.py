@@ -176,7 +176,7 @@ def test_invalid_option_values_are_errors(people: annotator.Project, tmp_path: P
         people.annotate(engine="slurm")
     with pytest.raises(ArgumentError, match="fingerprint"):
         people._detector_source(lambda frame: [], knowing("people").view, None)
-    with pytest.raises(ArgumentError, match="measured one of"):
+    with pytest.raises(ArgumentError, match="measured must be one of"):
         people.evaluate(measured="all")
     with pytest.raises(ArgumentError, match="rotation must be one of"):
         annotator.create_project(tmp_path / "new", ["a"], rotation="tilted")
