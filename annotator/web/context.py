@@ -39,6 +39,8 @@ from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
 from annotator.workflows.workbench.sheet_pictures import SheetPictures
 from annotator.workflows.workbench.whole_boxes import WholeBoxes
 
+LOG = logging.getLogger("annotator.web")
+
 # The image of a pseudo-view takes some 30 kB.
 MOST_IMAGES = 1000
 
@@ -98,8 +100,6 @@ class Caches:
         self.sheets.close()
         self.detectors.close()
 
-
-LOG = logging.getLogger("annotator.web")
 
 OPERATOR_COOKIE = "annotator_operator"
 LONGEST_NAME = 64

@@ -19,6 +19,8 @@ from annotator.recordings import detect_format
 from annotator.types.errors import ConfigError, NotFoundError, RecordingError
 from annotator.web.jobs.records import require_own_files
 
+LOG = logging.getLogger("annotator.web")
+
 # Maximum number of listed entries per folder: detecting the format of each takes time.
 MOST_ENTRIES = 1000
 
@@ -129,8 +131,6 @@ def _named(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
         taken.add(name)
         yield name, folder
 
-
-LOG = logging.getLogger("annotator.web")
 
 # Younger files may be in use, although one is written in moments; folders have locks.
 OLD_S = 3600.0

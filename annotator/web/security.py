@@ -42,6 +42,8 @@ from annotator.web.errors import (
 )
 from annotator.web.limits import Rate, address_key
 
+LOG = logging.getLogger("annotator.web")
+
 
 @dataclass(frozen=True)
 class ServerSettings:
@@ -65,8 +67,6 @@ class ServerSettings:
     token: str | None = field(default=None, repr=False)
     cookie: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
 
-
-LOG = logging.getLogger("annotator.web")
 
 BODY_LIMIT = 1 << 20
 # The same for the files that pages send, on the one path that takes them.

@@ -20,6 +20,8 @@ from annotator.web.schemas import ClassName, RowId
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 from annotator.workflows.importing.proposals_3d import MOST_NAME
 
+LOG = logging.getLogger("annotator.web")
+
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
@@ -237,8 +239,6 @@ class Job(BaseModel):
     download: Literal["kept", "gone"] | None = None
     background: bool = False
 
-
-LOG = logging.getLogger("annotator.web")
 
 FILE = "journal.json"
 SERVER_STOPPED = "the server was stopped"

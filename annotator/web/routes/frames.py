@@ -48,7 +48,6 @@ from annotator.web.schemas import (
 )
 from annotator.workflows.workbench.apply_changes import apply_changes
 
-
 TrackId = Annotated[int, Field(ge=-MOST_TRACK, le=MOST_TRACK)]
 
 

@@ -31,6 +31,8 @@ from annotator.web.viewport.scene import PointCounts, Scene
 if TYPE_CHECKING:
     import viser
 
+LOG = logging.getLogger("annotator.web")
+
 
 HOST = "127.0.0.1"
 # Connections of one viser server whose request has not come yet; the proxy needs few, and only for a moment.
@@ -105,8 +107,6 @@ def _required_origin(origin: str) -> Iterator[list[str]]:
     finally:
         setattr(sockets, "serve", serve)  # noqa: B010
 
-
-LOG = logging.getLogger("annotator.web")
 
 FORWARDED_REQUEST = ("accept", "accept-encoding", "if-none-match")
 FORWARDED_RESPONSE = ("content-type", "content-encoding", "etag")
