@@ -8,11 +8,13 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from annotator.project import Project, ViewBoxes
 from annotator.project.overview import FrameRow
+from annotator.project.records import ViewGeometry
 from annotator.types import PseudoView
 from annotator.types.errors import RecordingError, StaleRevisionError
 from annotator.web.context import Context
@@ -180,26 +182,25 @@ def frame_row(row: FrameRow) -> FrameRowJson:
     )
 
 
-def view_url(name: str, view_id: str) -> str:
-    return f"/api/projects/{name}/views/{view_id}.png"
-
-
 def drawn_view(ctx: Context, name: str, view: PseudoView, picture: bytes) -> ViewJson:
     """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it.
 
     Args:
         picture: its image as a PNG file.
     """
-    view_id = ctx.caches.view_images.add(picture)
     height, width = view.rgb.shape[:2]
+    return _view(name, ctx.caches.view_images.add(picture), (width, height), view)
+
+
+def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView | ViewGeometry) -> ViewJson:
     return ViewJson(
         id=view_id,
-        url=view_url(name, view_id),
-        width=width,
-        height=height,
-        axes=view.axes.tolist(),
-        metres_per_px=view.metres_per_px,
-        origin_m=view.origin_m.tolist(),
+        url=f"/api/projects/{name}/views/{view_id}.png",
+        width=size[0],
+        height=size[1],
+        axes=np.asarray(geometry.axes).tolist(),
+        metres_per_px=geometry.metres_per_px,
+        origin_m=np.asarray(geometry.origin_m).tolist(),
     )
 
 
@@ -281,15 +282,5 @@ def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:
 
 
 def _stored_view(name: str, project: Project, view: ViewBoxes) -> ViewJson:
-    geometry = view.geometry
-    assert geometry is not None  # guaranteed by `views_by_object`
-    width, height = project.views.size(view.view_id)
-    return ViewJson(
-        id=view.view_id,
-        url=view_url(name, view.view_id),
-        width=width,
-        height=height,
-        axes=[list(row) for row in geometry.axes],
-        metres_per_px=geometry.metres_per_px,
-        origin_m=list(geometry.origin_m),
-    )
+    assert view.geometry is not None  # guaranteed by `views_by_object`
+    return _view(name, view.view_id, project.views.size(view.view_id), view.geometry)

@@ -71,6 +71,12 @@ class Box2DJson(Schema):
         return Box2D(self.label, self.x_min, self.y_min, self.x_max, self.y_max, self.score)
 
 
+class ImageBoxIn(Schema):
+    """A drawn object, by its box on the image."""
+
+    image_box: Box2DJson
+
+
 class Box3DJson(Schema):
     """A 3D box in a request: with `rotation` (columns = box axes) or `quaternion` (w, x, y, z)."""
 

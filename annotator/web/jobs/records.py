@@ -9,14 +9,14 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+from pydantic import Field, TypeAdapter, ValidationError, field_validator
 
 from annotator.detection.config import MOST_MINUTES
 from annotator.files import TABLE_BYTES, link_out, private_folder, read_file, write_atomic
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind, ReviewState
 from annotator.types.errors import AnnotatorError, ConfigError
-from annotator.web.schemas import ClassName, RowId
+from annotator.web.schemas import ClassName, RowId, Schema
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 from annotator.workflows.importing.proposals_3d import MOST_NAME
 
@@ -26,11 +26,7 @@ Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
-class _Request(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class TrainRequest(_Request):
+class TrainRequest(Schema):
     """Train detectors.
 
     Attributes:
@@ -56,7 +52,7 @@ class TrainRequest(_Request):
     background: bool = False
 
 
-class ProposeRequest(_Request):
+class ProposeRequest(Schema):
     """Propose boxes on recordings (null: all), on at most `limit` frames."""
 
     kind: Literal["propose"]
@@ -64,13 +60,13 @@ class ProposeRequest(_Request):
     limit: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
 
 
-class LiftRequest(_Request):
+class LiftRequest(Schema):
     """Propose 3D boxes from the 2D boxes on the images of frames that have no 3D box yet."""
 
     kind: Literal["lift"]
 
 
-class BoxesRequest(_Request):
+class BoxesRequest(Schema):
     """Import the boxes of a file that a page has sent.
 
     Attributes:
@@ -97,7 +93,7 @@ class BoxesRequest(_Request):
     add_attributes: bool = False
 
 
-class SplitRequest(_Request):
+class SplitRequest(Schema):
     """Split of the frames: shares such as "train=0.8,val=0.2", and the unit that stays in one part."""
 
     shares: Annotated[str, Field(max_length=400)]
@@ -114,7 +110,7 @@ class SplitRequest(_Request):
         return text
 
 
-class ExportRequest(_Request):
+class ExportRequest(Schema):
     """Write a dataset for download.
 
     Attributes:
@@ -139,14 +135,14 @@ class ExportRequest(_Request):
     images: Literal["png", "jpg"] = "png"
 
 
-class ImportRequest(_Request):
+class ImportRequest(Schema):
     """Import the 3D boxes that recordings contain, for every frame without labels."""
 
     kind: Literal["import"]
     recordings: Ids
 
 
-class CopyRequest(_Request):
+class CopyRequest(Schema):
     """Copy the project to a new one of that name; `labels`: with its labels, not only its recordings and detectors."""
 
     kind: Literal["copy"]
@@ -195,17 +191,15 @@ class JobState(StrEnum):
         return self not in (JobState.QUEUED, JobState.RUNNING)
 
 
-class CurvePoint(BaseModel):
+class CurvePoint(Schema):
     """The metrics of a training after one epoch."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     role: DetectorKind
     epoch: int
     metrics: dict[str, float]
 
 
-class Job(BaseModel):
+class Job(Schema):
     """One job.
 
     Attributes:
@@ -220,8 +214,6 @@ class Job(BaseModel):
         download: whether an export's file is still available; null for a job without a file.
         background: whether it steps aside for other jobs and for drawing.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
     project: str
@@ -244,9 +236,7 @@ FILE = "journal.json"
 SERVER_STOPPED = "the server was stopped"
 
 
-class _Journal(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Journal(Schema):
     jobs: tuple[Job, ...]
 
 
@@ -293,11 +283,7 @@ def _ended(job: Job) -> Job:
 STOP, PAUSE, RESUME = "stop\n", "pause\n", "resume\n"
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Order(_Message):
+class Order(Schema):
     """The job of a worker.
 
     Attributes:
@@ -316,7 +302,7 @@ class Order(_Message):
     readable: tuple[Path, ...] | None = None
 
 
-class Progress(_Message):
+class Progress(Schema):
     """The progress of the job."""
 
     type: Literal["progress"] = "progress"
@@ -326,14 +312,14 @@ class Progress(_Message):
     eta_s: float | None = None
 
 
-class Measured(_Message):
+class Measured(Schema):
     """A new point of the training curves."""
 
     type: Literal["measured"] = "measured"
     point: CurvePoint
 
 
-class Finished(_Message):
+class Finished(Schema):
     """The job is done."""
 
     type: Literal["finished"] = "finished"
@@ -341,14 +327,14 @@ class Finished(_Message):
     result: dict[str, Any]
 
 
-class Stopped(_Message):
+class Stopped(Schema):
     """The job has stopped on request."""
 
     type: Literal["stopped"] = "stopped"
     message: str
 
 
-class Failed(_Message):
+class Failed(Schema):
     """The job has failed; `is_fault` is True for an unexpected exception, False for an error of its input."""
 
     type: Literal["failed"] = "failed"

@@ -21,6 +21,7 @@ from annotator.web.schemas import (
     Box3DOut,
     FrameChange,
     FrameStateJson,
+    ImageBoxIn,
     Outline,
     RowId,
     Schema,
@@ -111,12 +112,6 @@ class SaveOut(Schema):
     drawn: StepsOut | None
 
 
-class WholeIn(Schema):
-    """A drawn object, by its box on the image."""
-
-    image_box: Box2DJson
-
-
 class WholeBoxJson(Schema):
     """A whole box with its outline on the image."""
 
@@ -179,7 +174,7 @@ def _steps_json(ctx: Context, name: str, opened: OpenFrame, labelling: Labelling
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/whole")
-def whole(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: WholeIn) -> WholeOut:
+def whole(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ImageBoxIn) -> WholeOut:
     """The whole boxes that are offered for an object whose silhouettes are drawn. Nothing is stored."""
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)

@@ -26,6 +26,7 @@ from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.errors import INTERNAL
+from annotator.web.schemas import ClassName, Schema
 from annotator.workflows.detectors import stand_in
 
 LOG = logging.getLogger("annotator.web")
@@ -188,33 +189,26 @@ def _broken(name: str, classes: list[str], problem: str) -> ProjectSummary:
 
 router = APIRouter(tags=["projects"])
 
-ClassName = Annotated[str, Field(min_length=1, max_length=64)]
 Classes = Annotated[list[ClassName], Field(min_length=1, max_length=200)]
 
 
-class NewProject(BaseModel):
+class NewProject(Schema):
     """A project to create."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(max_length=64)
     classes: Classes
     rotation: BoxRotation = BoxRotation.AUTO
 
 
-class ProjectChange(BaseModel):
+class ProjectChange(Schema):
     """Changes of a project; null = unchanged."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     classes: Classes | None = None
     rotation: BoxRotation | None = None
 
 
-class NewName(BaseModel):
+class NewName(Schema):
     """The new name of a project."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(max_length=64)
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from annotator.project import Project
 from annotator.recordings import ReaderOptions
@@ -21,7 +21,7 @@ from annotator.web.errors import error_response, status_of
 from annotator.web.folders import FolderListing
 from annotator.web.jobs.records import ImportRequest, Job
 from annotator.web.routes.projects import RecordingInfo, recording_info
-from annotator.web.schemas import RowId
+from annotator.web.schemas import RowId, Schema
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
 from annotator.workflows.recorded.own_labels import has_own_labels
 from annotator.workflows.workbench.bag_preview import preview_bag
@@ -91,10 +91,8 @@ MOVED: dict[int | str, dict[str, Any]] = {
 }
 
 
-class RecordingPath(BaseModel):
+class RecordingPath(Schema):
     """The path of a recording below one of the server's folders, such as `ROOT/sub/take`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: str = Field(min_length=1, max_length=4096)
 

@@ -15,12 +15,12 @@ from annotator.types import BoxKind, DetectorKind
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.frame_json import STALE, both_versions, drawn_view, frame_state
 from annotator.web.schemas import (
-    Box2DJson,
     Box3DJson,
     Box3DOut,
     ClassName,
     FrameChange,
     FrameStateJson,
+    ImageBoxIn,
     Outline,
     QualityJson,
     RowId,
@@ -80,12 +80,6 @@ class RefitOut(Schema):
     note: str | None
 
 
-class FitIn(Schema):
-    """A box that was drawn on the image."""
-
-    image_box: Box2DJson
-
-
 class FitOut(Schema):
     """The object in an image box; if none was found, `box` is null and `note` is the reason.
 
@@ -135,7 +129,7 @@ def refit_box(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Re
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/fit")
-def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FitIn) -> FitOut:
+def fit(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ImageBoxIn) -> FitOut:
     """Find the object in an image box. Nothing is stored."""
     opened, config, ready = _ready(ctx, name, frame_id, operator)
     fitted = find_box(opened, body.image_box.box(), config, ready.detector, ready.problem)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from urllib.parse import quote
 
 from fastapi import APIRouter, Query, Request, Response, WebSocket, WebSocketDisconnect
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from annotator import __version__
@@ -29,10 +29,8 @@ router = APIRouter(tags=["session"])
 A_YEAR_S = 365 * 24 * 3600
 
 
-class SignIn(BaseModel):
+class SignIn(Schema):
     """The operator's name, stored as the author of changes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     operator: Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(check_operator)]
 

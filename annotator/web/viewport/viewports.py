@@ -23,8 +23,8 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.protocol import State
 from websockets.typing import Origin, Subprotocol
 
-from annotator.types import OrientedBox
 from annotator.types.errors import NotFoundError
+from annotator.web.schemas import Box3DOut
 from annotator.web.viewport.drawing import SceneContent, pick
 from annotator.web.viewport.scene import PointCounts, Scene
 
@@ -294,15 +294,11 @@ class Viewport:
             self._dragged_s = None if event.phase == "end" else time.monotonic()
             box, selected = self._scene.gizmo_box(), self._scene.selected
             if event.phase != "start" and box is not None and selected is not None:
-                self.send("box", uid=selected.uid, box=_box_json(box), final=event.phase == "end")
+                self.send("box", uid=selected.uid, box=Box3DOut.of(box).model_dump(), final=event.phase == "end")
 
     def send(self, event: str, **fields: object) -> None:
         self.used_s = time.monotonic()
         self._send(self, {"type": "viewport", "workbench": self.id, "event": event, **fields})
-
-
-def _box_json(box: OrientedBox) -> dict[str, object]:
-    return {"center": box.center_m.tolist(), "size": box.size_m.tolist(), "rotation": box.rotation.tolist()}
 
 
 @contextmanager
