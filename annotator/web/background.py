@@ -124,10 +124,6 @@ class AutomaticBackups(Periodic):
     """Looks once a minute which projects are due. Nobody waits for it: a backup only reads."""
 
     def __init__(self, context: Context, seconds: Callable[[], float] = time.monotonic) -> None:
-        """
-        Args:
-            seconds: a clock.
-        """
         super().__init__("automatic backups", BACKUPS_EVERY_S, self.make_due)
         self._context, self._seconds = context, seconds
         self._clocks = WeakKeyDictionary[Project, BackupClock]()

@@ -183,11 +183,7 @@ def frame_row(row: FrameRow) -> FrameRowJson:
 
 
 def drawn_view(ctx: Context, name: str, view: PseudoView, picture: bytes) -> ViewJson:
-    """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it.
-
-    Args:
-        picture: its image as a PNG file.
-    """
+    """The JSON of a new pseudo-view; its image (PNG) is cached, and stored once a box is drawn on it."""
     height, width = view.rgb.shape[:2]
     return _view(name, ctx.caches.view_images.add(picture), (width, height), view)
 

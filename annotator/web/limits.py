@@ -83,10 +83,6 @@ class Connections:
     """
 
     def __init__(self, most: int) -> None:
-        """
-        Args:
-            most: number of connections; the numbers of silent ones follow from it.
-        """
         self._most, self._most_silent, self._most_of_address = most, int(most * SILENT), int(most * OF_ADDRESS)
         self._addresses: dict[asyncio.Transport, str] = {}
         # dictionaries, since they keep the order of arrival
@@ -102,11 +98,7 @@ class Connections:
         return len(self._silent)
 
     def arrive(self, address: str, transport: asyncio.Transport) -> None:
-        """Adds a connection; closes the oldest silent one, or this one, if there are too many.
-
-        Args:
-            address: of the client, as in `address_key`.
-        """
+        """Adds a connection; closes the oldest silent one, or this one, if there are too many."""
         if len(self._addresses) >= self._most and not self._turn_out(self._silent):
             transport.abort()
             return

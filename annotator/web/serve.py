@@ -85,10 +85,6 @@ class Running(uvicorn.Server):
     """A server on a bound socket, so that its port is known before it starts."""
 
     def __init__(self, settings: ServerSettings, app: FastAPI | None = None) -> None:
-        """
-        Args:
-            app: the application to serve; None = the workbench.
-        """
         self.settings = settings
         self.app = create_app(settings) if app is None else app
         self.socket = bind(settings.host, settings.port)
@@ -183,11 +179,7 @@ def serve(settings: ServerSettings, place: str | None = None, *, open_browser: b
 
 @contextmanager
 def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None]:
-    """Serves in another thread within the `with` block; prints the URL and opens a browser.
-
-    Args:
-        place: as for `serve`.
-    """
+    """Serves in another thread within the `with` block; prints the URL and opens a browser."""
     with _prepared(settings, place) as (server, address), _opening(settings, address) as page:
         thread = threading.Thread(target=server.serve_until_stopped)
         thread.start()

@@ -162,10 +162,6 @@ class JobRunner:
         grace_s: float = GRACE_S,
         readable: tuple[Path, ...] | None = None,
     ) -> None:
-        """
-        Args:
-            readable: as for `open_project`.
-        """
         require_own_files(folder)
         self.folder = folder
         self._on_change, self._public_message, self._grace_s = on_change, public_message, grace_s

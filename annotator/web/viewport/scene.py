@@ -88,10 +88,6 @@ class Scene:
     """
 
     def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo) -> None:
-        """
-        Args:
-            on_gizmo: called in the server's event loop while the gizmo is dragged.
-        """
         self._server = server
         self._api = server.scene
         self._on_gizmo = on_gizmo

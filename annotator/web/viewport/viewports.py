@@ -320,12 +320,6 @@ class Viewports:
         unseen_s: float = UNSEEN_S,
         sweep_s: float = SWEEP_S,
     ) -> None:
-        """
-        Args:
-            send: called with the events of all viewports.
-            unseen_s: time after which a viewport without a connected browser closes, seconds.
-            sweep_s: interval between checks for such viewports, seconds.
-        """
         self._send = send
         self._unseen_s, self._sweep_s = unseen_s, sweep_s
         self._lock = threading.Lock()
