@@ -329,61 +329,50 @@ def run_live(
     )
     try:
         with Interrupts() as interrupts:
-            return _run(project, options, settings, source, report, interrupts)
+            return _Session(project, options, settings, source, report, interrupts).run()
     finally:
         source.close()
 
 
-def _run(
-    project: Project,
-    options: LiveOptions,
-    settings: ServerSettings,
-    source: Source,
-    report: Callable[[str], None],
-    interrupts: Interrupts,
-) -> LiveResult:
-    detectors = active_detectors(project, backend=options.backend)
-    rotation = project.config.settings.rotation
-    detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=options.warm_start)
-    facts = {"backend": detectors.backends[1] or options.backend, "warm start": "on" if options.warm_start else "off"}
-    if named := stand_in(project):
-        report(f"view detector: {named}")
-        facts["view detector"] = named
-    if options.record is None:
-        return LiveResult(_show(options, settings, source, detection, None, facts, report, interrupts), None)
-    with Recorder(options.record, report) as recorder:
-        stored = None
+@dataclass(frozen=True, eq=False)
+class _Session:
+    project: Project
+    options: LiveOptions
+    settings: ServerSettings
+    source: Source
+    report: Callable[[str], None]
+    interrupts: Interrupts
+
+    def run(self) -> LiveResult:
+        project, options, report = self.project, self.options, self.report
+        detectors, warm = active_detectors(project, backend=options.backend), options.warm_start
+        rotation = project.config.settings.rotation
+        detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=warm)
+        facts = {"backend": detectors.backends[1] or options.backend, "warm start": "on" if warm else "off"}
+        if named := stand_in(project):
+            report(f"view detector: {named}")
+            facts["view detector"] = named
+        if options.record is None:
+            return LiveResult(self._show(detection, None, facts), None)
+        with Recorder(options.record, report) as recorder:
+            stored = None
+            try:
+                figures = self._show(detection, recorder, facts | {"recording": recorder.out.name})
+            finally:
+                if frames := recorder.finish():
+                    report(f"storing the detections of {amount(frames, 'frame')} in {recorder.out}")
+                    stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm)
+            recorder.require_complete()
+            return LiveResult(figures, stored)
+
+    def _show(self, detection: LiveDetection, recorder: Recorder | None, facts: dict[str, str]) -> Figures:
+        page, most, log = LivePage(self.source.name, facts), self.options.frames, _LimitedLog(self.report)
         try:
-            figures = _show(options, settings, source, detection, recorder, facts, report, interrupts)
+            pipeline = Pipeline(self.source, detection, page.show, record=recorder, max_frames=most, report=log)
+            serve_live(self.settings, page, pipeline, self.interrupts)
+            return pipeline.figures()
         finally:
-            if frames := recorder.finish():
-                report(f"storing the detections of {amount(frames, 'frame')} in {recorder.out}")
-                warm_start = options.warm_start
-                stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm_start)
-        recorder.require_complete()
-        return LiveResult(figures, stored)
-
-
-def _show(
-    options: LiveOptions,
-    settings: ServerSettings,
-    source: Source,
-    detection: LiveDetection,
-    recorder: Recorder | None,
-    facts: dict[str, str],
-    report: Callable[[str], None],
-    interrupts: Interrupts,
-) -> Figures:
-    if recorder is not None:
-        facts = facts | {"recording": recorder.out.name}
-    page = LivePage(source.name, facts)
-    log = _LimitedLog(report)
-    try:
-        pipeline = Pipeline(source, detection, page.show, record=recorder, max_frames=options.frames, report=log)
-        serve_live(settings, page, pipeline, interrupts)
-        return pipeline.figures()
-    finally:
-        page.close()
+            page.close()
 
 
 class _LimitedLog:
