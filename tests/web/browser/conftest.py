@@ -94,6 +94,12 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture
+def live(own_live: Live) -> Live:
+    """A server for one test: some tests stop it, and some give it other projects."""
+    return own_live
+
+
+@pytest.fixture
 def open_page(browser: Browser, live, request: pytest.FixtureRequest) -> Iterator[Callable[..., Page]]:
     """`open_page()`: a new page in its own context; `page.goto("/")` opens the live server's start page.
 
