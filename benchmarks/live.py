@@ -25,7 +25,7 @@ from annotator.recordings import Recording, open_recording
 from annotator.types import Detector
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
-from annotator.web.live.page import LivePage
+from annotator.web.live import LivePage
 from annotator.workflows.detectors import (
     Detectors,
     UsedModel,

@@ -158,7 +158,7 @@ EXCEPT = {
     "project/database/file.py": "SQLite, on a copy of our own",
     "project/database/generation.py": "SQLite; a `-wal` is read through the door",
     "project/database/migrations.py": "SQLite, in memory",
-    "web/tokens.py": "the token may come from a pipe",
+    "web/security.py": "the token may come from a pipe",
 }
 
 

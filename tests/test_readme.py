@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from annotator.cli.main import main
-from annotator.cli.table import COMMANDS
+from annotator.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parent.parent
 README, GUIDE = ROOT / "README.md", ROOT / "docs" / "guide.md"

@@ -1,11 +1,19 @@
 """The public Python API, exported as `annotator.NAME` and built on the workflows; docs/python.md describes it."""
 
 from annotator.api.frames import frame_from_points, frame_from_rgbd
-from annotator.api.labels import evaluate, evaluate_files, read_labels, write_labels
-from annotator.api.pictures import draw_boxes
+from annotator.api.labels import (
+    draw_boxes,
+    evaluate,
+    evaluate_files,
+    generate_recording,
+    open_recording,
+    perfect_detector,
+    read_labels,
+    read_truth,
+    write_labels,
+)
 from annotator.api.project import Project, create_project, open_project
 from annotator.api.proposing import propose, watch
-from annotator.api.recordings import generate_recording, open_recording, perfect_detector, read_truth
 from annotator.detection.nearest_cluster import NearestCluster
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.nms import nms_3d

@@ -1,18 +1,280 @@
-"""Makes frames from arrays."""
+"""Makes frames from arrays that callers pass; ambiguous ones are rejected."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from jaxtyping import Float32, Float64, UInt8
 from scipy.spatial.transform import RigidTransform
 
-from annotator.api.inputs import camera_of, depth_of, image_of, points_of, transform_of, up_of
+from annotator.geometry.depth_values import measured
 from annotator.geometry.projection import inside_image, pixel_colors, project, unproject_depth
 from annotator.recordings.clouds.virtual_camera import world_pose
-from annotator.types import Camera, Frame, PointCloud
+from annotator.recordings.plausible import are_returns
+from annotator.types import Box2D, Camera, Frame, PointCloud
 from annotator.types.errors import ArgumentError
+
+# Depths with a larger median cannot be metres, since no RGB-D camera reaches so far; they are probably millimetres.
+LONGEST_MEDIAN_DEPTH_M = 200.0
+# If no integer depth is larger, the values are rejected: they are probably rounded metres, not millimetres.
+LARGEST_ROUNDED_M = 100
+# Points with a larger median distance cannot be in metres, since no LiDAR reaches so far.
+LONGEST_MEDIAN_RANGE_M = 1000.0
+MILLIMETRES_PER_METRE = 1000.0
+# Minimum focal length as a fraction of the longer side of the image; it gives a field of view of 170 degrees.
+LEAST_FOCAL_SHARE = 0.04
+# Tolerance for R R^T = identity; calibration files hold rounded matrices.
+MOST_OFF_ROTATION = 1e-3
+
+
+Choice = TypeVar("Choice", bound=StrEnum)
+
+
+def choice(name: str, given: str, kinds: type[Choice]) -> Choice:
+    """The member of an enumeration that a caller gives by its value."""
+    try:
+        return kinds(given)
+    except ValueError as error:
+        raise ArgumentError(f"{name} must be one of {', '.join(kinds)}, not {given!r}") from error
+
+
+def image_of(rgb: Any) -> UInt8[np.ndarray, "h w 3"]:
+    """An image as (H, W, 3) uint8.
+
+    Raises:
+        ArgumentError: a wrong shape or type, or values out of range.
+    """
+    image = np.asarray(rgb)
+    if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[2] not in (1, 3, 4):
+        raise ArgumentError(f"rgb has shape {image.shape}: but channels must come last; pass np.moveaxis(rgb, 0, -1)")
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.ndim != 3 or image.shape[2] not in (1, 3, 4) or 0 in image.shape:
+        raise ArgumentError(f"rgb must have shape (H, W, 3), not {image.shape}")
+    if np.issubdtype(image.dtype, np.floating):
+        if not np.isfinite(image).all():
+            raise ArgumentError("rgb has NaN or infinite values; replace them")
+        low, high = float(image.min()), float(image.max())
+        if low < 0 or high > 1:
+            raise ArgumentError(
+                f"rgb holds floats from {low:g} to {high:g}; pass floats in 0..1, or uint8 (rgb.astype(np.uint8) if "
+                "they go from 0 to 255)"
+            )
+        image = np.rint(image * 255).astype(np.uint8)
+    elif image.dtype != np.uint8:
+        raise ArgumentError(f"rgb has the type {image.dtype}; pass uint8 in 0..255, or floats in 0..1")
+    return np.ascontiguousarray(np.broadcast_to(image[..., :3], (*image.shape[:2], 3)))
+
+
+def camera_of(intrinsics: Any, image_shape: Sequence[int], distortion: Sequence[float] = ()) -> Camera:
+    """The camera of an image, from a `Camera`, (fx, fy, cx, cy) or a matrix K.
+
+    Raises:
+        ArgumentError: the values cannot belong to a camera with images of this size.
+    """
+    height, width = image_shape[:2]
+    if isinstance(intrinsics, Camera):
+        if (intrinsics.width_px, intrinsics.height_px) != (width, height):
+            raise ArgumentError(
+                f"the camera has {intrinsics.width_px} x {intrinsics.height_px} px, the image {width} x {height}"
+            )
+        if len(distortion):
+            raise ArgumentError("distortion is given twice; set it only in the Camera")
+        return intrinsics
+    try:
+        values = np.asarray(intrinsics, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError("intrinsics must be numbers: a matrix K (3, 3), or (fx, fy, cx, cy)") from error
+    if not np.isfinite(values).all():
+        raise ArgumentError("intrinsics have NaN or infinite values")
+    fx, fy, cx, cy = _pinhole(values)
+    if min(fx, fy) < LEAST_FOCAL_SHARE * max(width, height):
+        raise ArgumentError(
+            f"focal lengths of {fx:g} and {fy:g} px do not fit an image of {width} x {height} px; pass them in "
+            "pixels, not in millimetres, metres or fractions of the image size"
+        )
+    if not (0 <= cx <= width and 0 <= cy <= height):
+        raise ArgumentError(
+            f"the principal point ({cx:g}, {cy:g}) lies outside the image of {width} x {height} px; check "
+            "the resolution and the order fx, fy, cx, cy; for a cropped image, pass a Camera"
+        )
+    try:
+        return Camera(width, height, fx, fy, cx, cy, tuple(float(value) for value in distortion))
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+
+
+def _pinhole(values: Float64[np.ndarray, "..."]) -> tuple[float, float, float, float]:
+    if values.shape == (4,):
+        fx, fy, cx, cy = map(float, values)
+        return fx, fy, cx, cy
+    if values.shape == (3, 4):
+        raise ArgumentError(
+            "intrinsics of shape (3, 4) are a projection matrix P; pass P[:, :3] as intrinsics and move its "
+            "translation to the transform"
+        )
+    if values.shape != (3, 3):
+        raise ArgumentError(f"intrinsics must be a matrix K (3, 3) or (fx, fy, cx, cy), not of shape {values.shape}")
+    if tuple(values[2]) != (0, 0, 1):
+        if tuple(values[:, 2]) == (0, 0, 1):
+            raise ArgumentError("the intrinsic matrix is transposed: its last row must be 0 0 1; pass K.T")
+        raise ArgumentError(f"the last row of the intrinsic matrix must be 0 0 1, not {values[2].tolist()}")
+    if values[0, 1] or values[1, 0]:
+        raise ArgumentError(
+            f"the intrinsic matrix has a skew of {values[0, 1]:g}; use an image that is rectified without skew"
+        )
+    return float(values[0, 0]), float(values[1, 1]), float(values[0, 2]), float(values[1, 2])
+
+
+def depth_of(depth: Any, depth_scale: float | None, image_shape: Sequence[int]) -> Float32[np.ndarray, "h w"]:
+    """A depth image in metres, 0 where a pixel has no depth.
+
+    Raises:
+        ArgumentError: a size other than the image's, an ambiguous unit, or no pixel with a depth.
+    """
+    values = np.asarray(depth)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.shape != tuple(image_shape[:2]):
+        raise ArgumentError(
+            f"depth has shape {values.shape}, the image {tuple(image_shape[:2])}; register the depth to the image"
+        )
+    if not (np.issubdtype(values.dtype, np.floating) or np.issubdtype(values.dtype, np.integer)):
+        raise ArgumentError(f"depth has the type {values.dtype}; pass floats in metres, or whole millimetres")
+    if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
+        raise ArgumentError(f"depth_scale must be positive (units per metre), not {depth_scale}")
+    with np.errstate(invalid="ignore"):
+        lowest = values.min(where=np.isfinite(values), initial=0)
+    if lowest < 0:
+        raise ArgumentError(f"depth has negative values (down to {lowest:g}); z points away from the camera")
+    usable = measured(values)
+    if not usable.any():
+        raise ArgumentError("no pixel has a depth: all are 0, NaN, infinite, or the highest of 16 bits")
+    known = values[usable]
+    if depth_scale is None:
+        depth_scale = _guessed_scale(known)
+    metres = np.zeros(values.shape, np.float32)
+    metres[usable] = known / depth_scale
+    return metres
+
+
+def _guessed_scale(known: np.ndarray) -> float:
+    if np.issubdtype(known.dtype, np.integer):
+        if known.max() <= LARGEST_ROUNDED_M:
+            raise ArgumentError(
+                f"depth holds integers up to {known.max()}, too small for millimetres; pass floats in metres, or "
+                "depth_scale, the units per metre"
+            )
+        return MILLIMETRES_PER_METRE
+    median = float(np.median(known))
+    if median > LONGEST_MEDIAN_DEPTH_M:
+        raise ArgumentError(
+            f"depth holds floats with a median of {median:g}, too large for metres; pass metres, or "
+            "depth_scale=1000 for millimetres"
+        )
+    return 1.0
+
+
+def points_of(xyz_m: Any, T_camera_points: RigidTransform) -> tuple[Float64[np.ndarray, "n 3"], np.ndarray]:
+    """The points of an array (N, 3) that are returns (`are_returns`), and the indices of their rows.
+
+    Args:
+        T_camera_points: to the camera, since map coordinates are large in metres, too.
+
+    Raises:
+        ArgumentError: a wrong shape, no finite point, or points that seem to be in millimetres.
+    """
+    try:
+        points = np.asarray(xyz_m, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError("xyz_m must be numbers of shape (N, 3)") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        hint = ""
+        if points.ndim == 2 and points.shape[0] == 3:
+            hint = "; pass xyz.T"
+        elif points.ndim == 2 and points.shape[1] > 3:
+            hint = "; pass xyz[:, :3], and a fourth column as reflectance"
+        elif points.ndim == 3 and points.shape[2] == 3:
+            hint = "; pass xyz.reshape(-1, 3)"
+        raise ArgumentError(f"xyz_m must have shape (N, 3), not {points.shape}{hint}")
+    rows = np.flatnonzero(are_returns(points))
+    if not len(rows):
+        raise ArgumentError("xyz_m has no finite point other than (0, 0, 0)")
+    points = points[rows]
+    median_m = float(np.median(np.linalg.norm(T_camera_points.apply(points), axis=1)))
+    if median_m > LONGEST_MEDIAN_RANGE_M:
+        raise ArgumentError(
+            f"xyz_m has a median distance of {median_m:g} from the camera, too large for metres; pass metres, not "
+            "millimetres, and for map coordinates the T_camera_points from the map to the camera"
+        )
+    return points, rows
+
+
+def transform_of(transform: Any) -> RigidTransform:
+    """A rigid transform from a matrix (4, 4); None is the identity.
+
+    Raises:
+        ArgumentError: the matrix is not a rigid transform, e.g. because it mirrors, scales or is transposed.
+    """
+    name = "T_camera_points"
+    if transform is None:
+        return RigidTransform.identity()
+    if isinstance(transform, RigidTransform):
+        if not transform.single:
+            raise ArgumentError(f"{name} must be one transform, not a stack")
+        return transform
+    try:
+        matrix = np.asarray(transform, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} must be a matrix (4, 4) of numbers") from error
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ArgumentError(f"{name} must be a matrix of shape (4, 4) with finite numbers; its shape is {matrix.shape}")
+    if tuple(matrix[3]) != (0, 0, 0, 1):
+        hint = "; it is transposed, pass T.T" if tuple(matrix[:, 3]) == (0, 0, 0, 1) else ""
+        raise ArgumentError(f"the last row of {name} must be 0 0 0 1, not {matrix[3].tolist()}{hint}")
+    R = matrix[:3, :3]
+    determinant = float(np.linalg.det(R))
+    if determinant < 0:
+        raise ArgumentError(
+            f"{name} is a reflection (determinant {determinant:.3g}); one of its axes has the wrong sign"
+        )
+    if np.abs(R @ R.T - np.eye(3)).max() > MOST_OFF_ROTATION:
+        raise ArgumentError(
+            f"{name} scales or shears (determinant {determinant:.3g}); pass a rotation and a translation"
+        )
+    return RigidTransform.from_matrix(matrix)
+
+
+def up_of(up: Any) -> Float64[np.ndarray, "3"] | None:
+    """A direction as a unit vector; None stays None.
+
+    Raises:
+        ArgumentError: not three finite numbers, or all of them are 0.
+    """
+    if up is None:
+        return None
+    vector = np.asarray(up, np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.linalg.norm(vector) > 0:
+        raise ArgumentError(f"up must be a direction (x, y, z) against gravity in the camera frame, not {up!r}")
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def require_on_image(boxes: Sequence[Any], camera: Camera) -> None:
+    """Raises ArgumentError for anything that is not a `Box2D`, and for a box outside the image."""
+    for box in boxes:
+        if not isinstance(box, Box2D):
+            raise ArgumentError(f"image boxes must be Box2D, not {type(box).__name__}")
+        if max(map(abs, box.xyxy)) <= 1 and max(camera.width_px, camera.height_px) > 2:
+            raise ArgumentError(f"the box {box.xyxy} has edges in 0..1; pass them in pixels")
+        if box.x_max < 0 or box.y_max < 0 or box.x_min > camera.width_px or box.y_min > camera.height_px:
+            raise ArgumentError(
+                f"the box {box.xyxy} lies outside the image of {camera.width_px} x {camera.height_px} px; edges are "
+                "x_min, y_min, x_max, y_max in pixels"
+            )
+
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -1,22 +1,34 @@
-"""Reads, writes and evaluates labels without a project."""
+"""Opens and generates recordings; reads, writes, evaluates and draws labels without a project."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from jaxtyping import UInt8
+
+from annotator import recordings
+from annotator.api.frames import choice
+from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.evaluation.oriented import evaluate_oriented
 from annotator.evaluation.report import Report, oriented_report
 from annotator.formats.boxes_json import write_boxes
 from annotator.formats.units import AngleUnit
-from annotator.types import Label, Proposal, Truth
+from annotator.geometry.edges import heading_px
+from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.projection import project
+from annotator.recordings import Recording
+from annotator.synthetic import write_generated
+from annotator.types import Box2D, BoxKind, Frame, Label, OrientedBox, Proposal, Truth
 from annotator.types.errors import ArgumentError
 from annotator.workflows.evaluating.evaluate_files import DEFAULT_SCORE, Options, Protocol, ScoredBox, box_table
 from annotator.workflows.evaluating.evaluate_files import evaluate_files as evaluate_protocol
 from annotator.workflows.importing import table
 from annotator.workflows.importing.label_set import LabelSet
+from annotator.workflows.recorded.reading import load_truth
 
-FORMATS = tuple(table.BoxFormat)
 Boxes = Mapping[str, Sequence[Truth | Label | Proposal]]
 """The boxes of each frame, by the frame's key."""
 
@@ -38,12 +50,8 @@ def read_labels(path: str | Path, format: str = table.BoxFormat.BOXES, angles: s
         ConfigError: `angles` for a format without angles.
         FormatError: a file does not follow the format; the message names file and line.
     """
-    if angles not in (None, *AngleUnit):
-        raise ArgumentError(f"angles must be {' or '.join(AngleUnit)}, not {angles!r}")
-    if format not in FORMATS:
-        raise ArgumentError(f"format must be one of {', '.join(FORMATS)}, not {format!r}")
-    unit = None if angles is None else AngleUnit(angles)
-    return table.read_labels(table.BoxFormat(format), Path(path), unit)
+    unit = None if angles is None else choice("angles", angles, AngleUnit)
+    return table.read_labels(choice("format", format, table.BoxFormat), Path(path), unit)
 
 
 def write_labels(path: str | Path, labels: Boxes) -> None:
@@ -99,6 +107,108 @@ def evaluate_files(
         ArgumentError: an unknown protocol.
         FormatError, ConfigError: the files cannot be read, or detections and truth have different frames.
     """
-    if protocol not in tuple(Protocol):
-        raise ArgumentError(f"protocol must be one of {', '.join(Protocol)}, not {protocol!r}")
-    return evaluate_protocol(Path(detections), Path(truth), Protocol(protocol), options)
+    return evaluate_protocol(Path(detections), Path(truth), choice("protocol", protocol, Protocol), options)
+
+
+def open_recording(path: str | Path, **options: Any) -> Recording:
+    """The recording at `path`, in any supported format (docs/recordings.md).
+
+    Args:
+        options: how it is read, for formats that take options: fields of `ReaderOptions`, such as `columns=5`.
+
+    Returns:
+        a recording of `len(recording)` frames; `recording.frame(i)` reads one; frames are not cached.
+
+    Raises:
+        UnknownFormatError: no reader recognises the path; `looked_for` lists what each looks for.
+        ConfigError: an option that the format does not take, or an invalid value.
+        RecordingError: it has no frames, or cannot be read.
+    """
+    return recordings.open_recording(Path(path), recordings.parse_options(**options))
+
+
+def generate_recording(
+    path: str | Path,
+    preset: str = "hands",
+    frames: int = 4,
+    *,
+    seed: int = 0,
+    width_px: int = 640,
+    height_px: int = 480,
+) -> Recording:
+    """Generates an RGB-D recording of a synthetic room with exact ground truth, for experiments.
+
+    Args:
+        path: the folder to create; it must not exist.
+        preset: hands (two hands in the air) or people (who stand and walk in a furnished room).
+
+    Raises:
+        ConfigError: the folder exists, or a number is out of its range.
+    """
+    write_generated(Path(path), preset, frames, seed, width_px, height_px)
+    return open_recording(path)
+
+
+def perfect_detector(recording: Recording, box_kind: BoxKind | str = BoxKind.SILHOUETTE) -> PerfectDetector:
+    """An image and view detector that returns the projected 3D boxes of a recording, for examples and tests.
+
+    The clouds of all frames stay in memory.
+
+    Args:
+        box_kind: what its 2D boxes measure; as for `propose`.
+
+    Raises:
+        ArgumentError: an unknown kind.
+        RecordingError, FormatError: as `read_truth`.
+    """
+    kind = choice("box_kind", box_kind, BoxKind)
+    frames = [recording.frame(i) for i in range(len(recording))]
+    scenes = [Scene.of(frame, load_truth(recording, i, frame)) for i, frame in enumerate(frames)]
+    return PerfectDetector(scenes, kind)
+
+
+def read_truth(recording: Recording, index: int, frame: Frame | None = None) -> list[Truth]:
+    """The 3D boxes that come with a recording for one of its frames, in the camera frame.
+
+    Args:
+        frame: the frame, if it has been read already.
+
+    Raises:
+        RecordingError: the recording has no labels, or the frame cannot be read.
+        FormatError: its labels are broken.
+        IndexError: there is no such frame.
+    """
+    return load_truth(recording, index, recording.frame(index) if frame is None else frame)
+
+
+# Colours of 3D and of 2D boxes, RGB.
+GREEN, RED = (60, 220, 90), (230, 60, 50)
+# Length of an arrow's head, pixels for each pixel of the lines' thickness.
+HEAD_PX = 5.0
+# Edges with an end beyond this are left out: drawing libraries do not support such coordinates.
+FARTHEST_PX = 1e5
+
+
+def draw_boxes(
+    frame: Frame, boxes: Sequence[Proposal | Label | Truth | OrientedBox | Box2D], thickness_px: int = 2
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The frame's image (RGB) with boxes drawn on it: 3D boxes green, with an arrow along the heading; 2D boxes red.
+
+    Lines that reach behind the camera are left out. To save the result: `cv2.imwrite(name, picture[..., ::-1])`.
+    """
+    import cv2
+
+    picture = np.ascontiguousarray(frame.rgb).copy()
+    for each in boxes:
+        if isinstance(each, Box2D):
+            low, high = np.rint(np.array(each.xyxy).reshape(2, 2)).astype(int)
+            cv2.rectangle(picture, tuple(low.tolist()), tuple(high.tolist()), RED, thickness_px, cv2.LINE_AA)
+            continue
+        box = each if isinstance(each, OrientedBox) else each.box
+        corners = project(frame.camera, box_corners(box))
+        arrow = heading_px(frame.camera, box, HEAD_PX * thickness_px)
+        for ends in (*(corners[[a, b]] for a, b in EDGES), *arrow):
+            if (np.abs(ends) < FARTHEST_PX).all():
+                start, end = np.rint(ends).astype(int).tolist()
+                cv2.line(picture, tuple(start), tuple(end), GREEN, thickness_px, cv2.LINE_AA)
+    return picture

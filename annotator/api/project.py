@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, overload
 
 from annotator import project as store
-from annotator.api.inputs import up_of
+from annotator.api.frames import choice, up_of
 from annotator.api.labels import read_labels
 from annotator.api.proposing import (
     ImageDetector,
@@ -17,11 +17,10 @@ from annotator.api.proposing import (
     image_boxes_of,
     image_kind_of,
     kind_of,
-    rotation_of,
     watch_with,
 )
 from annotator.evaluation.report import Report
-from annotator.project import ProjectSettings, StoredFrame, StoredRecording
+from annotator.project import BoxRotation, ProjectSettings, StoredFrame, StoredRecording
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import parse_options
@@ -72,7 +71,7 @@ def create_project(path: str | Path, classes: Sequence[str], rotation: Rotation 
         ConfigError: the name of the folder or of a class cannot be used.
         ProjectError: the folder exists already, or cannot be written.
     """
-    place, settings = Path(path).absolute(), ProjectSettings(rotation=rotation_of(rotation))
+    place, settings = Path(path).absolute(), ProjectSettings(rotation=choice("rotation", rotation, BoxRotation))
     return Project(store.create_project(place.parent, place.name, classes, settings=settings))
 
 
@@ -253,12 +252,11 @@ class Project:
             DetectionError, FormatError, ConfigError: as `detect`.
             WorkerError, MissingExtraError: the engine cannot be started, or its workers crash repeatedly.
         """
-        if engine not in tuple(EngineName):
-            raise ArgumentError(f"engine must be one of {', '.join(EngineName)}, not {engine!r}")
+        chosen = choice("engine", engine, EngineName)
         source = self._detector_source(image_detector, view_detector, box_kind, image_kind)
         present = self.stored.frames.count_present(None)
         frames = present if limit is None else min(present, limit)
-        made = make_engine(EngineName(engine), source, frames=frames, workers=workers, address=address)
+        made = make_engine(chosen, source, frames=frames, workers=workers, address=address)
         with closing(made):
             return annotate_with(self.stored, made, self._config(), limit=limit)
 
@@ -291,12 +289,11 @@ class Project:
             FormatError: `out` exists already, or cannot be written.
             RecordingError: a frame cannot be read.
         """
-        if format not in tuple(ExportFormat):
-            raise ArgumentError(f"format must be one of {', '.join(ExportFormat)}, not {format!r}")
+        written = choice("format", format, ExportFormat)
         if unknown := set(states or ()) - set(ReviewState):
             raise ArgumentError(f"states must be from {', '.join(ReviewState)}, not {', '.join(unknown)}")
         choose = ExportFilter(states=tuple(map(ReviewState, states))) if states else None
-        return export_project(self.stored, Path(out), ExportFormat(format), choose=choose, overwrite=overwrite)
+        return export_project(self.stored, Path(out), written, choose=choose, overwrite=overwrite)
 
     def evaluate(self, protocol: str = Protocol.ORIENTED, measured: str = Measured.LABELS) -> Report:
         """Evaluates the project's labels or proposals against the boxes that come with its recordings.
@@ -310,12 +307,8 @@ class Project:
             ConfigError: there is nothing to compare.
             RecordingError, FormatError: the truth cannot be read.
         """
-        if protocol not in tuple(Protocol) or measured not in tuple(Measured):
-            raise ArgumentError(
-                f"protocol must be one of {', '.join(Protocol)} and measured one of {', '.join(Measured)}, not "
-                f"{protocol!r} and {measured!r}"
-            )
-        return evaluate_project(self.stored, Protocol(protocol), Choice(Measured(measured)))
+        chosen = Choice(choice("measured", measured, Measured))
+        return evaluate_project(self.stored, choice("protocol", protocol, Protocol), chosen)
 
     def close(self) -> None:
         """Closes the project."""

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
-from annotator.api.inputs import require_on_image
+from annotator.api.frames import choice, require_on_image
 from annotator.geometry.image_shares import clip_to_image
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
@@ -58,11 +58,7 @@ class FunctionDetector:
 
 
 def as_detector(given: Any) -> Detector:
-    """Returns a detector unchanged, and makes one from a function.
-
-    Raises:
-        ArgumentError: `given` is neither.
-    """
+    """Returns a detector unchanged, and makes one from a function."""
     if isinstance(given, type) or not (isinstance(given, Detector) or callable(given)):
         raise ArgumentError(
             f"{given!r} is not a detector; pass an object with labels, fingerprint and detect, or a function"
@@ -133,7 +129,9 @@ def propose(
     boxes = image_boxes_of(frames, image_boxes, image_detector)
     view = as_detector(view_detector)
     config = checked_config(settings or {}).for_detector(kind_of(view_detector, box_kind))
-    proposals = propose_image_boxes(several, boxes, view, config, rotation_of(rotation)) if several else []
+    proposals = (
+        propose_image_boxes(several, boxes, view, config, choice("rotation", rotation, BoxRotation)) if several else []
+    )
     return proposals[0] if isinstance(frames, Frame) else proposals
 
 
@@ -159,7 +157,7 @@ def watch(
         ArgumentError, ConfigError: as `propose`.
     """
     pair = Detectors(as_detector(image_detector), as_detector(view_detector), kind_of(view_detector, box_kind))
-    return watch_with(frames, pair, checked_config(settings or {}), rotation_of(rotation))
+    return watch_with(frames, pair, checked_config(settings or {}), choice("rotation", rotation, BoxRotation))
 
 
 def watch_with(
@@ -181,11 +179,7 @@ def watch_with(
 def image_boxes_of(
     frames: Any, image_boxes: Sequence[Any] | None, image_detector: ImageDetector | None
 ) -> list[list[Box2D]]:
-    """One list of boxes per frame, either given or detected.
-
-    Raises:
-        ArgumentError: as `propose`.
-    """
+    """One list of boxes per frame, either given or detected."""
     several = [frames] if isinstance(frames, Frame) else list(frames)
     if not all(isinstance(frame, Frame) for frame in several):
         raise ArgumentError(
@@ -212,35 +206,13 @@ def _lists(image_boxes: Sequence[Any]) -> Sequence[Sequence[Box2D]]:
     return image_boxes
 
 
-def rotation_of(rotation: Rotation) -> BoxRotation:
-    """The rotation of this name; raises ArgumentError for an unknown one."""
-    try:
-        return BoxRotation(rotation)
-    except ValueError as error:
-        raise ArgumentError(f"rotation must be one of {', '.join(BoxRotation)}, not {rotation!r}") from error
-
-
 def kind_of(view_detector: ViewDetector, given: BoxKind | str | None) -> BoxKind:
-    """What a view detector's boxes measure: `given`, else the detector's `box_kind`, else silhouettes.
-
-    Raises:
-        ArgumentError: an unknown kind.
-    """
-    return _kind("box_kind", view_detector, given, BoxKind.SILHOUETTE)
+    """What a view detector's boxes measure: `given`, else the detector's `box_kind`, else silhouettes."""
+    kind = getattr(view_detector, "box_kind", BoxKind.SILHOUETTE) if given is None else given
+    return choice("box_kind", kind, BoxKind)
 
 
 def image_kind_of(image_detector: ImageDetector | None, given: BoxKind | str | None) -> BoxKind:
-    """What boxes on the image enclose: `given`, else the `box_kind` of their detector, else whole objects.
-
-    Raises:
-        ArgumentError: an unknown kind.
-    """
-    return _kind("image_kind", image_detector, given, BoxKind.BOX)
-
-
-def _kind(name: str, detector: Any, given: BoxKind | str | None, default: BoxKind) -> BoxKind:
-    kind = getattr(detector, "box_kind", default) if given is None else given
-    try:
-        return BoxKind(kind)
-    except ValueError as error:
-        raise ArgumentError(f"{name} must be one of {', '.join(BoxKind)}, not {kind!r}") from error
+    """What boxes on the image enclose: `given`, else the `box_kind` of their detector, else whole objects."""
+    kind = getattr(image_detector, "box_kind", BoxKind.BOX) if given is None else given
+    return choice("image_kind", kind, BoxKind)

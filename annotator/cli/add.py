@@ -10,11 +10,8 @@ from typing import Annotated
 import tyro
 
 from annotator.cli.import_boxes import print_report
-from annotator.cli.options import ProjectName, Projects
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
-from annotator.cli.reader_options import AS_FILES_SAY, Reading
+from annotator.cli.options import AS_FILES_SAY, ProjectName, Projects, Reading, open_named
+from annotator.cli.output import counted, print_line
 from annotator.project import REVIEWED
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError

@@ -1,4 +1,4 @@
-"""`annotator annotate`"""
+"""`annotator simulate`, `views`, `annotate`, `lift`: 2D boxes, and the 3D boxes proposed from them."""
 
 from __future__ import annotations
 
@@ -9,24 +9,47 @@ from typing import Annotated
 from pydantic import JsonValue
 from tyro.conf import arg
 
-from annotator.cli.options import BackendOption, Limit, ProjectName, Projects, RecordingNames, Rotation
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
+from annotator.cli.options import (
+    BackendOption,
+    BoxKindOption,
+    Limit,
+    ProjectName,
+    Projects,
+    RecordingName,
+    RecordingNames,
+    Rotation,
+    open_named,
+)
+from annotator.cli.output import counted, print_line
 from annotator.detection.config import Backend
-from annotator.project import BoxRotation
+from annotator.project import BoxRotation, Project
 from annotator.rcv.config import Strategy
+from annotator.types import BoxKind, DetectorKind
 from annotator.types.amounts import amount
-from annotator.workflows.detectors import stand_in, trained_detectors
-from annotator.workflows.proposing.annotate import AnnotateSummary, annotate_with, require_limit
+from annotator.types.errors import ConfigError
+from annotator.workflows.detectors import Detectors, active_model, load_detector, stand_in, trained_detectors
+from annotator.workflows.importing import Become, FlatFormat, ImportReport, Note
+from annotator.workflows.proposing.annotate import AnnotateSummary, annotate, annotate_with, require_limit
 from annotator.workflows.proposing.engines import EngineName, make_engine
+from annotator.workflows.proposing.lift import (
+    GivenBoxes,
+    RenamedDetector,
+    boxes_of_file,
+    drawn_boxes,
+    lift,
+    require_known,
+)
 from annotator.workflows.proposing.tasks import CACHE_MB, Storage, parse_elsewhere
 from annotator.workflows.settings import editable, rcv_config
+from annotator.workflows.simulate import simulate_recording
+from annotator.workflows.views.write_pictures import COCO, write_views
+from annotator.workflows.workbench.drawing_steps import to_draw_on
+from annotator.workflows.workbench.loaded_detectors import require_view
 
 SHOWN_FAILURES = 10
 
 
-def run(
+def run_annotate(
     project: ProjectName,
     /,
     *,
@@ -116,7 +139,6 @@ def run(
 
 
 def summary_lines(done: AnnotateSummary) -> list[str]:
-    """The summary as lines of text."""
     rate = f", {done.seconds / done.done:.2f} s per frame" if done.done else ""
     named = ", ".join(dict.fromkeys(filter(None, done.backends)))
     backends = f"; detectors on {named}" if named else ""
@@ -130,3 +152,142 @@ def summary_lines(done: AnnotateSummary) -> list[str]:
     if done.failures > SHOWN_FAILURES:
         lines.append(f"  and {done.failures - SHOWN_FAILURES} more")
     return lines
+
+
+OWN = "project"
+WEIGHTS_SIZE_PX = 640
+
+
+def run_lift(
+    project: ProjectName,
+    /,
+    *,
+    boxes: Path | None = None,
+    format: FlatFormat = FlatFormat.COCO,
+    recording: str | None = None,
+    detector: str | None = None,
+    rename: Annotated[tuple[str, ...], arg(metavar="NAME=CLASS ...")] = (),
+    detector_size: int = WEIGHTS_SIZE_PX,
+    box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
+    backend: BackendOption[Backend] = "auto",
+    projects: Projects = None,
+) -> int:
+    """Propose oriented 3D boxes for 2D boxes on the camera images; nothing has to be trained.
+
+    The 2D boxes are those drawn in the project, those of a file, or those of a 2D detector. The project's own
+    pseudo-view detector measures the objects. A project without one uses the base detector, which needs no training, if
+    this installation has it. With --detector, --recording selects the frames on which the detector runs. Boxes that
+    were drawn in the project, and its own detector, know their --box-kind.
+
+    Args:
+        boxes: COCO file or YOLO folder with boxes on camera images named like the project's frames.
+        format: format of --boxes.
+        recording: name of the recording that the boxes belong to, if several have frames of the same name.
+        detector: weights of a 2D detector (a published ultralytics model, or the file of a training), or "project" for
+            the project's own image detector.
+        rename: the project's class for a class of the file or detector, such as car=Car; other classes keep their
+            names.
+        detector_size: input size of --detector, longer side, pixels.
+    """
+    if boxes is not None and detector is not None:
+        raise ConfigError("--boxes and --detector exclude each other; give one")
+    names = _names(rename)
+    with open_named(project, projects) as opened:
+        view, config = require_view(opened), rcv_config(opened)
+        if detector is not None:
+            loaded, origin = _image_detector(opened, detector, names, detector_size, backend)
+            kind = active_model(opened, DetectorKind.IMAGE).box_kind if detector == OWN else box_kind
+            require_known(view, loaded.labels)
+            chosen = None if recording is None else [opened.recordings.find(recording).id]
+            pair = Detectors(loaded, view, view.box_kind, view.class_agnostic, kind, view.trained)
+            with counted("lift") as progress:
+                done = annotate(opened, pair, config, recordings=chosen, progress=progress)
+        else:
+            if boxes is None:
+                given = drawn_boxes(opened)
+            else:
+                given = boxes_of_file(opened, boxes, format, recording, names, box_kind)
+            with counted("lift") as progress:
+                done = lift(opened, given, view, config, progress)
+            origin = given.origin
+            for line in _left_out(given).sentences():
+                print_line(line)
+    print_line(f"3D boxes from {origin}, measured by: {view.title}")
+    for line in summary_lines(done):
+        print_line(line)
+    return 1 if done.failures else 0
+
+
+def _left_out(given: GivenBoxes) -> ImportReport:
+    report = ImportReport(Become.FLAT)
+    if given.renamed is not None:
+        report.add(Note.RENAMED, of=str(given.renamed))
+    for label, number in given.other_classes.items():
+        report.add(Note.OTHER_CLASS, number, label)
+    report.add_all(Note.UNMATCHED_IMAGE, given.unmatched)
+    report.add_all(Note.UNREADABLE, given.unreadable)
+    return report
+
+
+def _names(pairs: tuple[str, ...]) -> dict[str, str]:
+    names = {}
+    for pair in pairs:
+        theirs, equals, ours = pair.partition("=")
+        if not (theirs and equals and ours):
+            raise ConfigError(f"--rename: {pair!r} is not NAME=CLASS, such as car=Car")
+        names[theirs] = ours
+    return names
+
+
+def _image_detector(
+    project: Project, detector: str, names: dict[str, str], size_px: int, backend: Backend
+) -> tuple[RenamedDetector, str]:
+    """The 2D detector under the project's class names, and its description."""
+    if detector == OWN:
+        loaded = load_detector(active_model(project, DetectorKind.IMAGE).path, backend)
+        origin = "the project's image detector"
+    else:
+        loaded, origin = load_detector(Path(detector), backend, size_px), f"the detector {Path(detector).name}"
+    return RenamedDetector(loaded, project.config.classes, names), origin
+
+
+def run_simulate(
+    project: ProjectName,
+    recording: RecordingName,
+    /,
+    *,
+    box_kind: BoxKindOption[BoxKind] = BoxKind.SILHOUETTE,
+    every: int = 1,
+    projects: Projects = None,
+) -> None:
+    """Draw 2D boxes from a recording's ground truth, five per object, as an operator would.
+
+    For silhouettes in a project with one class, masks (mask/) are enough; boxes.json is not needed.
+
+    Args:
+        every: label every Nth frame, starting with the first.
+    """
+    with open_named(project, projects) as opened, counted("drawing") as progress:
+        stored = opened.recordings.find(recording)
+        drawn = simulate_recording(opened, stored.id, box_kind, rcv_config(opened), every, progress)
+    print_line(
+        f"{amount(drawn.frames, 'frame')}, {amount(drawn.objects, 'object')}, {amount(drawn.boxes, '2D box')} drawn"
+    )
+    print_line(f"next: annotator train {project}")
+
+
+def run_views(project: ProjectName, out: Path, /, *, step: int = 1, projects: Projects = None) -> None:
+    """Write pseudo-views as PNG files, to be labelled in any 2D tool that reads and writes COCO.
+
+    Step 1 needs boxes on camera images, step 2 needs boxes on both views of step 1.
+
+    Args:
+        out: new folder for the images, `coco.json` (the images without boxes) and `views.json` (their poses).
+        step: step of the recursion, 1 or 2.
+    """
+    with open_named(project, projects) as opened:
+        written = write_views(opened, out, step, to_draw_on(opened, rcv_config(opened)))
+    print_line(f"{amount(written.pictures, 'pseudo-view')} in {out}")
+    for line in written.unreadable:
+        print_line(f"skipped: frame {line}")
+    print_line(f"next: draw boxes, then annotator import {project} {out / COCO} --pictures {out}")

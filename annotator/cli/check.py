@@ -9,11 +9,9 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, Projects
-from annotator.cli.output import print_json, print_line
-from annotator.cli.progress import counted
-from annotator.cli.project_verify import report_problems
-from annotator.cli.projects import named_folder, no_project, open_named, projects_root
+from annotator.cli.options import AsJson, Projects, named_folder, no_project, open_named, projects_root
+from annotator.cli.output import counted, print_json, print_line
+from annotator.cli.project import report_problems
 from annotator.project.config import CONFIG_FILE
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError

@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import AsJson, ProjectName, Projects, names_in
+from annotator.cli.options import AsJson, ProjectName, Projects, names_in, open_named, projects_root
 from annotator.cli.output import print_facts, print_json, print_line
-from annotator.cli.projects import open_named, projects_root
 from annotator.project import ProjectConfig
 from annotator.project.classes import edit
 from annotator.project.classes.applying import ClassCounts

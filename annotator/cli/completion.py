@@ -9,8 +9,7 @@ from enum import StrEnum
 
 from tyro.extras import SubcommandApp
 
-from annotator.cli.main import load, style, with_help
-from annotator.cli.table import COMMANDS, GROUPS
+from annotator.cli.main import COMMANDS, GROUPS, load, style, with_help
 
 
 class Shell(StrEnum):

@@ -6,25 +6,57 @@ import os
 import sys
 import threading
 from contextlib import AbstractContextManager, ExitStack, suppress
+from enum import StrEnum
 from pathlib import Path
 from tempfile import mkdtemp
 
 from rich.progress import Progress as Bar
 from rich.progress import TaskID
 
-from annotator.cli.generate import Preset
 from annotator.cli.options import Seed
-from annotator.cli.output import print_line
-from annotator.cli.progress import progress_bar
+from annotator.cli.output import counted, print_line, progress_bar
 from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
-from annotator.demo.stages import PROJECT, Progress
-from annotator.demo.trained import TrainedPlan, TrainedResult, run_trained
+from annotator.demo.trained import PROJECT, Progress, TrainedPlan, TrainedResult, run_trained
 from annotator.detection.base_detector import has_base
+from annotator.synthetic import write_generated
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 
 
-def run(
+class Preset(StrEnum):
+    """The scene that is generated."""
+
+    PEOPLE = "people"
+    HANDS = "hands"
+    OBJECTS = "objects"
+
+
+def generate(
+    out: Path,
+    /,
+    *,
+    preset: Preset = Preset.PEOPLE,
+    frames: int = 30,
+    seed: Seed = 0,
+    width: int = 640,
+    height: int = 480,
+) -> None:
+    """Generate a synthetic RGB-D recording of a room, with exact ground truth in separate files.
+
+    Args:
+        out: new folder for the recording.
+        preset: scene to generate: people who walk, turn and gesture in a room, hands in front of the camera, or objects
+            of many shapes on a table or on the floor.
+        frames: number of frames to generate, ten per second.
+        width: width of the images, pixels.
+        height: height of the images, pixels.
+    """
+    with counted("ray-casting") as progress:
+        write_generated(out, preset.value, frames, seed, width, height, progress)
+    print_line(f"{out}: {amount(frames, 'frame')} of {preset}")
+
+
+def demo(
     out: Path | None = None,
     /,
     *,
@@ -112,9 +144,8 @@ def _wait_for_interrupt() -> None:
 def _workbench(root: Path) -> AbstractContextManager[None]:
     """The workbench on a free port, with the demo's project."""
     from annotator.cli.serve import first_page
+    from annotator.web.security import ServerSettings, with_token
     from annotator.web.serve import serving
-    from annotator.web.settings import ServerSettings
-    from annotator.web.tokens import with_token
 
     return serving(with_token(ServerSettings(root.resolve(), (root,), port=0)), first_page(PROJECT, root))
 
@@ -136,11 +167,7 @@ def _is_interactive() -> bool:
 
 
 def _require_counts(least: int, **options: int | None) -> None:
-    """Checks numbers before the work starts; otherwise the demo would fail after minutes.
-
-    Raises:
-        ConfigError: a number is too small.
-    """
+    """Checks numbers before the work starts; otherwise the demo would fail after minutes."""
     for name, number in options.items():
         if number is not None and number < least:
             raise ConfigError(f"--{name.replace('_', '-')} must be {least} or more, not {number}")

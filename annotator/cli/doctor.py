@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from annotator.cli.options import AsJson, Projects
+from annotator.cli.options import AsJson, Projects, projects_root
 from annotator.cli.output import print_json, print_line
-from annotator.cli.projects import projects_root
 
 FAILED = 1
 

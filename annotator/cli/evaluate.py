@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from annotator.cli.options import AsJson, Projects, RecordingNames
+from annotator.cli.options import AsJson, Projects, RecordingNames, open_named
 from annotator.cli.output import print_json, print_line
-from annotator.cli.projects import open_named
 from annotator.evaluation.report import Report
 from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError

@@ -5,10 +5,8 @@ from __future__ import annotations
 from enum import StrEnum
 from pathlib import Path
 
-from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed, names_in
-from annotator.cli.output import print_json, print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
+from annotator.cli.options import AsJson, ProjectName, Projects, RecordingNames, Seed, names_in, open_named
+from annotator.cli.output import counted, print_json, print_line
 from annotator.formats.table import with_option
 from annotator.types import ReviewState
 from annotator.types.errors import ConfigError

@@ -9,10 +9,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from annotator.cli.options import BoxKindOption, ProjectName, Projects, Seed
-from annotator.cli.output import print_line
-from annotator.cli.progress import counted
-from annotator.cli.projects import open_named
+from annotator.cli.options import BoxKindOption, ProjectName, Projects, Seed, open_named
+from annotator.cli.output import counted, print_line
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import BoxKind

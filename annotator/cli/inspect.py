@@ -6,9 +6,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from annotator.cli.options import AsJson
+from annotator.cli.options import AS_FILES_SAY, AsJson, Reading
 from annotator.cli.output import print_facts, print_json
-from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.recordings.ros.topics import TopicReport
 from annotator.types.amounts import amount
 from annotator.types.errors import InputError, RecordingError, UnknownFormatError

@@ -1,12 +1,23 @@
-"""Options and arguments that several commands share: one name, one meaning and one help text for each."""
+"""Options and arguments that several commands share: one name, meaning and help text each; the project they name."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
+from tyro import conf
 from tyro.conf import arg
+
+from annotator.recordings.recording import ReaderOptions, parse_options
+from annotator.types.errors import ConfigError
+from annotator.workflows.add_recordings import ALL
+
+if TYPE_CHECKING:
+    from annotator.project import Project
+
 
 Value = TypeVar("Value")
 
@@ -78,3 +89,92 @@ def names_in(given: tuple[str, ...], known: Collection[str] = ()) -> tuple[str, 
             yield from names or [word]
 
     return tuple(split())
+
+
+ENVIRONMENT = "ANNOTATOR_PROJECTS"
+DEFAULT_ROOT = Path("projects")
+
+
+def projects_root(projects: Path | None) -> Path:
+    """The folder of projects: as given, else ANNOTATOR_PROJECTS, else `projects` in the current folder."""
+    if projects is not None:
+        return projects
+    return Path(os.environ.get(ENVIRONMENT) or DEFAULT_ROOT)
+
+
+def open_named(name: str, projects: Path | None) -> Project:
+    # imported here, so that `annotator doctor` runs without the database's package
+    from annotator.project import open_project
+
+    return open_project(named_folder(name, projects))
+
+
+def named_folder(name: str, projects: Path | None) -> Path:
+    """The folder of the project of this name, which may be damaged."""
+    from annotator.project.config import check_name
+
+    folder = projects_root(projects)
+    try:
+        check_name(name)
+    except ConfigError as error:
+        if len(Path(name).parts) != 1:
+            raise ConfigError(f"{error}; --projects names the folder of projects") from error
+        raise ConfigError(no_project(name, folder)) from error
+    if not (folder / name).is_dir():
+        raise ConfigError(
+            f"{no_project(name, folder)}; `annotator new` creates one, and --projects names another folder"
+        )
+    return folder / name
+
+
+def no_project(name: str, folder: Path) -> str:
+    """Says that a folder of projects has none of this name, and which is probably meant."""
+    from annotator.project import list_projects
+    from annotator.types.names import alternatives
+
+    others = alternatives(name, [each.path.name for each in list_projects(folder)])
+    return f"{folder} has no project {name!r} ({others})"
+
+
+def option(name: str, metavar: str | None = None) -> object:
+    """Describes an option as `ReaderOptions` does. None is not shown as the default, as in other commands."""
+    text = f"{ReaderOptions.model_fields[name].description}."
+    return conf.arg(metavar=metavar, help=text, help_behavior_hint="")
+
+
+@dataclass(frozen=True)
+class ReadAs:
+    """How the recording is read; each format takes its own options, and by default decides by its files."""
+
+    columns: Annotated[int | None, option("columns")] = None
+    scene: Annotated[tuple[str, ...], option("scene", "NAME ...")] = ()
+    camera: Annotated[tuple[str, ...], option("camera", "NAME ...")] = ()
+    look_around: Annotated[Literal[4, 6, 8] | None, option("look_around")] = None
+    origin: Annotated[tuple[float, float, float] | None, option("origin", "X Y Z")] = None
+    image: Annotated[str | None, option("image", "TOPIC")] = None
+    points: Annotated[str | None, option("points", "TOPIC")] = None
+    depth: Annotated[str | None, option("depth", "TOPIC")] = None
+    camera_info: Annotated[str | None, option("camera_info", "TOPIC")] = None
+    depth_info: Annotated[str | None, option("depth_info", "TOPIC")] = None
+    frame: Annotated[str | None, option("tf_frame")] = None
+    no_motion: Annotated[bool, option("no_motion")] = False
+    tolerance: Annotated[float | None, option("tolerance_s")] = None
+    min_confidence: Annotated[int | None, option("min_confidence")] = None
+
+    def options(self) -> ReaderOptions:
+        """The options as readers take them, of one scene and one camera."""
+        given = asdict(self)
+        for name in ("scene", "camera"):
+            given[name] = _only(name, given[name])
+        renamed = {"tf_frame": given.pop("frame"), "tolerance_s": given.pop("tolerance")}
+        return parse_options(no_motion=given.pop("no_motion") or None, **renamed, **given)
+
+
+def _only(name: str, given: tuple[str, ...]) -> str | None:
+    if len(given) > 1 or given == (ALL,):
+        raise ConfigError(f"--{name} {' '.join(given)}: name one {name}")
+    return next(iter(given), None)
+
+
+Reading = Annotated[ReadAs, conf.arg(name="")]
+AS_FILES_SAY = ReadAs()

@@ -1,26 +1,24 @@
-"""Standard output of the commands: plain lines, or one JSON object."""
+"""What commands print: lines or one JSON object on standard output, progress bars on standard error."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 
 from pydantic import BaseModel
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from annotator.types.errors import ConfigError
 
 
 def print_line(text: str) -> None:
-    """Prints one line."""
     sys.stdout.write(text + "\n")
 
 
 def require_yes(question: str, yes: bool) -> None:
-    """Asks at a terminal whether to go on, unless `yes`.
-
-    Raises:
-        ConfigError: the answer is no, or there is nobody to ask.
-    """
+    """Asks at a terminal whether to go on, unless `yes`."""
     if yes:
         return
     if not sys.stdin.isatty():
@@ -32,7 +30,6 @@ def require_yes(question: str, yes: bool) -> None:
 
 
 def print_json(model: BaseModel) -> None:
-    """Prints one JSON object on one line."""
     print_line(model.model_dump_json())
 
 
@@ -42,3 +39,46 @@ def print_facts(rows: Iterable[tuple[str, object]]) -> None:
     width = max((len(name) for name, _ in listed), default=0)
     for name, value in listed:
         print_line(f"{name:{width}}  {value}")
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar with counts, elapsed and remaining time, on standard error.
+
+    If an error ends the work, the bar is removed, so that only the message remains.
+    """
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("elapsed"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+        console=Console(stderr=True),
+    )
+    bar.start()
+    try:
+        yield bar
+    except Exception:
+        bar.live.transient = True
+        bar.live.stop()  # bar.stop() would leave an empty line where there is no terminal
+        raise
+    except BaseException:  # an interrupt: the bar stays and shows the progress
+        bar.stop()
+        raise
+    else:
+        bar.stop()
+
+
+@contextmanager
+def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar for countable work; yields a function that sets (done, total)."""
+    with progress_bar() as bar:
+        task = bar.add_task(what, total=None, note="")
+
+        def update(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield update

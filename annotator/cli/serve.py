@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-from annotator.cli.options import Host, NoToken, Port, Projects, TokenFile
+from annotator.cli.options import (
+    BackendOption,
+    Host,
+    Limit,
+    NoToken,
+    Port,
+    ProjectName,
+    Projects,
+    TokenFile,
+    open_named,
+    projects_root,
+)
 from annotator.cli.output import print_line
-from annotator.cli.projects import open_named, projects_root
+from annotator.detection.config import Backend
+from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
 
 
-def run(
+def serve(
     project: str | None = None,
     /,
     *,
@@ -32,10 +45,8 @@ def run(
         open: open the page in the browser.
         window: open the page in a window of its own.
     """
-    from annotator.web.security import is_loopback
+    from annotator.web.security import ServerSettings, is_loopback, with_token
     from annotator.web.serve import serve
-    from annotator.web.settings import ServerSettings
-    from annotator.web.tokens import with_token
 
     root = projects_root(projects)
     missing = [str(path) for path in folder if not path.is_dir()]
@@ -49,10 +60,60 @@ def run(
 
 
 def first_page(name: str, root: Path) -> str:
-    """The page to open first: review if the project has proposals, else label.
-
-    Raises:
-        ConfigError, ProjectError: as `open_named`.
-    """
+    """The page to open first: review if the project has proposals, else label."""
     with open_named(name, root) as project:
         return f"{name}/review" if project.statistics().frames_with_proposals else f"{name}/label"
+
+
+def live(
+    project: ProjectName,
+    source: str,
+    /,
+    *,
+    backend: BackendOption[Backend] = "fastest",
+    no_warm_start: bool = False,
+    record: Path | None = None,
+    host: Host = "127.0.0.1",
+    port: Port = 8081,
+    token_file: TokenFile = None,
+    no_token: NoToken = False,
+    limit: Limit = None,
+    loop: bool = False,
+    rate: float | None = None,
+    projects: Projects = None,
+) -> None:
+    """Detect on live frames and show them: point cloud with 3D boxes, camera image, frame rate, latency.
+
+    Capture, detection and display run in parallel. Each takes the newest frame; frames that arrive too fast are
+    dropped and counted. The command ends when the source ends, or with Ctrl-C.
+
+    Args:
+        source: path of a recording, or the name of one of the project, which plays at its own rate; or `kinect` for a
+            connected Azure Kinect: `kinect:N` picks one of several by its serial number or by its index from 0.
+        no_warm_start: do not start from the boxes of the previous frame; slower.
+        record: write the frames to a new recording at this path, and add it to the project with its proposals.
+        loop: restart the recording after its last frame.
+        rate: play the recording at this rate, frames per second; default: its own rate.
+    """
+    from annotator.web.live import LiveOptions, run_live
+    from annotator.web.security import ServerSettings, with_token
+    from annotator.workflows.live.pipeline import summary_line
+
+    options = LiveOptions(source, rate, loop, backend, not no_warm_start, limit, record)
+    settings = ServerSettings(projects_root(projects).resolve(), (), host, port)
+    settings = with_token(settings, token_file, no_token=no_token)
+    with open_named(project, projects) as opened:
+        result = run_live(opened, options, settings, report=_to_stderr)
+    print_line(summary_line(result.figures))
+    if record is not None:
+        stored = result.stored
+        print_line(
+            "no frame was recorded"
+            if stored is None
+            else f"recorded {record}: {amount(stored.frames, 'frame')}, {amount(stored.proposals, 'proposal')}; "
+            f"in {project} as {stored.name}, ready for review"
+        )
+
+
+def _to_stderr(line: str) -> None:
+    sys.stderr.write(line + "\n")

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from annotator.cli.options import AsJson, ProjectName, Projects
+from annotator.cli.options import AsJson, ProjectName, Projects, open_named
 from annotator.cli.output import print_facts, print_json
-from annotator.cli.projects import open_named
 from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.amounts import amount, duration

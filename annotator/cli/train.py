@@ -10,10 +10,8 @@ from typing import Annotated
 from pydantic import ValidationError
 from tyro.conf import arg
 
-from annotator.cli.options import ProjectName, Projects, Seed
-from annotator.cli.output import print_line
-from annotator.cli.progress import progress_bar
-from annotator.cli.projects import open_named
+from annotator.cli.options import ProjectName, Projects, Seed, open_named
+from annotator.cli.output import print_line, progress_bar
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
 from annotator.detection.progress import TrainingProgress
 from annotator.types import DetectorKind
@@ -95,20 +93,12 @@ def run(
 
 
 def _check_minutes(minutes: float | None) -> None:
-    """
-    Raises:
-        ConfigError: not above 0.
-    """
     if minutes is not None and not 0 < minutes <= MOST_MINUTES:
         raise ConfigError(f"--minutes must be above 0 and at most {MOST_MINUTES}, not {minutes}")
 
 
 def _with(config: TrainingConfig, of_image: bool, **changes: object) -> TrainingConfig:
-    """A checked copy with the settings that are not None.
-
-    Raises:
-        ConfigError: a setting is out of its range.
-    """
+    """A checked copy with the settings that are not None."""
     settings = {name: value for name, value in changes.items() if value is not None}
     with _errors_by_flag(of_image):
         return TrainingConfig.model_validate({**config.model_dump(), **settings})
@@ -116,11 +106,7 @@ def _with(config: TrainingConfig, of_image: bool, **changes: object) -> Training
 
 @contextmanager
 def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
-    """Turns validation errors into errors that name the command line option.
-
-    Raises:
-        ConfigError: a setting is out of its range.
-    """
+    """Turns validation errors into errors that name the command line option."""
     try:
         yield
     except ValidationError as error:
@@ -131,7 +117,6 @@ def _errors_by_flag(of_image: bool = False) -> Iterator[None]:
 
 
 def _flag(setting: str, of_image: bool) -> str:
-    """The option of a setting."""
     name = {"image_size_px": "size", "pretrained": "weights"}.get(setting, setting)
     return f"--image-{name}" if of_image and name in ("epochs", "size") else f"--{name.replace('_', '-')}"
 

@@ -2,55 +2,141 @@
 
 from __future__ import annotations
 
+import asyncio
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib import import_module
+from dataclasses import dataclass, field
+from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
+from fastapi.responses import FileResponse
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from annotator import __version__
-from annotator.web.background.automatic_backups import AutomaticBackups
-from annotator.web.background.learning import Learner, StepAside
-from annotator.web.background.preload import preload
-from annotator.web.background.watch import Watch
+from annotator.types.errors import ConfigError
+from annotator.web.background import AutomaticBackups, Learner, StepAside, Watch, preload
 from annotator.web.context import Context
 from annotator.web.errors import ErrorAnswer, add_error_handlers
-from annotator.web.fairness import Fair
-from annotator.web.leftovers import clear_leftovers
-from annotator.web.security import Guard, check_settings
-from annotator.web.settings import ServerSettings
-from annotator.web.static import add_static
+from annotator.web.folders import clear_leftovers
+from annotator.web.routes import (
+    alignment,
+    classes,
+    frames,
+    jobs,
+    label,
+    projects,
+    recordings,
+    review,
+    session,
+    tracks,
+    viewport,
+)
+from annotator.web.security import Guard, ServerSettings, check_settings
+
+PLOTLY = "/assets/vendor/plotly.min.js"
+
+
+def web_assets() -> Path:
+    """The folder `web_assets`: within the package in a wheel, beside it in a clone."""
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "web_assets", package.parent / "web_assets"):
+        if folder.is_dir():
+            return folder
+    raise ConfigError(f"{package.parent / 'web_assets'}: the page's files are missing; install rcv-annotator again")
+
+
+def plotly_script() -> Path:
+    """The browser script in plotly's Python package."""
+    import importlib.util
+
+    spec = importlib.util.find_spec("plotly")
+    if spec is None or spec.origin is None:
+        raise ConfigError("plotly is not installed; run pip install plotly")
+    return Path(spec.origin).parent / "package_data" / "plotly.min.js"
+
+
+def add_static(app: FastAPI) -> None:
+    """Adds GET / for the page, and /assets/... for its files."""
+    assets = web_assets()
+    router = APIRouter(include_in_schema=False)
+
+    @router.get("/")
+    def page() -> FileResponse:
+        return FileResponse(assets / "index.html", headers={"Cache-Control": "no-cache"})
+
+    @router.get(PLOTLY)
+    def plotly() -> FileResponse:
+        return FileResponse(plotly_script(), media_type="text/javascript", headers={"Cache-Control": "max-age=86400"})
+
+    app.include_router(router)
+    app.mount("/assets", StaticFiles(directory=assets), name="assets")
+
+
+# The server has 40 threads (AnyIO's default), and a project 20 connections to its database.
+AT_ONCE = 12
+
+_PROJECT = re.compile(r"/api/projects/([^/]+)")
+
+
+@dataclass(eq=False)
+class _Gate:
+    """Of one project; `users`: requests that wait or are worked on."""
+
+    free: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(AT_ONCE))
+    users: int = 0
+
+
+class Fair:
+    """ASGI middleware: requests to a project beyond the bound wait in the event loop, not in a thread."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+        self._gates: dict[str, _Gate] = {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes a request on when its project is below the bound."""
+        found = _PROJECT.match(scope["path"]) if scope["type"] == "http" else None
+        if found is None:
+            await self.app(scope, receive, send)
+            return
+        name = found[1]
+        gate = self._gates.setdefault(name, _Gate())
+        gate.users += 1
+        try:
+            await self._pass_on(gate, scope, receive, send)
+        finally:
+            gate.users -= 1
+            if not gate.users:
+                del self._gates[name]
+
+    async def _pass_on(self, gate: _Gate, scope: Scope, receive: Receive, send: Send) -> None:
+        await gate.free.acquire()
+        held = True
+
+        def release() -> None:
+            nonlocal held
+            if held:
+                held = False
+                gate.free.release()
+
+        async def sending(message: Message) -> None:
+            # the work is done; a slow download must not count
+            release()
+            await send(message)
+
+        try:
+            await self.app(scope, receive, sending)
+        finally:
+            release()
+
 
 # Modules of `annotator.web.routes`; each defines `router`.
-ROUTES: tuple[str, ...] = (
-    "session",
-    "sheets",
-    "projects",
-    "classes",
-    "recordings",
-    "bags",
-    "boxes",
-    "frames",
-    "label",
-    "review",
-    "tracks",
-    "queue",
-    "alignment",
-    "reports",
-    "images",
-    "jobs",
-    "models",
-    "events",
-    "viewport",
-)
+ROUTES = (session, projects, classes, recordings, frames, label, review, tracks, alignment, jobs, viewport)
 
 
 def create_app(settings: ServerSettings) -> FastAPI:
-    """The application of one server.
-
-    Raises:
-        ConfigError: the page's files are missing, or the server would be open to the network without a token.
-    """
     check_settings(settings)
     context = Context(settings)
 
@@ -79,8 +165,8 @@ def create_app(settings: ServerSettings) -> FastAPI:
     )
     app.state.context = context
     add_error_handlers(app)
-    for name in ROUTES:
-        app.include_router(import_module(f"annotator.web.routes.{name}").router)
+    for module in ROUTES:
+        app.include_router(module.router)
     add_static(app)
     app.add_middleware(StepAside, jobs=context.jobs)
     app.add_middleware(Fair)

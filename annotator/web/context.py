@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 import shutil
 import tempfile
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import unquote
@@ -22,19 +25,80 @@ from annotator.project.config import check_name
 from annotator.project.database.store import BUSY_TIMEOUT_S, patience_s, waiting_at_most
 from annotator.types import Frame
 from annotator.types.errors import AnnotatorError, ConfigError, NotFoundError, ProjectError
-from annotator.web.caches import Caches
 from annotator.web.errors import NotSignedInError, hide_paths
-from annotator.web.folders import Folders
+from annotator.web.folders import JOBS_FOLDER, Folders
 from annotator.web.follow_runs import FollowRuns
 from annotator.web.hub import Hub
 from annotator.web.jobs.records import Job
 from annotator.web.jobs.runner import JobRunner
-from annotator.web.security import is_loopback
-from annotator.web.server_lock import JOBS_FOLDER
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings, is_loopback
 from annotator.web.uploads import as_sent
+from annotator.workflows.workbench.contact_sheet import SheetPictures
+from annotator.workflows.workbench.drawing_steps import WholeBoxes
+from annotator.workflows.workbench.frame_cache import FrameCache
+from annotator.workflows.workbench.loaded_detectors import ReadyDetectors
 
 LOG = logging.getLogger("annotator.web")
+
+# The image of a pseudo-view takes some 30 kB.
+MOST_IMAGES = 1000
+
+
+class ViewImageCache:
+    """The latest PNG images of pseudo-views, by the SHA-256 of their content. Thread-safe."""
+
+    def __init__(self, most: int = MOST_IMAGES) -> None:
+        self._most = most
+        self._lock = threading.Lock()
+        self._images: OrderedDict[str, bytes] = OrderedDict()
+
+    def add(self, content: bytes) -> str:
+        """Adds the content of a PNG file; returns its id, the same as that of `project.views.store`."""
+        name = hashlib.sha256(content).hexdigest()
+        with self._lock:
+            self._images[name] = content
+            self._images.move_to_end(name)
+            while len(self._images) > self._most:
+                self._images.popitem(last=False)
+        return name
+
+    def get(self, name: str) -> bytes | None:
+        """The PNG, or None if it is not in the cache."""
+        with self._lock:
+            return self._images.get(name)
+
+
+class Caches:
+    """The caches of one application.
+
+    Attributes:
+        frames: recently opened frames.
+        view_images: images of the pseudo-views shown by pages.
+        sheets: pictures of contact sheets.
+        detectors: loaded detectors of the projects.
+    """
+
+    def __init__(self) -> None:
+        self.frames = FrameCache()
+        self.view_images = ViewImageCache()
+        self.sheets = SheetPictures(self.frames)
+        self.detectors = ReadyDetectors()
+        self._lock = threading.Lock()
+        self._whole: dict[Path, WholeBoxes] = {}
+
+    def whole_boxes(self, project: Project) -> WholeBoxes:
+        """What offers whole boxes for the drawn objects of a project."""
+        with self._lock:
+            known = self._whole.get(project.path)
+            if known is None or known.project is not project:  # opened again
+                known = self._whole[project.path] = WholeBoxes(project, partial(self.frames.look, project))
+            return known
+
+    def close(self) -> None:
+        self.frames.close()
+        self.sheets.close()
+        self.detectors.close()
+
 
 OPERATOR_COOKIE = "annotator_operator"
 LONGEST_NAME = 64
@@ -67,12 +131,7 @@ class Context:
         self._opens: dict[str, threading.Lock] = {}
 
     def project(self, name: str) -> Project:
-        """The project of that name; it stays open after the first call, but is opened anew once it was replaced.
-
-        Raises:
-            NotFoundError: no such project.
-            ProjectError: it cannot be opened, or another process has locked it.
-        """
+        """The project of that name; it stays open after the first call, but is opened anew once it was replaced."""
         project = self._projects.get(name)
         if project is not None and project.is_current:
             return project
@@ -93,12 +152,7 @@ class Context:
 
     @contextmanager
     def closed(self, name: str) -> Iterator[Path]:
-        """Closes a project, which no request can open within the block; yields its folder.
-
-        Raises:
-            NotFoundError: no such project.
-            InUseError: a job of it runs or waits.
-        """
+        """Closes a project, which no request can open within the block; yields its folder."""
         folder = self._folder(name)
         _require(folder)
         self.jobs.require_none(name)
@@ -111,12 +165,7 @@ class Context:
             yield folder
 
     def frame(self, project: Project, frame_id: int) -> Frame:
-        """A frame with its image and cloud, from the cache if possible.
-
-        Raises:
-            NotFoundError: no such frame.
-            FrameError: it cannot be read.
-        """
+        """A frame with its image and cloud, from the cache if possible."""
         return self.caches.frames.read(project, frame_id)
 
     def is_open(self, name: str) -> bool:
@@ -168,11 +217,7 @@ class Context:
 
     @contextmanager
     def _opening(self, name: str) -> Iterator[None]:
-        """Held by the thread that opens a project: others wait for that project only.
-
-        Raises:
-            ProjectError: another thread waits for it, too, and for longer than this one may wait.
-        """
+        """Held by the thread that opens a project: others wait for that project only."""
         with self._lock:
             lock = self._opens.setdefault(name, threading.Lock())
         ends_s = time.monotonic() + patience_s(BUSY_TIMEOUT_S)
@@ -222,11 +267,7 @@ async def context(connection: HTTPConnection) -> Context:
 
 
 async def operator(connection: HTTPConnection) -> str:
-    """The signed-in operator's name, for `Depends`.
-
-    Raises:
-        NotSignedInError: the browser has not signed in.
-    """
+    """The signed-in operator's name, for `Depends`."""
     name = operator_or_none(connection)
     if name is None:
         raise NotSignedInError("no operator is signed in; sign in with your name first")
@@ -242,11 +283,7 @@ def operator_or_none(connection: HTTPConnection) -> str | None:
 
 
 def check_operator(name: str) -> str:
-    """Returns an operator's name without spaces around it.
-
-    Raises:
-        ValueError: it is empty, too long, or has characters that cannot be printed.
-    """
+    """Returns an operator's name without spaces around it."""
     name = name.strip()
     if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
         raise ValueError(f"a name has 1 to {LONGEST_NAME} printable characters")

@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
+from starlette.responses import Response
 
 from annotator.types.errors import (
     AnnotatorError,
@@ -46,6 +47,14 @@ class TooLargeError(AnnotatorError):
 
 class TooManyError(AnnotatorError):
     """Too many requests without the token, or too many wrong tokens."""
+
+
+class AnsweredError(Exception):
+    """Ends a request with a response."""
+
+    def __init__(self, response: Response) -> None:
+        super().__init__(response.status_code)
+        self.response = response
 
 
 class ErrorBody(BaseModel):
@@ -97,12 +106,10 @@ def hide_paths(text: str, path_names: Iterable[tuple[Path, str]]) -> str:
 
 
 def has_absolute_path(text: str) -> bool:
-    """True if a message contains an absolute path."""
     return _ABSOLUTE.search(text) is not None
 
 
 def status_of(error: AnnotatorError) -> int:
-    """The HTTP status code of an error."""
     return next(status for kind, status in STATUS if isinstance(error, kind))
 
 
@@ -121,9 +128,15 @@ def internal_error(connection: HTTPConnection, error: Exception) -> JSONResponse
 
 def add_error_handlers(app: FastAPI) -> None:
     """Registers handlers that turn every error of a route into this form."""
+    app.add_exception_handler(AnsweredError, _answered)
     app.add_exception_handler(AnnotatorError, _annotator_error)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
+
+
+async def _answered(connection: HTTPConnection, error: Exception) -> Response:
+    assert isinstance(error, AnsweredError)
+    return error.response
 
 
 async def _annotator_error(connection: HTTPConnection, error: Exception) -> Any:  # None for a WebSocket

@@ -1,20 +1,32 @@
-"""The folders that recordings may be added from, under names that do not reveal their paths."""
+"""The folders of a server: those that recordings may be added from, and its projects folder with lock and leftovers."""
 
 from __future__ import annotations
 
+import errno
+import logging
+import os
+import re
+import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from annotator.files import private_folder
+from annotator.project.backup.snapshot import remove_abandoned
+from annotator.project.config import BACKUPS as BACKUPS
 from annotator.recordings import detect_format
-from annotator.types.errors import NotFoundError, RecordingError
+from annotator.types.errors import ConfigError, NotFoundError, RecordingError
+from annotator.web.jobs.records import require_own_files
+
+LOG = logging.getLogger("annotator.web")
 
 # Maximum number of listed entries per folder: detecting the format of each takes time.
 MOST_ENTRIES = 1000
 
 
 @dataclass(frozen=True)
-class Entry:
+class FolderEntry:
     """One entry of a folder.
 
     Attributes:
@@ -30,34 +42,33 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Listing:
+class FolderListing:
     """The content of a folder; `parent` is None for the list of roots."""
 
     path: str
     parent: str | None
-    entries: tuple[Entry, ...]
+    entries: tuple[FolderEntry, ...]
 
 
 class Folders:
-    """Maps paths of browsers to paths on this computer; paths outside the registered folders are refused."""
+    """Maps paths of browsers to paths on this computer, under names that do not reveal these.
+
+    Paths that lead outside the registered folders, such as through a link, are not found.
+    """
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._roots = dict(_named(folders))
 
-    def list(self, path: str) -> Listing:
-        """Lists the sub-folders and recordings of a folder; "" lists the roots.
-
-        Raises:
-            NotFoundError: no such folder.
-        """
+    def list(self, path: str) -> FolderListing:
+        """Lists the sub-folders and recordings of a folder; "" lists the roots."""
         if not path:
-            return Listing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
+            return FolderListing("", None, tuple(_entry(name, name, root) for name, root in self._roots.items()))
         folder = self.find(path)
         if not folder.is_dir():
             raise _missing(path)
         parent = path.rpartition("/")[0]
         entries = (_entry(name, f"{path}/{name}", place) for name, place in self._children(path, folder))
-        return Listing(path, parent, tuple(e for e in entries if e.is_folder or e.recording is not None))
+        return FolderListing(path, parent, tuple(e for e in entries if e.is_folder or e.recording is not None))
 
     def roots(self) -> tuple[tuple[Path, str], ...]:
         """The roots with their names, nested ones first."""
@@ -65,11 +76,7 @@ class Folders:
         return tuple((root, name) for name, root in nested_first)
 
     def find(self, path: str) -> Path:
-        """The real path of a file or folder below a root.
-
-        Raises:
-            NotFoundError: no such path, or it leads outside the roots, such as through a link.
-        """
+        """The real path of a file or folder below a root."""
         name, *parts = path.split("/")
         root = self._roots.get(name)
         # a backslash separates components on other systems
@@ -96,12 +103,12 @@ class Folders:
                 continue
 
 
-def _entry(name: str, path: str, place: Path) -> Entry:
+def _entry(name: str, path: str, place: Path) -> FolderEntry:
     try:
         recording = detect_format(place)
     except RecordingError:  # a known format, but without frames or unreadable
         recording = None
-    return Entry(name, path, recording, place.is_dir())
+    return FolderEntry(name, path, recording, place.is_dir())
 
 
 def _is_unsafe(part: str) -> bool:
@@ -123,3 +130,87 @@ def _named(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
             name = f"{base}-{number}"
         taken.add(name)
         yield name, folder
+
+
+# Younger files may be in use, although one is written in moments; folders have locks.
+OLD_S = 3600.0
+
+# As `files.write_atomic`, `project.create_project` and `keep_replaced` name them; SQLite may have files beside one.
+_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{32}\.(tmp(-wal|-shm|-journal)?|unfinished)")
+
+
+def clear_leftovers(projects_root: Path) -> None:
+    """Removes half-written files and half-created projects of killed processes, as far as it may, and logs it."""
+    oldest_s = time.time() - OLD_S
+    for path in _unfinished(projects_root):
+        with suppress(OSError):
+            if path.is_dir() and not path.is_symlink():
+                if not remove_abandoned(path):
+                    continue
+            elif path.lstat().st_mtime < oldest_s:
+                path.unlink()
+            else:
+                continue
+            LOG.warning("%s: removed, a process that was killed had left it", path)
+
+
+def _unfinished(projects_root: Path) -> Iterator[Path]:
+    for folder in (projects_root, *_children(projects_root), *_children(projects_root / BACKUPS)):
+        for path in _children(folder):
+            if _UNFINISHED.fullmatch(path.name):
+                yield path
+            elif path.name == "views" and folder != projects_root:
+                yield from (image for image in _children(path) if _UNFINISHED.fullmatch(image.name))
+
+
+def _children(folder: Path) -> list[Path]:
+    try:
+        return [] if folder.is_symlink() else list(folder.iterdir())
+    except OSError:
+        return []
+
+
+# Within the projects folder: what the server keeps, for its own user only. Hidden, thus not a project.
+JOBS_FOLDER = ".jobs"
+LOCK = Path(JOBS_FOLDER) / "lock"
+
+
+@contextmanager
+def hold_server_lock(projects_root: Path) -> Iterator[None]:
+    """Holds the lock of a projects folder: a second server would mark the jobs of the first one as failed.
+
+    The system releases it when the process ends. On a file system without locks, or for a folder that cannot be
+    written, it logs a warning instead.
+    """
+    try:
+        import fcntl
+    except ImportError:  # not a POSIX system: no lock
+        yield
+        return
+    path = projects_root / LOCK
+    require_own_files(path.parent)
+    if projects_root.is_dir() and not os.access(projects_root, os.W_OK):
+        LOG.warning("%s: cannot be written: its projects can be read and exported, but not changed", projects_root)
+        yield
+        return
+    try:
+        private_folder(path.parent)
+        file = path.open("w")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error}; choose another folder with --projects") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+                LOG.warning(
+                    "%s: the file system does not support locks (%s); make sure that only one `annotator serve` uses "
+                    "these projects",
+                    projects_root,
+                    error.strerror,
+                )
+            else:
+                raise ConfigError(
+                    f"{projects_root}: another `annotator serve` uses these projects; use its page, or stop it first"
+                ) from error
+        yield

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 from weakref import WeakKeyDictionary
 
-from annotator.project import Project, Receipt
+from annotator.project import Project
 from annotator.types.errors import AnnotatorError
 from annotator.web.errors import INTERNAL
 from annotator.web.hub import Hub
@@ -170,7 +170,7 @@ class FollowRuns:
 
     def _follow(self, project: Project, running: _Running, run: FollowRun) -> None:
         def report(state: Following) -> None:
-            self._announce(project, running.shown.operator, state.changed)
+            self._hub.frames_changed(project, state.changed, running.shown.operator)
             first = running.shown.first or next(iter(state.proposed), None)
             self._show(project, running, state, first=first)
 
@@ -182,10 +182,6 @@ class FollowRuns:
         except Exception:
             LOG.exception("following in project %s failed", project.path.name)
             self._show(project, running, run.state, state="failed", message=INTERNAL)
-
-    def _announce(self, project: Project, operator: str, changed: tuple[tuple[int, Receipt], ...]) -> None:
-        for frame_id, receipt in changed:
-            self._hub.frame_changed(project, frame_id, receipt.revision, operator)
 
     def _show(self, project: Project, running: _Running, now: Following, **changes: object) -> None:
         """Updates a run, and sends it to the pages of its project."""

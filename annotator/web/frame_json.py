@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from annotator.project import Project, ViewBoxes
+from annotator.project.log.records import ViewGeometry
 from annotator.project.overview import FrameRow
-from annotator.types import PseudoView, Quality
+from annotator.types import PseudoView
 from annotator.types.errors import RecordingError, StaleRevisionError
 from annotator.web.context import Context
-from annotator.web.errors import ErrorBody
+from annotator.web.errors import AnsweredError, ErrorBody
 from annotator.web.schemas import (
     Box2DOut,
     Box3DOut,
     CameraJson,
+    FrameChange,
     FrameJson,
     FrameRowJson,
     FrameStateJson,
@@ -43,6 +46,10 @@ from annotator.workflows.workbench.review_queue import doubt
 
 LOG = logging.getLogger("annotator.web")
 
+STALE: dict[int | str, dict[str, Any]] = {
+    409: {"description": "The frame has changed since the given revision; the response contains both versions."}
+}
+
 
 class ModelResponse(JSONResponse):
     """A pydantic model as JSON, serialised by pydantic without a second validation.
@@ -51,7 +58,6 @@ class ModelResponse(JSONResponse):
     """
 
     def render(self, content: Any) -> bytes:
-        """The model's JSON."""
         model: BaseModel = content
         return model.model_dump_json().encode()
 
@@ -69,22 +75,20 @@ def frame_response(ctx: Context, name: str, frame_id: int, operator: str) -> Mod
     return ModelResponse(frame_state(ctx, name, frame_id, operator))
 
 
-def stale_response(
-    ctx: Context, name: str, frame_id: int, operator: str, error: StaleRevisionError, changes: Any
-) -> ModelResponse:
-    """The response to a stale change (409) with both versions of a frame; errors as in `frame_state`."""
-    body = ErrorBody(kind=type(error).__name__, message=str(error))
-    state = frame_state(ctx, name, frame_id, operator)
-    return ModelResponse(BothVersions.model_construct(error=body, state=state, changes=changes), 409)
+@contextmanager
+def both_versions(ctx: Context, name: str, frame_id: int, operator: str, body: FrameChange) -> Iterator[None]:
+    """Within the block, a stale change is answered (409) with both versions of the frame."""
+    try:
+        yield
+    except StaleRevisionError as error:
+        why = ErrorBody(kind=type(error).__name__, message=str(error))
+        state = frame_state(ctx, name, frame_id, operator)
+        both = BothVersions.model_construct(error=why, state=state, changes=body.sent())
+        raise AnsweredError(ModelResponse(both, 409)) from error
 
 
 def frame_state(ctx: Context, name: str, frame_id: int, operator: str) -> FrameStateJson:
-    """The present state of a frame for one operator's page.
-
-    Raises:
-        NotFoundError: no such project or frame.
-        FrameError, RecordingError: the frame cannot be read.
-    """
+    """The present state of a frame for one operator's page."""
     project = ctx.project(name)
     with project.store.snapshot():
         return _frame_state(ctx, name, project, frame_id, operator)
@@ -135,7 +139,6 @@ def _siblings(ctx: Context, project: Project, shown: ShownFrame) -> tuple[Rigs, 
 
 
 def _others(shown: ShownFrame, opened: OpenFrame, others: Sequence[OtherLabel]) -> list[OtherLabelJson]:
-    """The labels of the rig's other cameras."""
     return [
         OtherLabelJson.model_construct(
             uid=each.other.label.uid,
@@ -179,27 +182,21 @@ def frame_row(row: FrameRow) -> FrameRowJson:
     )
 
 
-def view_url(name: str, view_id: str) -> str:
-    """The URL of a pseudo-view's image."""
-    return f"/api/projects/{name}/views/{view_id}.png"
-
-
 def drawn_view(ctx: Context, name: str, view: PseudoView, picture: bytes) -> ViewJson:
-    """The JSON of a new pseudo-view; its image is cached, and stored in the project once a box is drawn on it.
-
-    Args:
-        picture: its image as a PNG file.
-    """
-    view_id = ctx.caches.view_images.add(picture)
+    """The JSON of a new pseudo-view; its image (PNG) is cached, and stored once a box is drawn on it."""
     height, width = view.rgb.shape[:2]
+    return _view(name, ctx.caches.view_images.add(picture), (width, height), view)
+
+
+def _view(name: str, view_id: str, size: tuple[int, int], geometry: PseudoView | ViewGeometry) -> ViewJson:
     return ViewJson(
         id=view_id,
-        url=view_url(name, view_id),
-        width=width,
-        height=height,
-        axes=view.axes.tolist(),
-        metres_per_px=view.metres_per_px,
-        origin_m=view.origin_m.tolist(),
+        url=f"/api/projects/{name}/views/{view_id}.png",
+        width=size[0],
+        height=size[1],
+        axes=np.asarray(geometry.axes).tolist(),
+        metres_per_px=geometry.metres_per_px,
+        origin_m=np.asarray(geometry.origin_m).tolist(),
     )
 
 
@@ -247,7 +244,7 @@ def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
         author=label.author,
         time_ns=label.time_ns,
         track_id=label.track_id,
-        quality=quality_json(shown.stored.quality),
+        quality=QualityJson.of(shown.stored.quality),
         doubt=shown.doubt,
         measured_by=measured_by,
         suggestion=None if label.suggestion is None else SuggestionJson.of(label.suggestion),
@@ -258,23 +255,6 @@ def _label(shown: ShownLabel, measured_by: str | None, kept: bool) -> LabelJson:
         outline=shown.outline.round(2).tolist(),
         points=shown.points,
     )
-
-
-def quality_json(quality: Quality | None) -> QualityJson | None:
-    """The JSON of a quality; a signal without a value (NaN) is null."""
-    if quality is None:
-        return None
-    return QualityJson(
-        view_disagreement=_finite(quality.view_disagreement),
-        kept_share=_finite(quality.kept_share),
-        last_change=_finite(quality.last_change),
-        image_agreement=_finite(quality.image_agreement),
-        expected_iou_loss=_finite(quality.expected_iou_loss),
-    )
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
 
 
 def _objects(
@@ -298,15 +278,5 @@ def _object(name: str, project: Project, drawn: ShownObject) -> ObjectJson:
 
 
 def _stored_view(name: str, project: Project, view: ViewBoxes) -> ViewJson:
-    geometry = view.geometry
-    assert geometry is not None  # guaranteed by `views_by_object`
-    width, height = project.views.size(view.view_id)
-    return ViewJson(
-        id=view.view_id,
-        url=view_url(name, view.view_id),
-        width=width,
-        height=height,
-        axes=[list(row) for row in geometry.axes],
-        metres_per_px=geometry.metres_per_px,
-        origin_m=list(geometry.origin_m),
-    )
+    assert view.geometry is not None  # guaranteed by `views_by_object`
+    return _view(name, view.view_id, project.views.size(view.view_id), view.geometry)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from annotator.project import Project
+from annotator.project import Project, Receipt
 
 Message = Mapping[str, Any]
 """One event as JSON; "type" determines its further fields (docs/architecture.md lists them)."""
@@ -77,7 +77,6 @@ class Hub:
             _put([client], _text(self._presence_event(client.project)))
 
     def leave(self, client: Client) -> None:
-        """Removes a page."""
         with self._lock:
             self._clients.pop(client, None)
         if client.frame is not None:
@@ -136,6 +135,11 @@ class Hub:
             revisions[frame_id] = revision
         event = {"type": "frame", "project": project.path.name, "frame": frame_id, "revision": revision}
         self.send({**event, "operator": operator})
+
+    def frames_changed(self, project: Project, changed: Iterable[tuple[int, Receipt]], operator: str) -> None:
+        """Sends the events for new revisions of frames."""
+        for frame_id, receipt in changed:
+            self.frame_changed(project, frame_id, receipt.revision, operator)
 
     def recording_adjusted(self, project: Project, recording: int, adjusted: int, operator: str) -> None:
         """Sends the event for a new up direction or calibration of a recording, unless it was sent before."""

@@ -5,16 +5,18 @@ Pixel coordinates are continuous, (0, 0) is the centre of the first pixel; metre
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, model_validator
 from scipy.spatial.transform import Rotation
 
 from annotator.project import Effort as StoredEffort
+from annotator.project import WriteContext
 from annotator.project.classes.attributes import Value
-from annotator.types import Box2D, BoxKind, Camera, OrientedBox, ReviewState, Source, Suggestion
+from annotator.types import Box2D, BoxKind, Camera, OrientedBox, Quality, ReviewState, Source, Suggestion
 
 # Limits of numbers in requests: finite, and wide enough for any image and recording.
 Px = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
@@ -67,6 +69,12 @@ class Box2DJson(Schema):
 
     def box(self) -> Box2D:
         return Box2D(self.label, self.x_min, self.y_min, self.x_max, self.y_max, self.score)
+
+
+class ImageBoxIn(Schema):
+    """A drawn object, by its box on the image."""
+
+    image_box: Box2DJson
 
 
 class Box3DJson(Schema):
@@ -135,6 +143,29 @@ class Effort(Schema):
         return StoredEffort(self.actions, self.seconds)
 
 
+class WithEffort(Schema):
+    """A change, and what it took the operator."""
+
+    effort: Effort | None = None
+
+    def stored_effort(self) -> StoredEffort | None:
+        return None if self.effort is None else self.effort.stored()
+
+
+class FrameChange(WithEffort):
+    """A change of a frame, based on one revision of it."""
+
+    revision: RowId
+
+    def context(self, author: str, target: str | None = None) -> WriteContext:
+        """The context of the change; `target`: uid of the label that the effort is for."""
+        return WriteContext(self.revision, author, effort=self.stored_effort(), effort_target=target)
+
+    def sent(self) -> list[Any]:
+        """The changes as the page has sent them, for the answer to a stale one."""
+        return [self.model_dump(mode="json", by_alias=True)]
+
+
 class ViewJson(Schema):
     """A pseudo-view: point p has the pixel x = (axes[0].p - origin_m[0]) / metres_per_px, y likewise with axes[1]."""
 
@@ -147,14 +178,27 @@ class ViewJson(Schema):
     origin_m: list[float]
 
 
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+Signal = Annotated[float | None, BeforeValidator(_finite)]
+
+
 class QualityJson(Schema):
     """The recursion's signals; null if a signal has no value."""
 
-    view_disagreement: float | None
-    kept_share: float | None
-    last_change: float | None
-    image_agreement: float | None
-    expected_iou_loss: float | None
+    model_config = ConfigDict(from_attributes=True)
+
+    view_disagreement: Signal
+    kept_share: Signal
+    last_change: Signal
+    image_agreement: Signal
+    expected_iou_loss: Signal
+
+    @classmethod
+    def of(cls, quality: Quality | None) -> QualityJson | None:
+        return None if quality is None else cls.model_validate(quality)
 
 
 class SuggestionJson(Schema):

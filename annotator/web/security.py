@@ -15,8 +15,13 @@ import hmac
 import ipaddress
 import logging
 import math
+import os
 import re
+import secrets
+import stat
 from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -24,6 +29,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from annotator.files import make_private, private_folder, read_file
 from annotator.types.errors import AnnotatorError, ConfigError
 from annotator.web.errors import (
     ForbiddenError,
@@ -34,10 +40,33 @@ from annotator.web.errors import (
     internal_error,
     status_of,
 )
-from annotator.web.limits.rates import Rate, address_key
-from annotator.web.settings import ServerSettings
+from annotator.web.limits import Rate, address_key
 
 LOG = logging.getLogger("annotator.web")
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """Settings of one server.
+
+    Attributes:
+        projects_root: the projects folder.
+        folders: folders that recordings may be added from; browsers cannot list anything else. On an address that other
+            computers reach, recordings of projects are only read there, too.
+        host: address to listen on.
+        port: port to listen on; 0 = a free one.
+        token: secret that a browser must present once, in the link that the server prints; None is permitted on
+            loopback addresses only.
+        cookie: secret that a browser gets for the token, and presents from then on.
+    """
+
+    projects_root: Path
+    folders: tuple[Path, ...] = ()
+    host: str = "127.0.0.1"
+    port: int = 8080
+    token: str | None = field(default=None, repr=False)
+    cookie: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
+
 
 BODY_LIMIT = 1 << 20
 # The same for the files that pages send, on the one path that takes them.
@@ -87,11 +116,7 @@ def is_loopback(host: str) -> bool:
 
 
 def check_settings(settings: ServerSettings) -> None:
-    """Refuses settings that would open the server to the network.
-
-    Raises:
-        ConfigError: an address that is not loopback without a token, or a weak token.
-    """
+    """Refuses settings that would open the server to the network."""
     if settings.token is None and not is_loopback(settings.host):
         raise ConfigError(
             f"{settings.host} can be reached from other computers: it needs a token; leave --no-token out"
@@ -205,11 +230,7 @@ def _address(connection: HTTPConnection) -> str:
 
 
 def _count(rate: Rate, connection: HTTPConnection) -> None:
-    """Counts something that an address may not do often.
-
-    Raises:
-        TooManyError: it has done it too often.
-    """
+    """Counts something that an address may not do often."""
     address = _address(connection)
     if not rate.take(address):
         raise TooManyError(f"too many requests without the right token; wait {math.ceil(rate.wait_s(address))} s")
@@ -238,11 +259,7 @@ def _check_origin(connection: HTTPConnection) -> None:
 
 
 async def _whole_body(scope: Scope, headers: Headers, receive: Receive) -> bytes | None:
-    """Reads the body of a request; None for requests without one.
-
-    Raises:
-        TooLargeError: the body exceeds the limit, whatever its declared length.
-    """
+    """Reads the body of a request; None for requests without one."""
     if scope["type"] != "http" or scope["method"] in SAFE_METHODS:
         return None
     declared = headers.get("content-length", "0")
@@ -330,3 +347,75 @@ def link(address: str, token: str | None, place: str | None = None) -> str:
     if token is None:
         return address if place is None else f"{address}#/{place}"
     return f"{address}?{urlencode({'token': token} if place is None else {'token': token, 'go': place})}"
+
+
+VARIABLE = "ANNOTATOR_TOKEN"
+MOST_BYTES = 4096
+KEY_BYTES = 32
+
+
+def with_token(settings: ServerSettings, token_file: Path | None = None, *, no_token: bool = False) -> ServerSettings:
+    """Returns the settings with the token of a file, of the variable `ANNOTATOR_TOKEN`, or a new one; and its cookie.
+
+    On a loopback address, browsers stay signed in when the server is started again with a new token: whoever opened the
+    link was a user of this computer, to whom the operator had given it. Elsewhere, a new token ends that, as a changed
+    one always does. The variable is removed, so that the programs started by this one do not get it.
+
+    Args:
+        no_token: everyone who can reach the server may use it; on loopback addresses only.
+    """
+    named = os.environ.pop(VARIABLE, None)
+    if no_token:
+        if token_file is not None:
+            raise ConfigError("--token-file and --no-token exclude each other; leave one of them out")
+        check_settings(settings)
+        return settings
+    given = _of_file(token_file) if token_file is not None else named or None
+    settings = replace(settings, token=given or secrets.token_urlsafe(32))
+    check_settings(settings)
+    if given or is_loopback(settings.host):
+        return replace(settings, cookie=_cookie(settings.projects_root, given or ""))
+    return settings
+
+
+def _of_file(path: Path) -> str:
+    make = f"make one with (umask 077; openssl rand -hex 32 > {path})"
+    try:
+        # a pipe is welcome: --token-file <(pass show annotator)
+        with path.open("rb") as file:
+            if os.name != "nt" and stat.S_IMODE(os.fstat(file.fileno()).st_mode) & 0o077:
+                raise ConfigError(f"--token-file {path}: other users may read it; run chmod 600 {path}")
+            content = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"--token-file {path}: cannot be read ({error.strerror}); {make}") from error
+    text = content.decode("utf-8", "replace").strip()
+    if len(content) > MOST_BYTES or not text or len(text.split()) > 1:
+        raise ConfigError(f"--token-file {path}: is not one line with a token; {make}")
+    return text
+
+
+def _cookie(projects_root: Path, token: str) -> str:
+    """The cookie of a token, the same after each start; another one for other projects, users and computers."""
+    return hmac.new(_key(), f"{projects_root.resolve()}\n{token}".encode(), "sha256").hexdigest()
+
+
+def _key() -> bytes:
+    """The secret of this user on this computer. It is not in the projects folder, which people copy and send."""
+    path = state_folder() / "secret"
+    try:
+        private_folder(path.parent)
+        make_private(path)
+        key = read_file(path, MOST_BYTES)
+        if len(key) != KEY_BYTES:
+            key = secrets.token_bytes(KEY_BYTES)
+            path.write_bytes(key)
+        return key
+    except OSError as error:
+        LOG.warning("%s: cannot be kept (%s); browsers must open the link again after a restart", path, error)
+        return secrets.token_bytes(KEY_BYTES)
+
+
+def state_folder() -> Path:
+    """The folder for what annotator remembers about this user on this computer."""
+    place = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
+    return (Path(place) if place else Path.home() / ".local" / "state") / "annotator"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import sys
 import threading
@@ -11,21 +12,64 @@ import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from html import escape
+from importlib.util import find_spec
+from typing import Literal
 
 import uvicorn
 from fastapi import FastAPI
 
 from annotator.files import make_private
-from annotator.types.errors import ConfigError
+from annotator.types.errors import ConfigError, MissingExtraError
 from annotator.web.app import create_app
-from annotator.web.background.heaps import tidy_heaps
-from annotator.web.limits.connections import Connections, most_connections
-from annotator.web.limits.log import limited_log
-from annotator.web.limits.protocols import LimitedConfig
-from annotator.web.security import link
-from annotator.web.server_lock import JOBS_FOLDER, hold_server_lock
-from annotator.web.settings import ServerSettings
-from annotator.web.window import check_window, has_display, in_window
+from annotator.web.background import tidy_heaps
+from annotator.web.folders import JOBS_FOLDER, hold_server_lock
+from annotator.web.limits import Connections, LimitedConfig, limited_log, most_connections
+from annotator.web.security import ServerSettings, link
+
+SIZE = (1366, 768)
+INSTEAD = "leave --window out, and open the link in a browser"
+
+
+def has_display() -> bool:
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def check_window() -> None:
+    """Checks that a window can be shown, before the server starts."""
+    try:
+        import webview  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("pywebview", "desktop") from error
+    if not has_display():
+        raise ConfigError(f"there is no display for a window; {INSTEAD}")
+
+
+def _toolkit() -> Literal["qt"] | None:
+    """Qt if PySide6 is installed; otherwise pywebview tries all toolkits and prints the missing ones."""
+    return "qt" if sys.platform == "linux" and find_spec("PySide6") else None
+
+
+def in_window(serve: Callable[[], None], stop: Callable[[], None], address: str) -> None:
+    """Serves until the window is closed. Toolkits need the process's main thread, so the server gets another.
+
+    Args:
+        serve: runs the server, and returns when `stop` has been called.
+    """
+    import webview
+
+    thread = threading.Thread(target=serve, name="server")
+    thread.start()
+    try:
+        webview.settings["ALLOW_DOWNLOADS"] = True
+        webview.create_window("annotator", address, width=SIZE[0], height=SIZE[1])
+        # not in private mode, so that the cookie with the operator's name is kept
+        webview.start(private_mode=False, gui=_toolkit())
+    except webview.WebViewException as error:
+        raise ConfigError(f"no window can be shown: {error}; {INSTEAD}") from error
+    finally:
+        stop()
+        thread.join()
+
 
 # Maximum size of a WebSocket message from a browser, bytes.
 WS_LIMIT = 1 << 22
@@ -41,13 +85,6 @@ class Running(uvicorn.Server):
     """A server on a bound socket, so that its port is known before it starts."""
 
     def __init__(self, settings: ServerSettings, app: FastAPI | None = None) -> None:
-        """
-        Args:
-            app: the application to serve; None = the workbench.
-
-        Raises:
-            ConfigError: the address cannot be used, or would be open to the network without a token.
-        """
         self.settings = settings
         self.app = create_app(settings) if app is None else app
         self.socket = bind(settings.host, settings.port)
@@ -90,16 +127,10 @@ class Running(uvicorn.Server):
             self.run(sockets=[self.socket])
 
     def stop(self) -> None:
-        """Asks the server to stop."""
         self.should_exit = True
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """A listening socket.
-
-    Raises:
-        ConfigError: the address does not belong to this computer, or is in use.
-    """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     # explicitly TCP: otherwise asyncio does not disable Nagle's algorithm, which delays every response by some 40 ms
     bound = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -129,11 +160,6 @@ def serve(settings: ServerSettings, place: str | None = None, *, open_browser: b
 
     Args:
         place: initial place on the page, such as `room/review`.
-
-    Raises:
-        ConfigError: the address cannot be used, or needs a token; another server uses these projects; or there is no
-            display for a window.
-        MissingExtraError: a window needs pywebview.
     """
     if window:
         check_window()
@@ -153,14 +179,7 @@ def serve(settings: ServerSettings, place: str | None = None, *, open_browser: b
 
 @contextmanager
 def serving(settings: ServerSettings, place: str | None = None) -> Iterator[None]:
-    """Serves in another thread within the `with` block; prints the URL and opens a browser.
-
-    Args:
-        place: as for `serve`.
-
-    Raises:
-        ConfigError: as `serve`; or the server ends before it has started.
-    """
+    """Serves in another thread within the `with` block; prints the URL and opens a browser."""
     with _prepared(settings, place) as (server, address), _opening(settings, address) as page:
         thread = threading.Thread(target=server.serve_until_stopped)
         thread.start()

@@ -53,9 +53,6 @@ def add_upload(project: Project, name: str, content: bytes, in_use: Collection[s
     Args:
         name: the file's name on the operator's computer.
         in_use: ids of uploads that are not removed.
-
-    Raises:
-        FormatError: it is neither JSON nor CSV nor a `.zip`, or the `.zip` is damaged, too large or without a dataset.
     """
     uploads = project.path / FOLDER
     place = uploads / uuid.uuid4().hex
@@ -89,12 +86,6 @@ def _age(folder: Path) -> int:
 
 
 def find_upload(project: Project, upload_id: str) -> Upload:
-    """Returns a stored upload.
-
-    Raises:
-        NotFoundError: no such upload, or it was removed.
-        FormatError: a packed dataset without boxes, or the labels of one frame without their folder.
-    """
     place = project.path / FOLDER / upload_id
     path = next(iter(place.iterdir()), None) if place.is_dir() else None
     if path is None:
@@ -127,7 +118,6 @@ def as_sent(text: str, root: str) -> str:
 
 
 def remove_upload(project: Project, upload_id: str) -> None:
-    """Removes an upload, if it is there."""
     shutil.rmtree(project.path / FOLDER / upload_id, ignore_errors=True)
 
 

@@ -13,9 +13,8 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from annotator.types import Box2D, Camera
+from annotator.web.security import ServerSettings, with_token
 from annotator.web.serve import Running
-from annotator.web.settings import ServerSettings
-from annotator.web.tokens import with_token
 
 DOCS = Path(__file__).resolve().parent.parent
 REPOSITORY = DOCS.parent

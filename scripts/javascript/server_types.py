@@ -15,7 +15,7 @@ from typing import Any
 
 from annotator.files import write_atomic
 from annotator.web.app import create_app
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 TARGET = Path(__file__).with_name("server.d.ts")
 

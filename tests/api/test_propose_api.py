@@ -164,7 +164,7 @@ def test_labels_can_be_written_read_and_evaluated(hands: annotator.Recording, tm
     assert (row["class"], row["objects"], row["detections"], row["AP 0.7"]) == ("hand", 4, 4, 1.0)
     with pytest.raises(ArgumentError, match="format must be one of boxes, rcv"):
         annotator.read_labels(tmp_path, "pascal")
-    with pytest.raises(ArgumentError, match="angles must be radians or degrees, not 'grads'"):
+    with pytest.raises(ArgumentError, match="angles must be one of radians, degrees, not 'grads'"):
         annotator.read_labels(tmp_path, "kitti", "grads")
     with pytest.raises(ArgumentError, match="no frame in common"):
         annotator.evaluate({"other": ()}, truth)

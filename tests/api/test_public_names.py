@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import annotator
 from annotator import api
+from annotator.image_bytes import decode_image
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("numpy", "torch", "open3d", "viser", "cv2", "scipy", "numba", "sqlalchemy", "pydantic", "ultralytics")
@@ -52,3 +56,69 @@ def test_the_guide_has_a_row_for_every_name() -> None:
 def test_every_public_name_has_a_docstring() -> None:
     for name in api.__all__:
         assert (getattr(api, name).__doc__ or "").strip(), f"{name} has no docstring"
+
+
+EXAMPLES = sorted((ROOT / "docs/examples").glob("*.py"))
+MAX_LINES = 40
+# What each example must print.
+EXPECTED_OUTPUT = {
+    "01": r"(hand: centre .* m, size .* m, \d\.\d\d\n){2}",
+    "02": r"(frame \d+: 2 2D boxes, 2 3D boxes\n){2}",
+    "03": r"step 1: 2 views, .*continues\nstep 2: 24 views",
+    "04": r"3 frames done, 0 were done before, 0 failed\n(.*\n)+0 frames done, 3 were done before, 0 failed\n",
+    "05": r"rcv +2 +6 +1\.0000\nkitti +2 +6 (.*\n)+openlabel +2 +6 +1\.0000\n(.*\n)+boxes\.json: room/000000",
+    "06": r"exact views\n.*\n +hand +6 +6 +1\.00(.*\n)+nearest cluster",
+    "07": r"frame \d+: 2 boxes in \d+ ms, 2 warm starts\n",
+    "08": r"8 frames, 16 boxes, 0 failed(.*\n)+000007 +.* cm  .* cm\n",
+}
+
+
+def test_all_examples_are_short_and_in_the_guide() -> None:
+    assert [path.name[:2] for path in EXAMPLES] == sorted(EXPECTED_OUTPUT)
+    text = (ROOT / "docs/python.md").read_text(encoding="utf-8")
+    for path in EXAMPLES:
+        assert len(path.read_text(encoding="utf-8").splitlines()) < MAX_LINES, path.name
+        assert f"examples/{path.name}" in text, f"docs/python.md does not mention {path.name}"
+
+
+# Runs scripts one after the other in one process, so that torch is loaded once.
+RUN = """
+import contextlib, pathlib, os, runpy, sys, traceback
+scripts = list(zip(sys.argv[1::2], sys.argv[2::2]))
+for script, folder in scripts:
+    os.chdir(folder)
+    sys.argv = [script]
+    with open("printed.txt", "w", encoding="utf-8") as printed, contextlib.redirect_stdout(printed):
+        try:
+            runpy.run_path(script, run_name="__main__")
+        except BaseException:
+            pathlib.Path("error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+"""
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Path]:
+    """The folder in which each example has run."""
+    if find_spec("ray") is None:
+        pytest.skip("ray is not installed; run scripts/setup test")
+    made = {path: tmp_path_factory.mktemp(path.stem) for path in EXAMPLES}
+    arguments = [part for pair in made.items() for part in pair]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", RUN, *arguments], env=environment, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    return made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_runs(path: Path, folders: dict[Path, Path]) -> None:
+    error, printed = folders[path] / "error.txt", (folders[path] / "printed.txt").read_text(encoding="utf-8")
+    assert not error.exists(), error.read_text(encoding="utf-8")
+    assert re.search(EXPECTED_OUTPUT[path.name[:2]], printed), printed
+    written = sorted(folders[path].glob("*.png"))
+    assert [picture.name for picture in written] == re.findall(r"Writes (\S+\.png)", path.read_text(encoding="utf-8"))
+    for picture in written:
+        # green edges of a box, or the red ones on pseudo-views
+        blue, green, red = np.moveaxis(decode_image(picture.read_bytes(), 1).astype(int), -1, 0)
+        edges = ((green > red + 100) & (green > blue + 60)) | ((red > green + 120) & (red > blue + 120))
+        assert edges.sum() > 100, picture.name

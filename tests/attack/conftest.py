@@ -12,11 +12,13 @@ from typing import Any
 import pytest
 from attacks import Killer
 from mortal import Mortal
-from room_server import live, web_settings
+from room_server import own_live, projects_with_room, web_settings
 
 from annotator.cli.main import main
 
-__all__ = ["live", "web_settings"]
+__all__ = ["live", "own_live", "projects_with_room", "web_settings"]
+
+live = own_live
 
 HERE = Path(__file__).parent
 

@@ -18,10 +18,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 # Modules with these commands' work, also what they import inside functions.
-LOADED = (
-    "train", "annotate", "export", "import_boxes", "stats", "add",
-    "project_backup", "project_restore", "project_copy", "project_repair",
-)  # fmt: skip
+LOADED = ("train", "annotate", "export", "import_boxes", "stats", "add", "project")
 LIBRARIES = ("torch", "ultralytics.models.yolo.detect", "openvino", "cv2", "matplotlib.pyplot", "av")
 TICK_S = 0.0005
 

@@ -15,7 +15,7 @@ from mortal import Mortal
 from room_api import BOX, change, state
 
 from annotator.cli.main import main
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 SIZE_KB = 3000
 

@@ -24,7 +24,7 @@ from test_kill_server import EDITS_BEFORE_KILL, Editor, server
 from annotator.cli.main import main
 from annotator.project import create_project, open_project
 from annotator.project.backup.archive import read_manifest
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 # 20 kills of a training, on a busy machine
 pytestmark = pytest.mark.timeout(3600)

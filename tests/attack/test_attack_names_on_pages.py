@@ -15,7 +15,7 @@ from live_server import running
 
 from annotator.project import create_project
 from annotator.recordings import open_recording
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import register_recording
 from benchmarks.served import chromium
 

@@ -17,7 +17,7 @@ from attacks import content_of, request, require_alive
 from live_server import Live, ended, running
 
 from annotator.cli.main import main
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 SECRET = b"the-secret-outside"
 PARTS = (

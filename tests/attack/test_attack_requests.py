@@ -22,8 +22,7 @@ from websockets.sync.client import connect
 from annotator.project import open_project
 from annotator.recordings import open_recording
 from annotator.types.errors import AnnotatorError
-from annotator.web.security import cookie_name
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings, cookie_name
 
 if TYPE_CHECKING:
     from live_server import Live

@@ -19,10 +19,9 @@ from room_api import change, state
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from annotator.project import create_project
-from annotator.web.limits import protocols
-from annotator.web.limits.log import BURST, FILE, limited_log
-from annotator.web.security import GUESSES_BURST
-from annotator.web.settings import ServerSettings
+from annotator.web import limits
+from annotator.web.limits import BURST, FILE, limited_log
+from annotator.web.security import GUESSES_BURST, ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -165,7 +164,7 @@ def log_of(live: Live) -> str:
 
 def test_half_sent_requests_do_not_stop_the_server(locked: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     config = locked.server.config
-    assert isinstance(config, protocols.LimitedConfig)
+    assert isinstance(config, limits.LimitedConfig)
     with ExitStack() as stack:
         for _ in range(CONNECTIONS):
             half = stack.enter_context(socket.create_connection(("127.0.0.1", locked.server.port), PATIENCE_S))

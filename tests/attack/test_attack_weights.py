@@ -41,7 +41,7 @@ from annotator.detection.yolo import YoloDetector
 from annotator.files import NETWORK_BYTES
 from annotator.types import Box2D, BoxKind, DetectorKind
 from annotator.types.errors import AnnotatorError, DetectionError
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 UNREADABLE = "cannot be read as detector weights"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,10 +50,8 @@ def test_kitti_curves_are_written_as_images(tmp_path: Path, capsys: Capture) -> 
     assert list(json.loads(said(capsys, *words, "--json"))) == ["Car"]
 
 
-def test_a_project_instead_of_files(generated: Path, tmp_path: Path, capsys: Capture) -> None:
-    root = ["--projects", str(tmp_path / "projects")]
-    assert main(["new", "room", "--classes", "person", *root]) == 0
-    assert main(["add", "room", str(generated / "people"), *root]) == 0
+def test_a_project_instead_of_files(made_rooms: Path, tmp_path: Path, capsys: Capture) -> None:
+    root = ["--projects", str(shutil.copytree(made_rooms / "labelled", tmp_path / "projects"))]
     words = ["--project", "room", *root, "--protocol", "oriented"]
     found = json.loads(said(capsys, *words, "--recordings", "people", "--json"))
     assert found["mAP"] == pytest.approx({"0.25": 1.0, "0.5": 1.0, "0.7": 1.0})

@@ -21,7 +21,7 @@ from annotator.cli import demo as demo_command
 from annotator.cli.main import main
 from annotator.project import create_project
 from annotator.types.errors import ConfigError, MissingExtraError
-from annotator.web import window
+from annotator.web import serve
 from annotator.web.serve import Running
 
 Capture = pytest.CaptureFixture[str]
@@ -74,7 +74,6 @@ def test_it_serves_the_page_until_an_interrupt(root: Path) -> None:
         (["--host", "999.1.1.1"], "cannot listen on 999.1.1.1"),
         (["--host", "0.0.0.0", "--no-token"], "it needs a token"),
         (["--port", "99999"], "cannot listen on 127.0.0.1 port 99999"),
-        (["--token", "x" * 20], "--token is now --token-file FILE"),
         (["--token-file", "/no/such"], "--token-file /no/such: cannot be read"),
         (["--token-file", "/no/such", "--no-token"], "exclude each other"),
     ],
@@ -90,7 +89,7 @@ def test_a_window_needs_pywebview_and_a_display(root: Path, monkeypatch: pytest.
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setitem(sys.modules, "webview", None)
     with pytest.raises(MissingExtraError, match="scripts/setup desktop"):
-        window.check_window()
+        serve.check_window()
     monkeypatch.setitem(sys.modules, "webview", object())
     assert main(["serve", "--window", "--projects", str(root)]) == 2
     assert "no display for a window" in capsys.readouterr().err
@@ -113,7 +112,7 @@ def test_closing_the_window_stops_the_server(monkeypatch: pytest.MonkeyPatch) ->
         WebViewException=RuntimeError,
     )
     monkeypatch.setitem(sys.modules, "webview", toolkit)
-    window.in_window(serving, stopped.set, "http://h/")
+    serve.in_window(serving, stopped.set, "http://h/")
     assert calls == ["http://h/", True, "ended"]
 
 

@@ -17,8 +17,9 @@ from annotator.demo.trained import TrainedPlan
 from annotator.detection import base_detector
 from annotator.formats.coco import CocoImage, read_coco, write_coco
 from annotator.formats.rcv import read_rcv
+from annotator.project import WriteContext, open_project
 from annotator.recordings import open_recording
-from annotator.types import Box2D
+from annotator.types import Box2D, ReviewState, Source
 from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.annotate import AnnotateSummary
 from annotator.workflows.proposing.tasks import GivenDetectors
@@ -36,11 +37,9 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def project(root: Path, generated: Path, capsys: Capture) -> str:
+def project(root: Path, made_rooms: Path) -> str:
     """A project of class person, with a recording but without its labels."""
-    assert main(["new", "room", "--classes", "person"]) == 0
-    assert main(["add", "room", str(generated / "people"), "--no-labels"]) == 0
-    capsys.readouterr()
+    shutil.copytree(made_rooms / "plain", root)
     return "room"
 
 
@@ -77,13 +76,6 @@ def test_add_imports_the_labels_of_the_recording(root: Path, generated: Path, ca
     assert "next: annotator train both" in said
     counts = stats(capsys, "both")
     assert counts["labels"]["by_source"]["imported"] == counts["labels"]["total"] == 15
-
-
-def test_add_without_labels(root: Path, generated: Path, capsys: Capture) -> None:
-    run(capsys, "new", "room", "--classes", "person")
-    said = run(capsys, "add", "room", generated / "people", "--no-labels")
-    assert "next: draw boxes" in said
-    assert stats(capsys)["labels"]["total"] == 0
 
 
 def test_add_lists_unreadable_frames(root: Path, own_copy: Callable[[str], Path], capsys: Capture) -> None:
@@ -161,26 +153,6 @@ def test_import_of_3d_boxes_as_proposals(project: str, tmp_path: Path, capsys: C
     said = run(capsys, "import", project, "theirs.json", *options, "--source", "other")
     assert said.startswith("proposed by other: 2 person in 2 frames\nmerged: 1 box with proposals of other sources\n")
     assert stats(capsys)["labels"]["by_state"]["proposed"] == 2
-
-
-def test_import_of_proposals_says_what_has_no_effect(project: str, tmp_path: Path, capsys: Capture) -> None:
-    """A class of another name, and a lowest score for boxes without scores."""
-    box = {"center": [0, 0, 3], "size": [1, 1, 1], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
-    boxes = [box | {"label": "person"}, box | {"label": "Person", "center": [2, 0, 3]}]
-    (tmp_path / "mine.json").write_text(json.dumps({"000001": boxes}))
-    options = ("--as", "proposals", "--classes", "Persons=person,dog=person")
-    said = run(capsys, "import", project, "mine.json", *options, "--min-score", "0.5")
-    assert said == (
-        "--classes Persons=person has no effect: the dataset has no class 'Persons'; did you mean 'Person'?\n"
-        "--classes dog=person has no effect: the dataset has no class 'dog'\n"
-        "proposed by mine: 1 person in 1 frame\n"
-        "the boxes have no scores, so --min-score has no effect\n"
-        "skipped: 1 box of class Person, which is not in the project; did you mean 'person'?\n"
-        f"next: annotator serve, to review {project}\n"
-    )
-    assert "--min-score" not in run(capsys, "import", project, "mine.json", "--as", "proposals")
-    (tmp_path / "mine.json").write_text(json.dumps({"000001": [each | {"score": 0.7} for each in boxes]}))
-    assert "--min-score" not in run(capsys, "import", project, "mine.json", "--as", "proposals", "--min-score", "0.5")
 
 
 # --- annotate --------------------------------------------------------------------------------------------------------
@@ -311,72 +283,143 @@ def test_demo_passes_its_options_on_and_checks_them(
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["simulate", "room", "nothing"], "no recording 'nothing'; it has: people"),
-        (["simulate", "room", "people", "--every", "0"], "give 1 or more"),
-        (["simulate", "nowhere", "people"], "no project 'nowhere' (it has: room); `annotator new` creates one"),
-        (["views", "room", "out"], "no object with boxes on camera images yet"),
-        (["views", "room", "out", "--step", "2"], "both views of the first step"),
-        (["views", "room", "out", "--step", "3"], "there is no step 3"),
-        (["views", "room", "file.txt"], "exists already"),
-        (["import", "room", "nothing.json"], "nothing.json"),
-        (["import", "room", "dogs.json"], "none of the dataset's classes is in the project: the dataset has dog"),
-        (
-            ["import", "room", "dogs.json", "--pictures", "p", "--recording", "x"],
-            "--recording is for boxes on camera images",
-        ),
-        (["import", "room"], "no labels given; write annotator import room PATH, or --as 2d"),
-        (["import", "room", "dogs.json", "--fraction", "0.5"], "--fraction and --seed need --as 2d"),
-        (
-            ["import", "room", "dogs.json", "--as", "2d"],
-            "is coco, which contains no 3D boxes; leave out --as",
-        ),
-        (["import", "room", "--as", "2d", "--fraction", "2"], "cannot take a fraction of 2.0 of the frames"),
-        (["import", "room", "--as", "2d", "--pictures", "p"], "leave out --pictures"),
-        (["import", "room", "dogs.json", "--min-score", "0.5"], "--source and --min-score need --as proposals"),
-        (["import", "room", "dogs.json", "--classes", "dog=cat"], "the project has no class 'cat'; it has: person"),
-        (["import", "room", "dogs.json", "--classes", "dog"], "write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT"),
-        (["import", "room", "file.txt"], "no format of boxes was recognised"),
-        (["train", "room"], "no boxes on camera images or pseudo-views to learn from"),
-        (["train", "room", "--only", "view"], "no boxes on pseudo-views to learn from"),
-        (["annotate", "room"], "has no image detector yet; run `annotator train room`"),
-        (["export", "room", "out"], "has no labels in state proposed, accepted, edited to export"),
-        (["export", "room", "out", "--classes", "robot"], "has no class 'robot'; it has: person"),
-        (["export", "room", "out", "--recordings", "x"], "no recording 'x'"),
-        (["add", "room", "PEOPLE", "--name", "other"], "is in the project already, as people"),
-        (["generate", "file.txt"], "already exists"),
-        (["generate", "new", "--frames", "0"], "frames must be at least 1"),
-        (["generate", "new", "--width", "3"], "at least 16 x 16 pixels"),
-    ],
-)
+REFUSED = [
+    ("simulate room nothing", "no recording 'nothing'; it has: people"),
+    ("simulate room people --every 0", "give 1 or more"),
+    ("simulate nowhere people", "no project 'nowhere' (it has: room); `annotator new` creates one"),
+    ("views room out", "no object with boxes on camera images yet"),
+    ("views room out --step 2", "both views of the first step"),
+    ("views room out --step 3", "there is no step 3"),
+    ("views room file.txt", "exists already"),
+    ("import room nothing.json", "nothing.json"),
+    ("import room dogs.json", "none of the dataset's classes is in the project: the dataset has dog"),
+    ("import room dogs.json --pictures p --recording x", "--recording is for boxes on camera images"),
+    ("import room", "no labels given; write annotator import room PATH, or --as 2d"),
+    ("import room dogs.json --fraction 0.5", "--fraction and --seed need --as 2d"),
+    ("import room dogs.json --as 2d", "is coco, which contains no 3D boxes; leave out --as"),
+    ("import room --as 2d --fraction 2", "cannot take a fraction of 2.0 of the frames"),
+    ("import room --as 2d --pictures p", "leave out --pictures"),
+    ("import room --as 2d --recording x", "no recording 'x'"),
+    ("import room dogs.json --as proposals", "dogs.json is coco, which contains no 3D boxes"),
+    ("import room dogs.json --min-score 0.5", "--source and --min-score need --as proposals"),
+    ("import room dogs.json --classes dog", "write CLASS_OF_THE_FILE=CLASS_OF_THE_PROJECT"),
+    ("import room file.txt", "no format of boxes was recognised"),
+    ("train room", "no boxes on camera images or pseudo-views to learn from"),
+    ("train room --only view", "no boxes on pseudo-views to learn from"),
+    ("annotate room", "has no image detector yet; run `annotator train room`"),
+    ("export room out", "has no labels in state proposed, accepted, edited to export"),
+    ("export room out --recordings x", "no recording 'x'"),
+    ("add room PEOPLE --name other", "is in the project already, as people"),
+    ("generate file.txt", "already exists"),
+    ("generate new --frames 0", "frames must be at least 1"),
+    ("generate new --width 3", "at least 16 x 16 pixels"),
+]
+
+
 def test_bad_input_is_an_error_and_changes_nothing(
-    project: str, generated: Path, tmp_path: Path, capsys: Capture, words: list[str], says: str
+    project: str, generated: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     (tmp_path / "file.txt").write_text("no JSON")
     write_coco(tmp_path / "dogs.json", [CocoImage("000000.jpg", 320, 240, (Box2D("dog", 1.5, 1.5, 9.5, 9.5),))])
     before, content = stats(capsys), sorted(path.name for path in tmp_path.iterdir())
-    said = run(capsys, *[str(generated / "people") if word == "PEOPLE" else word for word in words], code=2)
-    assert "error: " in said
-    assert says in said
+    for command, says in REFUSED:
+        words = [str(generated / "people") if word == "PEOPLE" else word for word in command.split()]
+        said = run(capsys, *words, code=2)
+        assert "error: " in said
+        assert says in said
+        assert sorted(path.name for path in tmp_path.iterdir()) == content
     assert stats(capsys) == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == content
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["annotate", "room", "--limit", "0"], "a limit of 0 frames"),
-        (["annotate", "room", "--limit", "-1"], "a limit of -1 frames"),
-        (["annotate", "room", "--recordings", "x"], "no recording 'x'; it has: people"),
-    ],
-)
-def test_annotate_with_unusable_options(trained: str, capsys: Capture, words: list[str], says: str) -> None:
-    assert says in run(capsys, *words, code=2)
+def test_annotate_with_unusable_options(trained: str, capsys: Capture) -> None:
+    assert "a limit of 0 frames" in run(capsys, "annotate", "room", "--limit", "0", code=2)
+    assert "no recording 'x'; it has: people" in run(capsys, "annotate", "room", "--recordings", "x", code=2)
     assert stats(capsys)["runs"] == 0
 
 
-def test_debug_shows_the_traceback(project: str) -> None:
-    with pytest.raises(ConfigError, match="give 1 or more"):
-        main(["simulate", project, "people", "--every", "0", "--debug"])
+def test_import_names_a_missing_pseudo_view_image(project: str, tmp_path: Path, capsys: Capture) -> None:
+    write_coco(tmp_path / "c.json", [CocoImage("000001.jpg", 320, 240, (Box2D("person", 40.5, 40.5, 120.5, 200.5),))])
+    run(capsys, "import", project, "c.json")
+    run(capsys, "views", project, "pictures")
+    next((tmp_path / "pictures").glob("*side.png")).unlink()
+    drawn = [
+        CocoImage(i.file_name, i.width_px, i.height_px, (Box2D("person", 10.5, 10.5, 60.5, 60.5),))
+        for i in read_coco(tmp_path / "pictures" / "coco.json")
+    ]
+    write_coco(tmp_path / "drawn.json", drawn)
+    said = run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
+    assert "side.png is not in pictures; give the folder of the images" in said
+    assert stats(capsys)["view_boxes"]["boxes"] == 0
+    shutil.rmtree(tmp_path / "pictures")
+    assert "is not in pictures" in run(capsys, "import", project, "drawn.json", "--pictures", "pictures", code=2)
+
+
+def test_interpolate_and_track(root: Path, made_rooms: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(made_rooms / "labelled", root)
+    with open_project(root / "room") as project:
+        for frame in project.frames.of()[1:4]:
+            for revision, label in enumerate(project.labels.of_frame(frame.id), frame.revision):
+                project.labels.delete(frame.id, label.uid, WriteContext(revision, "ann"))
+    capsys.readouterr()
+    assert main(["interpolate", "room", "people", "--track", "1"]) == 0
+    assert "track 1: 3 frames filled" in capsys.readouterr().out
+    assert main(["interpolate", "room", "people", "--track", "2", "--from", "000000", "--to", "000004", "--refit"]) == 0
+    with open_project(root / "room") as project:
+        states = [[label.state for label in project.labels.of_frame(frame.id)] for frame in project.frames.of()]
+        assert states[2] == [ReviewState.PROPOSED] * 2
+        assert all(label.track_id in (1, 2, 3) for f in project.frames.of() for label in project.labels.of_frame(f.id))
+    assert main(["interpolate", "room", "people", "--track", "9"]) == 2
+    assert "track 9 has 0 reviewed boxes" in capsys.readouterr().err
+    assert main(["track", "room", "--recordings", "people"]) == 0
+    assert "12 boxes in 3 tracks of 1 recording, 0 changed" in capsys.readouterr().out
+    assert main(["track", "room", "--no-smooth"]) == 0
+
+
+@pytest.mark.slow
+def test_from_a_recording_to_a_dataset(
+    generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ANNOTATOR_PROJECTS", str(tmp_path / "projects"))
+    monkeypatch.chdir(tmp_path)
+
+    def annotator(*words: str | Path) -> str:
+        code, printed = main([str(word) for word in words]), capsys.readouterr()
+        assert code == 0, printed.err
+        return printed.out
+
+    annotator("new", "room", "--classes", "person")
+    assert "imported as labels: 15 person in 5 frames" in annotator("add", "room", generated / "people")
+
+    said = annotator(
+        *("train", "room", "--epochs", "1", "--image-epochs", "1"),
+        *("--size", "64", "--image-size", "64", "--views", "16", "--weights", "never"),
+    )
+    assert "image detector: trained on" in said
+    assert "view detector: trained on" in said
+    assert said.count("random weights") == 2
+    assert "next: annotator annotate room" in said
+
+    said = annotator("annotate", "room")
+    assert said.startswith("5 frames done, ")
+    assert ", 0 skipped, 0 failed; " in said
+    assert annotator("annotate", "room").startswith(
+        "0 frames done, 0 proposals (0 frames without), 5 skipped, 0 failed"
+    )
+
+    assert "5 frames, " in annotator("export", "room", "--format", "rcv", "out/3D_ROOM")
+    counts = json.loads(annotator("stats", "room", "--json"))
+    assert (counts["frames"], counts["models"], counts["runs"], counts["frames_failed"]) == (5, 2, 2, 0)
+    assert counts["labels"]["by_source"]["imported"] == 15
+    dataset = read_rcv(tmp_path / "out" / "3D_ROOM")
+    assert len(dataset) == 5
+    assert dataset.manifest.counts.objects == counts["labels"]["total"]
+    # only backends that ran are listed; briefly trained detectors may propose nothing
+    proposed = dataset.manifest.counts.objects_by_source.get(Source.AUTO, 0)
+    assert [detector.role for detector in dataset.manifest.detectors] == (["image", "view"] if proposed else [])
+
+    # the manifest of each model lists its training labels
+    for manifest in (tmp_path / "projects" / "room" / "models").glob("*/*-*/manifest.json"):
+        entries = json.loads(manifest.read_text())["entries"]
+        assert {uid for entry in entries for uid in entry["label_uids"]} == {
+            label.uid for index in range(5) for label in dataset.labels(index) if label.source == "imported"
+        }

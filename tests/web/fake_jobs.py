@@ -9,8 +9,15 @@ import time
 from annotator.project import WriteContext
 from annotator.types import Source
 from annotator.types.errors import DetectionError
-from annotator.web.jobs.job_context import JobContext, Outcome
-from annotator.web.jobs.records import LIFT_STAGE, BoxesRequest, CurvePoint, ProposeRequest, TrainRequest
+from annotator.web.jobs.records import (
+    LIFT_STAGE,
+    BoxesRequest,
+    CurvePoint,
+    JobContext,
+    Outcome,
+    ProposeRequest,
+    TrainRequest,
+)
 from annotator.web.jobs.worker import AUTOGROUP
 
 QUICK, REFUSED, BUG, KILLED, LONG, DEAF, EDITS = range(1, 8)

@@ -11,8 +11,7 @@ from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.recordings import open_recording
 from annotator.types import BoxKind
 from annotator.web.jobs import work
-from annotator.web.jobs.job_context import JobContext, Outcome
-from annotator.web.jobs.records import BoxesRequest, ProposeRequest, TrainRequest
+from annotator.web.jobs.records import BoxesRequest, JobContext, Outcome, ProposeRequest, TrainRequest
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.proposing.runner import InlineEngine
 from annotator.workflows.proposing.tasks import GivenDetectors

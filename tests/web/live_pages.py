@@ -12,10 +12,9 @@ from live_server import wait_until
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Frame, OrientedBox, Proposal, Quality
-from annotator.web.live.page import LivePage
-from annotator.web.live.run import live_app
+from annotator.web.live import LivePage, live_app
+from annotator.web.security import ServerSettings
 from annotator.web.serve import Running
-from annotator.web.settings import ServerSettings
 from annotator.workflows.live.detection import Detected, Taken
 from annotator.workflows.live.open_source import Playback, Repeat
 from annotator.workflows.live.pipeline import Pipeline

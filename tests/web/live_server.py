@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import httpx
 from websockets.sync.client import ClientConnection, connect
 
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from annotator.web.context import Context

@@ -111,26 +111,25 @@ def test_a_stale_change_shows_both_versions_and_loses_neither(live: Live, projec
     assert again.json()["labels"][0]["state"] == "rejected"
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        {},
-        {"revision": 0, "changes": []},
-        {"revision": -1, "changes": [{"kind": "finalise"}]},
-        {"revision": 0, "changes": [{"kind": "explode"}]},
-        {"revision": 0, "changes": [{"kind": "finalise", "extra": 1}]},
-        {"revision": 0, "changes": [{"kind": "create", "label": "person", "box": {**BOX, "size": [0, 1, 1]}}]},
-        {"revision": 0, "changes": [{"kind": "create", "label": "person", "box": {**BOX, "quaternion": None}}]},
-        {"revision": 0, "changes": [{"kind": "create", "label": "person", "box": {**BOX, "center": [1e9, 0, 0]}}]},
-        {"revision": 0, "changes": [{"kind": "create", "label": "", "box": BOX}]},
-        {"revision": 0, "changes": [{"kind": "image_boxes", "boxes": [{"label": "person"}], "box_kind": "box"}]},
-        {"revision": 0, "changes": [{"kind": "finalise"}], "effort": {"actions": -1, "seconds": 0}},
-    ],
+INVALID: tuple[dict[str, Any], ...] = (
+    {"changes": []},
+    {"changes": [{"kind": "finalise"}], "revision": -1},
+    {"changes": [{"kind": "explode"}]},
+    {"changes": [{"kind": "finalise", "extra": 1}]},
+    {"changes": [{"kind": "create", "label": "person", "box": {**BOX, "size": [0, 1, 1]}}]},
+    {"changes": [{"kind": "create", "label": "person", "box": {**BOX, "quaternion": None}}]},
+    {"changes": [{"kind": "create", "label": "person", "box": {**BOX, "center": [1e9, 0, 0]}}]},
+    {"changes": [{"kind": "create", "label": "", "box": BOX}]},
+    {"changes": [{"kind": "image_boxes", "boxes": [{"label": "person"}], "box_kind": "box"}]},
+    {"changes": [{"kind": "finalise"}], "effort": {"actions": -1, "seconds": 0}},
 )
-def test_invalid_changes_are_refused(live: Live, body: dict[str, Any]) -> None:
-    answer = live.client.post(f"{ROOM}/frames/1/changes", json=body)
-    assert answer.status_code == 422
-    assert answer.json()["error"]["kind"] == "ValidationError"
+
+
+def test_invalid_changes_are_refused(live: Live) -> None:
+    for body in INVALID:
+        answer = live.client.post(f"{ROOM}/frames/1/changes", json={"revision": 0, **body})
+        assert answer.status_code == 422
+        assert answer.json()["error"]["kind"] == "ValidationError"
     assert state(live.client)["frame"]["revision"] == 0
 
 
@@ -181,15 +180,6 @@ def test_steps_are_answered_without_storing_anything(live: Live, generated: Path
     assert five.status_code == 422
 
 
-def test_a_stale_object_shows_both_versions(live: Live, generated: Path) -> None:
-    scene = Scene.of(generated / "people", 0, ["person"])
-    body = {"revision": 3, "image_boxes": [scene.image_box(0)], "box_kind": "silhouette", "object": None}
-    refused = live.client.post(f"{ROOM}/frames/1/label/object", json=body)
-    assert refused.status_code == 409
-    assert refused.json()["changes"][0]["image_boxes"] == body["image_boxes"]
-    assert refused.json()["state"]["frame"]["revision"] == 0
-
-
 def test_review_tools_render_fit_and_copy(
     live: Live, project: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,7 +226,7 @@ def test_a_refused_undo_names_the_author_of_the_change(live: Live, project: Proj
 
 def test_two_writers_on_one_frame_lose_no_edit(live: Live) -> None:
     """Each adds its own labels; refused ones are sent again on the current revision, as by the page."""
-    each, refusals = 12, []
+    each, refusals = 6, []
     first_track = {"ann": 0, "bob": 100}
 
     def write(name: str) -> None:

@@ -15,19 +15,17 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from coco_sample import coco
 from live_server import PATIENCE_S, ended, look
-from room_api import ROOM
+from room_api import ROOM, coco
 
 from annotator.project import Project, WriteContext, create_project
 from annotator.project.log.event_types import ImageBoxesSet
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Source
-from annotator.types.errors import FormatError, NotFoundError
+from annotator.types.errors import NotFoundError
 from annotator.web import security, uploads
 from annotator.web.jobs import work
-from annotator.web.jobs.job_context import JobContext
-from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest
+from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, JobContext
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.importing import Preview, preview_boxes
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector
@@ -178,7 +176,7 @@ def test_3d_boxes_are_described_and_become_proposals_or_labels_as_one_step(live:
     assert project.labels.select() == ()
 
 
-@pytest.mark.usefixtures("jobs_on_path")
+@pytest.mark.usefixtures("in_threads")
 def test_nothing_is_undone_while_an_import_stores_its_boxes(
     live: Live, generated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

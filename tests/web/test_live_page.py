@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import signal
+import threading
 import time
 from pathlib import Path
 
@@ -20,9 +22,8 @@ from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import open_recording
 from annotator.types import Box2D, Camera, Frame, LostObject, OrientedBox
-from annotator.web.live.overlay import BOX_COLOR, LOST_COLOR, draw_detections, edges_px
-from annotator.web.live.page import LivePage, table
-from annotator.web.settings import ServerSettings
+from annotator.web.live import BOX_COLOR, LOST_COLOR, Interrupts, LivePage, draw_detections, edges_px, table
+from annotator.web.security import ServerSettings
 from annotator.workflows.live.detection import Detected
 from annotator.workflows.live.open_source import Playback
 from annotator.workflows.live.pipeline import Drops, Meter, Pipeline
@@ -143,3 +144,43 @@ def test_the_table_shows_rates_times_drops_and_the_backend(frame: Frame) -> None
     assert "| unreadable | 2 |" in after
     assert "| backend | torch |" in after
     assert not math.isnan(meter.figures(Drops()).latency_ms or math.nan)
+
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_deferred_signal_interrupts_at_the_end_of_the_block(number: signal.Signals) -> None:
+    before = [signal.getsignal(n) for n in SIGNALS]
+    done = []
+    with Interrupts() as interrupts:
+        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
+            signal.raise_signal(number)
+            done.append("started")
+        assert done == ["started"]
+        signal.raise_signal(signal.SIGTERM)  # ignored, since the session is ending
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert [signal.getsignal(n) for n in SIGNALS] == before
+
+
+def test_a_sigterm_after_the_end_of_a_session_is_ignored() -> None:
+    with Interrupts() as interrupts:
+        with interrupts.session(), interrupts.deferred():
+            pass
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_other_threads_do_not_change_signal_handlers() -> None:
+    seen = []
+
+    def enter() -> None:
+        with Interrupts():
+            seen.append(signal.getsignal(signal.SIGTERM))
+
+    thread = threading.Thread(target=enter)
+    thread.start()
+    thread.join()
+    assert seen == [signal.getsignal(signal.SIGTERM)]

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rig_room import label_object, rig_settings
-from room_api import state
+from room_api import label_object, rig_settings, state
 
 from annotator.project import WriteContext
 from annotator.types import Source
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -21,6 +20,11 @@ if TYPE_CHECKING:
 @pytest.fixture
 def web_settings(tmp_path: Path) -> ServerSettings:
     return rig_settings(tmp_path)
+
+
+@pytest.fixture
+def live(own_live: Live) -> Live:
+    return own_live
 
 
 def add_all(live: Live, **options: Any) -> list[dict[str, Any]]:

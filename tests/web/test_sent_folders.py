@@ -13,7 +13,7 @@ from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import ConfigError, RecordingError
 from annotator.web.context import Context
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 ROOM = "/api/projects/room"
 SECRET = b"\xff\xd8 not for others"

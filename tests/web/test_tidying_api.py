@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from live_server import ended, running
+from live_server import running
 from room_api import BOX, change, state
 from test_events import listen, next_of
 
@@ -17,7 +17,9 @@ from annotator.cli.main import main
 from annotator.project import open_project
 from annotator.project.config import rename_project, set_aside
 from annotator.types.errors import InUseError
-from annotator.web.settings import ServerSettings
+from annotator.web.jobs.records import CopyRequest, Job, JobContext, JobState
+from annotator.web.jobs.work import copy_work
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live
@@ -35,7 +37,7 @@ def label_one(live: Live) -> None:
 
 def test_a_renamed_project_keeps_its_labels_and_jobs_and_its_pages_are_told(live: Live) -> None:
     label_one(live)
-    job = ended(live, live.client.post(f"{ROOM}/jobs", json={"kind": "export"}).json())
+    job = done_export(live)
     live.client.post("/api/projects", json={"name": "taken", "classes": ["person"]})
     for name, status in (("taken", 400), ("No good", 400), ("x" * 65, 422)):
         assert live.client.post(f"{ROOM}/rename", json={"name": name}).status_code == status
@@ -49,8 +51,8 @@ def test_a_renamed_project_keeps_its_labels_and_jobs_and_its_pages_are_told(live
     assert live.client.get(ROOM).status_code == 404
     assert len(live.client.get("/api/projects/hall/frames/1").json()["labels"]) == 1
     listed = {each["id"]: each["project"] for each in live.client.get("/api/jobs").json()["jobs"]}
-    assert listed[job["id"]] == "hall"
-    assert live.client.get(f"/api/jobs/{job['id']}/download").status_code == 200
+    assert listed[job.id] == "hall"
+    assert live.client.get(f"/api/jobs/{job.id}/download").status_code == 200
 
 
 def test_a_project_in_use_is_neither_renamed_nor_removed(
@@ -77,10 +79,17 @@ def test_a_project_in_use_is_neither_renamed_nor_removed(
     assert live.client.post(f"{ROOM}/rename", json={"name": "hall"}).status_code == 200
 
 
-def queued(live: Live) -> Any:
-    from annotator.web.jobs.records import Job
-
+def queued(live: Live) -> Job:
     return Job(id="0" * 32, project="room", kind="export", operator="Ada", created_ns=1)
+
+
+def done_export(live: Live) -> Job:
+    """An export that is listed, with its file."""
+    job = queued(live).model_copy(update={"state": JobState.DONE, "result": {"file": "a.zip"}, "download": "kept"})
+    live.context.jobs._jobs[job.id] = job
+    (live.context.jobs.folder / job.id).mkdir(parents=True)
+    (live.context.jobs.folder / job.id / "a.zip").write_bytes(b"zip")
+    return job
 
 
 def test_a_removed_project_can_be_brought_back(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,25 +107,12 @@ def test_a_removed_project_can_be_brought_back(live: Live, capsys: pytest.Captur
     assert live.client.get(ROOM).json()["labels_by_state"]["accepted"] == 1
 
 
-def test_a_damaged_project_can_be_removed(live: Live) -> None:
-    damaged = live.settings.projects_root / "damaged"
-    damaged.mkdir()
-    (damaged / "project.json").write_text("{")
-    assert live.client.post("/api/projects/damaged/rename", json={"name": "good"}).status_code == 400
-    assert live.client.delete("/api/projects/damaged").status_code == 200
-    assert not damaged.exists()
-
-
-def test_a_project_is_copied_by_a_job_with_and_without_its_labels(live: Live) -> None:
+def test_a_project_is_copied_by_a_job_with_and_without_its_labels(live: Live, tmp_path: Path) -> None:
     label_one(live)
     assert error(live.client.post(f"{ROOM}/jobs", json={"kind": "copy", "name": "room"}))[0] == 400
-    jobs = [
-        live.client.post(f"{ROOM}/jobs", json={"kind": "copy", "name": name, "labels": labels}).json()
-        for name, labels in (("second", True), ("empty", False))
-    ]
-    done = [ended(live, job) for job in jobs]
-    assert [job["message"] for job in done] == ["copied to second", "copied to empty, without labels"]
-    for name, labels in (("second", 1), ("empty", 0)):
+    job = JobContext(live.context.project("room"), tmp_path, "Ada", lambda _: None, lambda: False)
+    for name, labels, said in (("second", True, "second"), ("empty", False, "empty, without labels")):
+        assert copy_work(job, CopyRequest(kind="copy", name=name, labels=labels)).message == f"copied to {said}"
         copied = live.client.get(f"/api/projects/{name}").json()
         assert copied["recordings"][0]["name"] == "people"
         assert copied["labels_by_state"]["accepted"] == labels

@@ -11,8 +11,7 @@ from live_server import ended, running
 from annotator.project import create_project
 from annotator.types.errors import ConfigError
 from annotator.web.jobs.records import WORK
-from annotator.web.settings import ServerSettings
-from annotator.web.tokens import VARIABLE, state_folder, with_token
+from annotator.web.security import VARIABLE, ServerSettings, state_folder, with_token
 
 LONG = "a-token-from-the-operator"
 

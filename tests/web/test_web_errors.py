@@ -14,7 +14,7 @@ from in_process import ask
 from annotator.project import create_project
 from annotator.web.app import create_app
 from annotator.web.errors import has_absolute_path, hide_paths
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import add_recordings
 
 if TYPE_CHECKING:

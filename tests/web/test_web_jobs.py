@@ -10,27 +10,54 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import fake_jobs
 import pytest
+from drawing import Scene
 from live_server import PATIENCE_S, ended, look, running
+from room_api import ROOM
 from test_events import listen, next_of
 
-from annotator.formats.rcv import read_rcv
-from annotator.project import open_project
-from annotator.web.jobs import process, runner
-from annotator.web.jobs.journal import FILE
-from annotator.web.jobs.records import WORK
+from annotator.detection import base_detector
+from annotator.detection.base_detector import TITLE
+from annotator.project import WriteContext, open_project
+from annotator.project.log.event_types import ImageBoxesSet
+from annotator.rcv.config import AGNOSTIC_LABELS
+from annotator.types import Box2D, BoxKind, DetectorKind
+from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.web.jobs import runner, work
+from annotator.web.jobs.records import (
+    FILE,
+    WORK,
+    ExportRequest,
+    JobContext,
+    JobStoppedError,
+    LiftRequest,
+    Progress,
+    ProposeRequest,
+    TrainRequest,
+    WorkerMessage,
+    read_journal,
+)
 from annotator.web.jobs.runner import EXPORTS_KEPT, JOBS_KEPT, MOST_WAITING
+from annotator.web.jobs.work import export_work, propose_work, train_work
 from annotator.web.jobs.worker import AUTOGROUP, NICENESS
+from annotator.web.schemas import Box2DJson
+from annotator.workflows.recorded.own_labels import import_own_labels
+from annotator.workflows.workbench.loaded_detectors import ReadyDetector
 
 if TYPE_CHECKING:
     from live_server import Live
 
-    from annotator.web.settings import ServerSettings
+    from annotator.types import Detector, Image
+    from annotator.web.security import ServerSettings
+    from annotator.workflows.detectors import Detectors
+
 
 WaitFor = Callable[[Callable[[], Any]], None]
 JOBS = "/api/projects/room/jobs"
@@ -80,22 +107,25 @@ def test_a_job_runs_and_reports_progress_and_result(server: Live) -> None:
     assert server.client.get(f"/api/jobs/{job['id']}/download").status_code == 404
 
 
-@pytest.mark.parametrize(
-    ("what", "message"),
-    [
-        (fake_jobs.REFUSED, "project room has no image detector yet"),
-        (fake_jobs.BUG, "internal error, see the server's log"),
-        (fake_jobs.KILLED, "the worker ended unexpectedly (killed, possibly out of memory)"),
-    ],
-)
-def test_a_job_fails_and_the_next_one_runs(server: Live, what: int, message: str) -> None:
-    failed, next_one = begin(server, what), begin(server, fake_jobs.QUICK)
-    now = ended(server, failed)
-    assert (now["state"], now["message"], now["eta_s"]) == ("failed", message, None)
+def test_a_job_whose_worker_is_killed_fails(server: Live) -> None:
+    now = ended(server, begin(server, fake_jobs.KILLED))
+    said = "the worker ended unexpectedly (killed, possibly out of memory)"
+    assert (now["state"], now["message"], now["eta_s"]) == ("failed", said, None)
+
+
+def test_jobs_fail_and_the_next_one_runs(server: Live, in_threads: None) -> None:
+    messages = {
+        fake_jobs.REFUSED: "project room has no image detector yet",
+        fake_jobs.BUG: "internal error, see the server's log",
+    }
+    *failed, next_one = [begin(server, what) for what in (*messages, fake_jobs.QUICK)]
+    for job, message in zip(failed, messages.values(), strict=True):
+        now = ended(server, job)
+        assert (now["state"], now["message"], now["eta_s"]) == ("failed", message, None)
     assert ended(server, next_one)["state"] == "done"
 
 
-def test_a_running_and_a_waiting_job_can_be_stopped(server: Live) -> None:
+def test_a_running_and_a_waiting_job_can_be_stopped(server: Live, in_threads: None) -> None:
     runs, waits, last = (begin(server, what) for what in (fake_jobs.LONG, fake_jobs.LONG, fake_jobs.QUICK))
     until(server, runs, "running", "on and on")
     assert look(server, waits["id"])["state"] == "queued"
@@ -109,7 +139,7 @@ def test_a_running_and_a_waiting_job_can_be_stopped(server: Live) -> None:
 
 
 def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "KILL_AFTER_S", 0.5)
+    monkeypatch.setattr(runner, "KILL_AFTER_S", 0.5)
     server.context.jobs._grace_s = 0.5
     job = begin(server, fake_jobs.DEAF)
     until(server, job, "running", "deaf")
@@ -119,7 +149,7 @@ def test_a_worker_that_does_not_stop_is_killed(server: Live, monkeypatch: pytest
         assert project.problems() == []
 
 
-def test_pages_get_events_for_changes_of_a_job(server: Live) -> None:
+def test_pages_get_events_for_changes_of_a_job(server: Live, in_threads: None) -> None:
     with listen(server) as socket:
         next_of(socket, "presence")
         begin(server, fake_jobs.EDITS)
@@ -127,15 +157,7 @@ def test_pages_get_events_for_changes_of_a_job(server: Live) -> None:
         assert (event["revision"], event["operator"]) == (1, "a job")
 
 
-def test_the_server_answers_while_a_job_runs(server: Live) -> None:
-    job = begin(server, fake_jobs.LONG)
-    until(server, job, "running", "on and on")
-    for _ in range(20):
-        assert server.client.get("/api/projects/room").status_code == 200
-    assert look(server, job["id"])["state"] == "running"
-
-
-def test_the_number_of_waiting_jobs_is_limited(server: Live) -> None:
+def test_the_number_of_waiting_jobs_is_limited(server: Live, in_threads: None) -> None:
     jobs = [begin(server, fake_jobs.LONG)]
     until(server, jobs[0], "running", "on and on")
     jobs += [begin(server, fake_jobs.QUICK) for _ in range(MOST_WAITING)]
@@ -151,7 +173,7 @@ def test_a_worker_imports_no_file_of_the_current_folder(
     assert ended(server, begin(server, fake_jobs.QUICK))["message"] == "counted to 2"
 
 
-def test_a_restarted_server_lists_former_jobs(fake: None, web_settings: ServerSettings) -> None:
+def test_a_restarted_server_lists_former_jobs(fake: None, in_threads: None, web_settings: ServerSettings) -> None:
     with running(web_settings) as live:
         done, runs, waits = (begin(live, what) for what in (fake_jobs.QUICK, fake_jobs.LONG, fake_jobs.QUICK))
         until(live, runs, "running", "on and on")
@@ -174,13 +196,10 @@ def test_jobs_of_a_killed_server_become_failed(fake: None, web_settings: ServerS
         assert [path.name for path in folder.iterdir()] == [FILE]
 
 
-@pytest.mark.parametrize("content", ["", "{", '{"jobs": [1]}', '{"others": []}'])
-def test_a_server_starts_with_a_damaged_journal(web_settings: ServerSettings, content: str) -> None:
-    (web_settings.projects_root / ".jobs").mkdir()
-    (web_settings.projects_root / ".jobs" / FILE).write_text(content)
-    with running(web_settings) as live:
-        assert live.client.get("/api/jobs").json() == {"jobs": []}
-        assert [p["name"] for p in live.client.get("/api/projects").json()["projects"]] == ["room"]
+def test_a_damaged_journal_is_an_empty_one(tmp_path: Path) -> None:
+    for content in ("", "{", '{"jobs": [1]}', '{"others": []}'):
+        (tmp_path / FILE).write_text(content)
+        assert read_journal(tmp_path) == []
 
 
 def test_a_worker_ends_when_its_server_has_died(fake: None, web_settings: ServerSettings, tmp_path: Path) -> None:
@@ -204,87 +223,69 @@ def test_a_worker_ends_when_its_server_has_died(fake: None, web_settings: Server
     worker.stdout.close()
 
 
-@pytest.mark.parametrize(
-    ("body", "status"),
-    [
-        ({"kind": "dance"}, 422),
-        ({}, 422),
-        ({"kind": "train", "roles": []}, 422),
-        ({"kind": "train", "roles": ["both"]}, 422),
-        ({"kind": "train", "image_pictures": 0}, 422),
-        ({"kind": "train", "model": "../../evil.pt"}, 422),
-        ({"kind": "train", "epochs": 1}, 422),
-        ({"kind": "propose", "limit": 0}, 422),
-        ({"kind": "propose", "recordings": []}, 422),
-        ({"kind": "propose", "recordings": [1e99]}, 422),
-        ({"kind": "export", "format": "zip"}, 422),
-        ({"kind": "import"}, 422),
-        ({"kind": "import", "recordings": []}, 422),
-        ({"kind": "export", "states": ["new"]}, 422),
-        ({"kind": "export", "split": {"shares": "train"}}, 422),
-        ({"kind": "export", "split": {"shares": "train=1", "by": "luck"}}, 422),
-    ],
-)
-def test_invalid_jobs_are_refused(server: Live, body: object, status: int) -> None:
-    answer = server.client.post(JOBS, json=body)
-    assert answer.status_code == status
-    assert server.client.get("/api/jobs").json() == {"jobs": []}
+INVALID = [
+    {"kind": "dance"},
+    {},
+    {"kind": "train", "roles": []},
+    {"kind": "train", "image_pictures": 0},
+    {"kind": "train", "model": "../../evil.pt"},
+    {"kind": "train", "epochs": 1},
+    {"kind": "propose", "limit": 0},
+    {"kind": "propose", "recordings": []},
+    {"kind": "export", "format": "zip"},
+    {"kind": "import"},
+    {"kind": "export", "states": ["new"]},
+    {"kind": "export", "split": {"shares": "train"}},
+    {"kind": "export", "split": {"shares": "train=1", "by": "luck"}},
+]
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "status"),
-    [
+def test_invalid_and_missing_jobs_are_refused(server: Live) -> None:
+    for body in INVALID:
+        assert server.client.post(JOBS, json=body).status_code == 422
+    for method, path, status in (
         ("POST", "/api/projects/nobody/jobs", 404),
         ("POST", f"/api/jobs/{'0' * 32}/cancel", 404),
         ("GET", f"/api/jobs/{'0' * 32}/download", 404),
         ("GET", "/api/jobs/..%2Fjournal.json/download", 404),
         ("GET", "/api/jobs/journal.json/download", 422),
-    ],
-)
-def test_missing_jobs_and_files_are_404(server: Live, method: str, path: str, status: int) -> None:
-    body = {"kind": "propose"} if method == "POST" and path.endswith("jobs") else None
-    assert server.client.request(method, path, json=body).status_code == status
+    ):
+        body = {"kind": "propose"} if path.endswith("jobs") else None
+        assert server.client.request(method, path, json=body).status_code == status
+    assert server.client.get("/api/jobs").json() == {"jobs": []}
 
 
-def test_export_and_download(live: Live, generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # one is enough here, since each export starts a process; the next test covers the limit
-    monkeypatch.setattr(runner, "EXPORTS_KEPT", 1)
-    nothing = live.client.post(JOBS, json={"kind": "export"}).json()
-    assert "no labels in state" in ended(live, nothing)["message"]
-    live.client.post("/api/projects", json={"name": "full", "classes": ["person"]})
-    added = live.client.post("/api/projects/full/recordings", json={"path": f"{generated.name}/people"}).json()
-    assert ended(live, added["job"])["state"] == "done"
-    jobs = []
-    for _ in range(2):
-        jobs.append(live.client.post("/api/projects/full/jobs", json={"kind": "export"}).json())
-        assert ended(live, jobs[-1])["message"] == "15 boxes in 5 frames"
-    answer = live.client.get(f"/api/jobs/{jobs[-1]['id']}/download")
+def test_export_and_download(live: Live, generated: Path, tmp_path: Path) -> None:
+    project = live.context.project("room")
+    job = JobContext(project, tmp_path, "Ada", lambda _: None, lambda: False)
+    with pytest.raises(ConfigError, match="no labels in state"):
+        export_work(job, ExportRequest(kind="export"))
+    import_own_labels(project, 1)
+    split = {"shares": "train=3,val=2", "seed": 4}
+    request = {"kind": "export", "format": "kitti", "states": ["accepted"], "recordings": [1], "split": split}
+    done = ended(live, live.client.post(JOBS, json=request).json())
+    assert (done["state"], done["message"]) == ("done", "15 boxes in 5 frames")
+    assert done["result"]["splits"] == {"train": 3, "val": 2}
+    assert any("clouds have colours" in line for line in done["result"]["lost"])
+    answer = live.client.get(f"/api/jobs/{done['id']}/download")
     assert answer.headers["content-type"] == "application/zip"
-    assert 'filename="full-rcv.zip"' in answer.headers["content-disposition"]
-    zipfile.ZipFile(BytesIO(answer.content)).extractall(tmp_path / "out")
-    dataset = read_rcv(tmp_path / "out" / "full-rcv")
-    assert sum(len(dataset.labels(index)) for index in range(len(dataset))) == 15
-    end = time.monotonic() + PATIENCE_S
-    while look(live, jobs[0]["id"])["download"] != "gone":  # the runner tidies up once a job has ended
-        assert time.monotonic() < end
-        time.sleep(0.05)
-    gone = live.client.get(f"/api/jobs/{jobs[0]['id']}/download")
-    assert gone.status_code == 404
-    assert [look(live, job["id"])["download"] for job in (nothing, *jobs)] == [None, "gone", "kept"]
-    folders = [path for path in (live.settings.projects_root / ".jobs").iterdir() if path.is_dir()]
-    assert [sorted(p.name for p in folder.iterdir()) for folder in folders] == [["full-rcv.zip", "worker.log"]]
+    assert 'filename="room-kitti.zip"' in answer.headers["content-disposition"]
+    with zipfile.ZipFile(BytesIO(answer.content)) as archive:
+        assert len(archive.read("room-kitti/ImageSets/val.txt").split()) == 2
+    assert done["download"] == "kept"
+    folder = live.settings.projects_root / ".jobs" / done["id"]
+    assert sorted(path.name for path in folder.iterdir()) == ["room-kitti.zip", "worker.log"]
     formats = {entry["name"]: entry for entry in live.client.get("/api/export-formats").json()["formats"]}
     assert "proposed" in formats["rcv"]["states"] and "proposed" not in formats["kitti"]["states"]
     assert [name for name, entry in formats.items() if entry["flat"]] == ["coco", "yolo"]
-    split = {"shares": "train=3,val=2", "seed": 4}
-    request = {"kind": "export", "format": "kitti", "states": ["accepted"], "recordings": [1], "split": split}
-    kitti = ended(live, live.client.post("/api/projects/full/jobs", json=request).json())
-    assert kitti["state"] == "done", kitti["message"]
-    assert kitti["result"]["splits"] == {"train": 3, "val": 2}
-    assert any("clouds have colours" in line for line in kitti["result"]["lost"])
-    packed = live.client.get(f"/api/jobs/{kitti['id']}/download").content
-    with zipfile.ZipFile(BytesIO(packed)) as archive:
-        assert len(archive.read("full-kitti/ImageSets/val.txt").split()) == 2
+
+
+def test_missing_training_data_is_reported(live: Live, tmp_path: Path) -> None:
+    job = JobContext(live.context.project("room"), tmp_path, "Ada", lambda _: None, lambda: False)
+    with pytest.raises(AnnotatorError, match="to learn from"):
+        train_work(job, TrainRequest(kind="train"))
+    with pytest.raises(AnnotatorError, match="detector yet"):
+        propose_work(job, ProposeRequest(kind="propose"))
 
 
 def test_the_latest_exports_of_each_project_are_kept(fake: None, web_settings: ServerSettings) -> None:
@@ -310,3 +311,97 @@ def test_the_latest_exports_of_each_project_are_kept(fake: None, web_settings: S
     shutil.rmtree(folder / f"{1:032x}")
     with running(web_settings) as live:
         assert look(live, f"{1:032x}")["download"] == "gone"
+
+
+MODELS = "/api/projects/room/models"
+
+
+def test_a_project_without_models(live: Live) -> None:
+    answer = live.client.get(MODELS).json()
+    assert answer.pop("base") in (None, "in use")
+    assert answer == {
+        "models": [],
+        "learn_every": None,
+        "material": {"image": 0, "view": 0, "labels": 0, "to_lift": 0},
+    }
+    for method, path in (
+        ("POST", f"{MODELS}/1/activate"),
+        ("GET", f"{MODELS}/1/pictures/0.jpg"),
+        ("GET", "/api/projects/nobody/models"),
+    ):
+        assert live.client.request(method, path).status_code == 404
+    assert live.client.get(f"{MODELS}/{10**30}/pictures/0.jpg").status_code == 422
+    assert live.client.get(f"{MODELS}/x/pictures/0.jpg").status_code == 422
+
+
+def test_detectors_are_loaded_at_once_when_the_page_asks(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[Path, bool]] = []
+    detectors = live.context.caches.detectors
+    monkeypatch.setattr(detectors, "warm", lambda project, at_once=False: asked.append((project.path, at_once)))
+    assert live.client.post(f"{MODELS}/load").status_code == 204
+    assert [(path.name, at_once) for path, at_once in asked] == [("room", True)]
+
+
+class AnyClass:
+    """As a base detector: the boxes of another detector without their classes."""
+
+    labels = tuple(AGNOSTIC_LABELS.values())
+    fingerprint = "any class"
+
+    def __init__(self, detector: Detector) -> None:
+        self._detector = detector
+
+    def detect(self, images: list[Image]) -> list[list[Box2D]]:
+        return [[replace(box, label="whole") for box in boxes] for boxes in self._detector.detect(images)]
+
+
+@pytest.fixture
+def base(knowing: Callable[..., Detectors]) -> ReadyDetector:
+    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, base_detector.NAME)
+
+
+def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
+    live: Live, generated: Path, tmp_path: Path, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(work, "require_view", lambda _: base)
+    project = live.context.project("room")
+    sent: list[WorkerMessage] = []
+    job = JobContext(project, tmp_path, "Ada", sent.append, lambda: False)
+    with pytest.raises(ConfigError, match="no frame has boxes on its image but no 3D box"):
+        work.lift_work(job, LiftRequest(kind="lift"))
+    scene, stored = Scene.of(generated / "people", 0, ["person"]), project.frames.of()[0]
+    boxes = tuple(Box2DJson(**scene.image_box(number)).box() for number in range(len(scene.objects)))
+    drawn = ImageBoxesSet(boxes=boxes, box_kind=BoxKind.SILHOUETTE)
+    project.log.append(stored.id, [drawn], WriteContext(stored.revision, "Ada"))
+    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 1
+    stopped = JobContext(project, tmp_path, "Ada", sent.append, lambda: True)
+    with pytest.raises(JobStoppedError):
+        work.lift_work(stopped, LiftRequest(kind="lift"))
+    outcome = work.lift_work(job, LiftRequest(kind="lift"))
+    assert outcome.result["proposals"] > 0 and outcome.result["frames"] == 1
+    assert outcome.message.endswith(f"proposals in 1 frame, measured by: {TITLE}")
+    assert any(isinstance(message, Progress) and message.total == 1.0 for message in sent)
+    assert live.client.get(f"{ROOM}/models").json()["material"]["to_lift"] == 0
+    labels = live.client.get(f"{ROOM}/frames/{stored.id}").json()["labels"]
+    assert {label["measured_by"] for label in labels} == {TITLE}
+
+
+def test_the_project_and_its_statistics_name_the_base_detector_until_it_has_its_own(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def named() -> tuple[str | None, str | None]:
+        statistics = live.client.get(f"{ROOM}/statistics").json()
+        return live.client.get(ROOM).json()["detectors"]["stand_in"], statistics["view_detector"]
+
+    assert named() == (None, None)
+    (tmp_path / "base").mkdir()
+    (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
+    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "base")
+    assert named() == (TITLE, TITLE)
+    project = live.context.project("room")
+    weights = project.path / "models" / "own.pt"
+    weights.parent.mkdir(exist_ok=True)
+    weights.write_bytes(b"w")
+    kind = {"labels": ["person"], "box_kind": BoxKind.BOX, "metrics": {}, "fingerprint": "own"}
+    project.models.register(DetectorKind.VIEW, weights, **kind)
+    assert named() == (None, "this project's view detector")

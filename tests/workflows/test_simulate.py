@@ -23,7 +23,7 @@ from annotator.rcv.whole_box import Offered, SeenObject
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Correction, OrientedBox, PseudoView, ReviewState, Source
 from annotator.types.errors import ConfigError, FrameError, RecordingError
-from annotator.web.caches import Caches
+from annotator.web.context import Caches
 from annotator.workflows import simulate
 from annotator.workflows.add_recordings import move_recording, register_recording
 from annotator.workflows.frame_source import FrameSource

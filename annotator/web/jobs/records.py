@@ -1,28 +1,32 @@
-"""Requests for jobs, and records of jobs."""
+"""What a job is: its request, its record and journal, the messages of its worker, and the context of its work."""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, TypeAdapter, ValidationError, field_validator
 
 from annotator.detection.config import MOST_MINUTES
+from annotator.files import TABLE_BYTES, link_out, private_folder, read_file, write_atomic
+from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind, ReviewState
-from annotator.types.errors import ConfigError
-from annotator.web.schemas import ClassName, RowId
+from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.web.schemas import ClassName, RowId, Schema
 from annotator.workflows.exporting import ExportFormat, SplitBy, parse_shares
 from annotator.workflows.importing.boxes_3d import MOST_NAME
+
+LOG = logging.getLogger("annotator.web")
 
 Ids = Annotated[list[RowId], Field(min_length=1, max_length=10_000)]
 Pictures = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
-class _Request(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class TrainRequest(_Request):
+class TrainRequest(Schema):
     """Train detectors.
 
     Attributes:
@@ -48,7 +52,7 @@ class TrainRequest(_Request):
     background: bool = False
 
 
-class ProposeRequest(_Request):
+class ProposeRequest(Schema):
     """Propose boxes on recordings (null: all), on at most `limit` frames."""
 
     kind: Literal["propose"]
@@ -56,13 +60,13 @@ class ProposeRequest(_Request):
     limit: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
 
 
-class LiftRequest(_Request):
+class LiftRequest(Schema):
     """Propose 3D boxes from the 2D boxes on the images of frames that have no 3D box yet."""
 
     kind: Literal["lift"]
 
 
-class BoxesRequest(_Request):
+class BoxesRequest(Schema):
     """Import the boxes of a file that a page has sent.
 
     Attributes:
@@ -89,7 +93,7 @@ class BoxesRequest(_Request):
     add_attributes: bool = False
 
 
-class SplitRequest(_Request):
+class SplitRequest(Schema):
     """Split of the frames: shares such as "train=0.8,val=0.2", and the unit that stays in one part."""
 
     shares: Annotated[str, Field(max_length=400)]
@@ -106,7 +110,7 @@ class SplitRequest(_Request):
         return text
 
 
-class ExportRequest(_Request):
+class ExportRequest(Schema):
     """Write a dataset for download.
 
     Attributes:
@@ -131,14 +135,14 @@ class ExportRequest(_Request):
     images: Literal["png", "jpg"] = "png"
 
 
-class ImportRequest(_Request):
+class ImportRequest(Schema):
     """Import the 3D boxes that recordings contain, for every frame without labels."""
 
     kind: Literal["import"]
     recordings: Ids
 
 
-class CopyRequest(_Request):
+class CopyRequest(Schema):
     """Copy the project to a new one of that name; `labels`: with its labels, not only its recordings and detectors."""
 
     kind: Literal["copy"]
@@ -184,21 +188,18 @@ class JobState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """True for a final state."""
         return self not in (JobState.QUEUED, JobState.RUNNING)
 
 
-class CurvePoint(BaseModel):
+class CurvePoint(Schema):
     """The metrics of a training after one epoch."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     role: DetectorKind
     epoch: int
     metrics: dict[str, float]
 
 
-class Job(BaseModel):
+class Job(Schema):
     """One job.
 
     Attributes:
@@ -213,8 +214,6 @@ class Job(BaseModel):
         download: whether an export's file is still available; null for a job without a file.
         background: whether it steps aside for other jobs and for drawing.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
     project: str
@@ -231,3 +230,161 @@ class Job(BaseModel):
     curves: tuple[CurvePoint, ...] = ()
     download: Literal["kept", "gone"] | None = None
     background: bool = False
+
+
+FILE = "journal.json"
+SERVER_STOPPED = "the server was stopped"
+
+
+class _Journal(Schema):
+    jobs: tuple[Job, ...]
+
+
+def require_own_files(folder: Path) -> None:
+    """Refuses a folder of jobs with links that lead out of it: somebody may have sent it, together with projects."""
+    try:
+        link = folder if folder.is_symlink() else link_out(folder) if folder.exists() else None
+    except OSError as error:
+        raise ConfigError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    if link is not None:
+        raise ConfigError(f"{link}: is a link that leads out of the projects' folder of jobs; remove it")
+
+
+def read_journal(folder: Path) -> list[Job]:
+    """The jobs in the journal, oldest first; unfinished ones become failed. Empty if it is missing or unreadable."""
+    path = folder / FILE
+    try:
+        jobs = _Journal.model_validate_json(read_file(path, TABLE_BYTES)).jobs
+    except FileNotFoundError:
+        return []
+    except (OSError, ValidationError) as error:
+        # the server can start without the list of earlier jobs
+        LOG.warning("%s: cannot be read, earlier jobs are not listed: %s", path, error)
+        return []
+    return [_ended(job) for job in jobs]
+
+
+def write_journal(folder: Path, jobs: Iterable[Job]) -> None:
+    """Writes the journal; an error is logged only."""
+    try:
+        private_folder(folder)
+        write_atomic(folder / FILE, _Journal(jobs=tuple(jobs)).model_dump_json().encode(), private=True)
+    except OSError as error:
+        LOG.warning("%s: the list of jobs cannot be written: %s", folder, error)
+
+
+def _ended(job: Job) -> Job:
+    if job.state.ended:
+        return job
+    return job.model_copy(update={"state": JobState.FAILED, "message": SERVER_STOPPED, "eta_s": None})
+
+
+# Orders to a running worker. PAUSE and RESUME are for jobs in the background.
+STOP, PAUSE, RESUME = "stop\n", "pause\n", "resume\n"
+
+
+class Order(Schema):
+    """The job of a worker.
+
+    Attributes:
+        target: "module:function" of the work.
+        project: the project's folder.
+        folder: an empty folder for the results.
+        operator: who started it.
+        readable: as for `open_project`.
+    """
+
+    target: str
+    project: Path
+    folder: Path
+    operator: str
+    request: JobRequest
+    readable: tuple[Path, ...] | None = None
+
+
+class Progress(Schema):
+    """The progress of the job."""
+
+    type: Literal["progress"] = "progress"
+    stage: str
+    done: float
+    total: float
+    eta_s: float | None = None
+
+
+class Measured(Schema):
+    """A new point of the training curves."""
+
+    type: Literal["measured"] = "measured"
+    point: CurvePoint
+
+
+class Finished(Schema):
+    """The job is done."""
+
+    type: Literal["finished"] = "finished"
+    message: str
+    result: dict[str, Any]
+
+
+class Stopped(Schema):
+    """The job has stopped on request."""
+
+    type: Literal["stopped"] = "stopped"
+    message: str
+
+
+class Failed(Schema):
+    """The job has failed; `is_fault` is True for an unexpected exception, False for an error of its input."""
+
+    type: Literal["failed"] = "failed"
+    message: str
+    is_fault: bool
+
+
+WorkerMessage = Progress | Measured | Finished | Stopped | Failed
+WORKER_MESSAGE = TypeAdapter[WorkerMessage](Annotated[WorkerMessage, Field(discriminator="type")])
+
+
+class JobStoppedError(AnnotatorError):
+    """The job was stopped by an operator."""
+
+
+@dataclass(frozen=True, eq=False)
+class JobContext:
+    """The context of one job.
+
+    Attributes:
+        project: open.
+        folder: for the job's results; initially empty.
+        operator: who started the job.
+        send: sends a message to the server.
+        stopped: returns True once a stop is requested.
+    """
+
+    project: Project
+    folder: Path
+    operator: str
+    send: Callable[[WorkerMessage], None]
+    stopped: Callable[[], bool]
+
+    def progress(self, stage: str, done: float = 0.0, total: float = 0.0, eta_s: float | None = None) -> None:
+        """Reports the progress. A job stops at its next call of this method."""
+        if self.stopped():
+            raise JobStoppedError("stopped")
+        self.send(Progress(stage=stage, done=done, total=total, eta_s=eta_s))
+
+    def counter(self, stage: str) -> Callable[[int, int], None]:
+        """A progress callback (done, total) for a workflow."""
+        return lambda done, total: self.progress(stage, float(done), float(total))
+
+    def measured(self, point: CurvePoint) -> None:
+        self.send(Measured(point=point))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of a job: a message for people, and a result for programs."""
+
+    message: str
+    result: dict[str, Any]

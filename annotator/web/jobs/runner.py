@@ -3,26 +3,133 @@
 from __future__ import annotations
 
 import logging
+import os
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 import time
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from annotator.files import end_of_file, private_folder
+from pydantic import ValidationError
+
+from annotator.files import end_of_file, make_private, private_folder
 from annotator.text import is_within
 from annotator.types.errors import ConfigError, InUseError, NotFoundError
 from annotator.web.errors import INTERNAL
-from annotator.web.jobs.journal import SERVER_STOPPED, read_journal, require_own_files, write_journal
-from annotator.web.jobs.messages import Failed, Finished, Measured, Order, Progress, Stopped, WorkerMessage
-from annotator.web.jobs.process import GRACE_S, WorkerProcess
-from annotator.web.jobs.records import LIFT_STAGE, WORK, BoxesRequest, Job, JobRequest, JobState, in_background
+from annotator.web.jobs.records import (
+    LIFT_STAGE,
+    PAUSE,
+    RESUME,
+    SERVER_STOPPED,
+    STOP,
+    WORK,
+    WORKER_MESSAGE,
+    BoxesRequest,
+    Failed,
+    Finished,
+    Job,
+    JobRequest,
+    JobState,
+    Measured,
+    Order,
+    Progress,
+    Stopped,
+    WorkerMessage,
+    in_background,
+    read_journal,
+    require_own_files,
+    write_journal,
+)
 
 LOG = logging.getLogger("annotator.web")
+
+# Work stops at its next batch; a worker that takes longer than this is assumed to hang.
+GRACE_S, KILL_AFTER_S = 15.0, 5.0
+
+
+class WorkerProcess:
+    """A worker process with its order. Killing it is safe: the project's database is transactional."""
+
+    def __init__(self, order: Order, log: Path) -> None:
+        self._timers: list[threading.Timer] = []
+        make_private(log)
+        with log.open("wb") as errors:
+            self._process = subprocess.Popen(
+                # -P: never imports modules from the current folder
+                [sys.executable, "-P", "-m", "annotator.web.jobs.worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                encoding="utf-8",
+                # waiting OpenMP threads must not occupy the server's cores
+                env={**os.environ, "OMP_WAIT_POLICY": "PASSIVE"},
+                # Ctrl-C at the terminal goes to the server only, which stops its workers
+                start_new_session=True,
+            )
+        self._write(order.model_dump_json() + "\n")
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def messages(self) -> Iterator[WorkerMessage]:
+        """Yields the worker's messages until it has ended."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            try:
+                yield WORKER_MESSAGE.validate_json(line)
+            except ValidationError:
+                LOG.warning("invalid message from a worker: %s", line[:200])
+        self._process.wait()
+        for timer in self._timers:
+            timer.cancel()
+        self._process.stdout.close()
+        with suppress(BrokenPipeError):
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+
+    @property
+    def exit_code(self) -> int | None:
+        """The exit code, negative for a signal; None while it runs."""
+        return self._process.poll()
+
+    def stop(self, grace_s: float = GRACE_S) -> None:
+        """Asks the worker to stop; terminates it after `grace_s`, and kills it `KILL_AFTER_S` seconds later."""
+        self._write(STOP)
+        self._later(grace_s, signal.SIGTERM)
+        self._later(grace_s + KILL_AFTER_S, signal.SIGKILL)
+
+    def pause(self, is_paused: bool) -> None:
+        """Asks the worker to wait at its next safe point, or to go on."""
+        self._write(PAUSE if is_paused else RESUME)
+
+    def _later(self, seconds: float, number: signal.Signals) -> None:
+        timer = threading.Timer(seconds, self._signal, (number,))
+        timer.daemon = True
+        self._timers.append(timer)
+        timer.start()
+
+    def _signal(self, number: signal.Signals) -> None:
+        with suppress(ProcessLookupError):
+            # the worker's session includes its child processes
+            if self._process.poll() is None:
+                os.killpg(self._process.pid, number)
+
+    def _write(self, text: str) -> None:
+        assert self._process.stdin is not None
+        # `messages` handles a worker that has ended
+        with suppress(BrokenPipeError, ValueError):
+            self._process.stdin.write(text)
+            self._process.stdin.flush()
+
 
 # Number of listed jobs, of downloads kept per project, and of jobs that may wait.
 JOBS_KEPT, EXPORTS_KEPT, MOST_WAITING = 50, 3, 20
@@ -55,13 +162,6 @@ class JobRunner:
         grace_s: float = GRACE_S,
         readable: tuple[Path, ...] | None = None,
     ) -> None:
-        """
-        Args:
-            readable: as for `open_project`.
-
-        Raises:
-            ConfigError: a link leads out of the folder.
-        """
         require_own_files(folder)
         self.folder = folder
         self._on_change, self._public_message, self._grace_s = on_change, public_message, grace_s
@@ -84,11 +184,7 @@ class JobRunner:
         self._thread.start()
 
     def add(self, project: str, path: Path, request: JobRequest, operator: str) -> Job:
-        """Adds a job for the project in the folder `path`.
-
-        Raises:
-            ConfigError: too many jobs are waiting.
-        """
+        """Adds a job for the project in the folder `path`."""
         job = Job(
             id=uuid.uuid4().hex,
             project=project,
@@ -133,7 +229,6 @@ class JobRunner:
             }
 
     def is_idle(self) -> bool:
-        """True if no job runs or waits."""
         with self._lock:
             return not self._waiting and self._running() is None
 
@@ -174,22 +269,13 @@ class JobRunner:
             return sorted(self._jobs.values(), key=lambda job: job.created_ns, reverse=True)
 
     def get(self, job_id: str) -> Job:
-        """One job.
-
-        Raises:
-            NotFoundError: no such job.
-        """
         with self._lock:
             if job_id not in self._jobs:
                 raise NotFoundError(f"there is no job {job_id!r}; it may be too old to be listed")
             return self._jobs[job_id]
 
     def cancel(self, job_id: str) -> Job:
-        """Stops a job: a waiting one at once, a running one at its next safe point.
-
-        Raises:
-            NotFoundError: no such job.
-        """
+        """Stops a job: a waiting one at once, a running one at its next safe point."""
         job = self.get(job_id)
         with self._lock:
             waiting = [entry for entry in self._waiting if entry[0] == job_id]
@@ -205,11 +291,7 @@ class JobRunner:
         return self._update(job_id, stage="stopping") if running else job
 
     def require_none(self, project: str) -> None:
-        """Checks that no job of a project runs or waits.
-
-        Raises:
-            InUseError: one does.
-        """
+        """Checks that no job of a project runs or waits."""
         for job in self.all():
             if job.project == project and not job.state.ended:
                 raise InUseError(
@@ -225,11 +307,6 @@ class JobRunner:
             write_journal(self.folder, reversed(self.all()))
 
     def file(self, job_id: str) -> Path:
-        """The file of an export.
-
-        Raises:
-            NotFoundError: no such job, or its file does not exist.
-        """
         job = self.get(job_id)
         path = self._export_file(job)
         if path is None or job.download == "gone" or not path.is_file():

@@ -15,7 +15,6 @@ from annotator.project import new_action
 from annotator.project.backup.take_in import copy_project
 from annotator.types import DetectorKind
 from annotator.types.amounts import amount
-from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import (
     LIFT_STAGE,
     BoxesRequest,
@@ -23,7 +22,10 @@ from annotator.web.jobs.records import (
     CurvePoint,
     ExportRequest,
     ImportRequest,
+    JobContext,
+    JobStoppedError,
     LiftRequest,
+    Outcome,
     ProposeRequest,
     TrainRequest,
 )

@@ -12,15 +12,27 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import TextIO
 
 from annotator.project import open_project
 from annotator.types.errors import AnnotatorError
-from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
-from annotator.web.jobs.messages import PAUSE, RESUME, Failed, Finished, Order, Progress, Stopped, WorkerMessage
-from annotator.web.jobs.records import in_background
+from annotator.web.jobs.records import (
+    PAUSE,
+    RESUME,
+    Failed,
+    Finished,
+    JobContext,
+    JobStoppedError,
+    Order,
+    Outcome,
+    Progress,
+    Stopped,
+    WorkerMessage,
+    in_background,
+)
 
 NICENESS, BACKGROUND_NICENESS = 10, 19
 # The priority of all processes of a session, where Linux groups them: sched(7), "The autogroup feature".
@@ -63,16 +75,26 @@ def main() -> int:
     lower_priority(BACKGROUND_NICENESS if in_background(order.request) else NICENESS)
     orders = Orders()
     threading.Thread(target=_read_orders, args=(orders,), daemon=True).start()
-    try:
-        outcome = _work(order, writer, orders)
-        writer.send(Finished(message=outcome.message, result=outcome.result))
-    except JobStoppedError as error:
-        writer.send(Stopped(message=str(error)))
-    except AnnotatorError as error:
-        writer.send(Failed(message=str(error), is_fault=False))
-    except Exception:  # reported to the server, which logs it
-        writer.send(Failed(message=traceback.format_exc(), is_fault=True))
+    run(order, writer.send, orders)
     return 0
+
+
+def run(order: Order, send: Callable[[WorkerMessage], None], orders: Orders) -> None:
+    """Runs a job; the last message tells how it ended."""
+    module, _, function = order.target.partition(":")
+    try:
+        work = getattr(import_module(module), function)
+        with open_project(order.project, readable=order.readable) as project:
+            outcome: Outcome = work(
+                JobContext(project, order.folder, order.operator, send, orders.stopped), order.request
+            )
+        send(Finished(message=outcome.message, result=outcome.result))
+    except JobStoppedError as error:
+        send(Stopped(message=str(error)))
+    except AnnotatorError as error:
+        send(Failed(message=str(error), is_fault=False))
+    except Exception:  # reported to the server, which logs it
+        send(Failed(message=traceback.format_exc(), is_fault=True))
 
 
 def lower_priority(niceness: int) -> None:
@@ -116,16 +138,6 @@ class Orders:
         """True once a stop was ordered; waits while the job is paused."""
         self._go_on.wait()
         return self._stop.is_set()
-
-
-def _work(order: Order, writer: MessageWriter, orders: Orders) -> Outcome:
-    module, _, function = order.target.partition(":")
-    work = getattr(import_module(module), function)
-    with open_project(order.project, readable=order.readable) as project:
-        outcome: Outcome = work(
-            JobContext(project, order.folder, order.operator, writer.send, orders.stopped), order.request
-        )
-        return outcome
 
 
 def _own_output() -> TextIO:

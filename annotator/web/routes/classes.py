@@ -5,22 +5,20 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter
-from fastapi.responses import JSONResponse
 from pydantic import Field, ValidationError
 
-from annotator.project import ProjectConfig, Receipt, WriteContext
+from annotator.project import ProjectConfig, Receipt
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute, ClassStyle, Value
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.overview import ClassList, list_classes
 from annotator.project.project import change_classes
-from annotator.types.errors import ConfigError, StaleRevisionError
+from annotator.types.errors import ConfigError
 from annotator.types.validation import first_problem
 from annotator.web.context import Ctx, Operator
-from annotator.web.frame_json import frame_state, stale_response
-from annotator.web.projects import ProjectInfo, project_info
-from annotator.web.routes.frames import STALE
-from annotator.web.schemas import ClassName, Effort, FrameStateJson, RowId, Schema, Uid
+from annotator.web.frame_json import STALE, both_versions, frame_state
+from annotator.web.routes.projects import ProjectInfo, project_info
+from annotator.web.schemas import ClassName, FrameChange, FrameStateJson, RowId, Schema, Uid
 
 router = APIRouter(tags=["classes"])
 
@@ -158,13 +156,11 @@ class ClassChange(Schema):
     ]
 
 
-class ValuesIn(Schema):
+class ValuesIn(FrameChange):
     """Values to set, null = none; of a label `uid`, or of the frame."""
 
-    revision: RowId
     uid: Uid | None = None
     values: Annotated[dict[ClassName, Value | None], Field(min_length=1, max_length=100)]
-    effort: Effort | None = None
 
 
 @router.get("/api/projects/{name}/classes")
@@ -184,22 +180,17 @@ def change(ctx: Ctx, operator: Operator, name: str, body: ClassChange) -> Projec
     return project_info(name, project)
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/attributes", response_model=FrameStateJson, responses=STALE)
-def set_values(
-    ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ValuesIn
-) -> FrameStateJson | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/attributes", responses=STALE)
+def set_values(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ValuesIn) -> FrameStateJson:
     """Set values of a label, or of the frame; those of a track in all its labels, as one action."""
-    project, effort = ctx.project(name), None if body.effort is None else body.effort.stored()
-    context = WriteContext(body.revision, operator, effort=effort, effort_target=body.uid)
-    try:
+    project = ctx.project(name)
+    context = body.context(operator, body.uid)
+    with both_versions(ctx, name, frame_id, operator, body):
         if body.uid is None:
             changed: tuple[tuple[int, Receipt], ...] = (
                 (frame_id, project.frames.set_attributes(frame_id, body.values, context)),
             )
         else:
             changed = project.labels.set_attributes(frame_id, body.uid, body.values, context)
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
-    for changed_id, receipt in changed:
-        ctx.hub.frame_changed(project, changed_id, receipt.revision, operator)
+    ctx.hub.frames_changed(project, changed, operator)
     return frame_state(ctx, name, frame_id, operator)

@@ -6,24 +6,22 @@ from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter
-from fastapi.responses import JSONResponse
 from pydantic import Field
 
 from annotator.geometry.edges import visible_edges
-from annotator.project import Project, WriteContext
+from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.errors import StaleRevisionError
 from annotator.web.context import Context, Ctx, Operator
-from annotator.web.frame_json import drawn_view, frame_state, stale_response
-from annotator.web.routes.frames import STALE
+from annotator.web.frame_json import STALE, both_versions, drawn_view, frame_state
 from annotator.web.schemas import (
     MOST_BOXES,
     Axes,
     Box2DJson,
     Box2DOut,
     Box3DOut,
-    Effort,
+    FrameChange,
     FrameStateJson,
+    ImageBoxIn,
     Outline,
     RowId,
     Schema,
@@ -97,14 +95,12 @@ class ObjectIn(DrawnIn):
     suggestion: SuggestionJson | None = None
 
 
-class SaveIn(Schema):
+class SaveIn(FrameChange):
     """All boxes of the image, and the object that was changed."""
 
-    revision: RowId
     image_boxes: Annotated[list[Box2DJson], Field(max_length=MOST_BOXES)]
     box_kind: BoxKind = BoxKind.SILHOUETTE
     object: ObjectIn | None = None
-    effort: Effort | None = None
     subject: Uid | None = None
 
 
@@ -114,12 +110,6 @@ class SaveOut(Schema):
     state: FrameStateJson
     uid: str | None
     drawn: StepsOut | None
-
-
-class WholeIn(Schema):
-    """A drawn object, by its box on the image."""
-
-    image_box: Box2DJson
 
 
 class WholeBoxJson(Schema):
@@ -184,7 +174,7 @@ def _steps_json(ctx: Context, name: str, opened: OpenFrame, labelling: Labelling
 
 
 @router.post("/api/projects/{name}/frames/{frame_id}/label/whole")
-def whole(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: WholeIn) -> WholeOut:
+def whole(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: ImageBoxIn) -> WholeOut:
     """The whole boxes that are offered for an object whose silhouettes are drawn. Nothing is stored."""
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)
@@ -213,13 +203,11 @@ def suggestions(ctx: Ctx, operator: Operator, name: str, frame_id: RowId) -> Sug
     return SuggestionsOut(boxes=[Box2DOut.of(box) for box in boxes])
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/label/object", response_model=SaveOut, responses=STALE)
-def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn) -> SaveOut | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/label/object", responses=STALE)
+def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn) -> SaveOut:
     """Store the drawn boxes and suggest the others; an object with all four boxes on its views becomes a label."""
     project = ctx.project(name)
     opened = ctx.caches.frames.open(project, frame_id, operator)
-    effort = None if body.effort is None else body.effort.stored()
-    context = WriteContext(body.revision, operator, effort=effort, effort_target=body.subject)
     image_boxes = [box.box() for box in body.image_boxes]
     drawn = answer = None
     if body.object is not None:
@@ -228,10 +216,9 @@ def save(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: SaveIn)
         suggested = None if body.object.suggestion is None else body.object.suggestion.stored()
         drawn = ObjectDrawn(body.object.image_box.box(), on_views, labelling, body.object.uid, suggested)
         answer = _steps_json(ctx, name, opened, labelling, ready)
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
+        context = body.context(operator, body.subject)
         saved = save_object(project, frame_id, opened, image_boxes, body.box_kind, drawn, context)
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     if saved.receipt is not None:
         ctx.hub.frame_changed(project, frame_id, saved.receipt.revision, operator)
     return SaveOut.model_construct(state=frame_state(ctx, name, frame_id, operator), uid=saved.uid, drawn=answer)

@@ -2,46 +2,213 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.project import BoxRotation, ProjectSettings, create_project, list_projects
+from annotator.files import why_missing
+from annotator.project import (
+    BoxRotation,
+    ListedProject,
+    Project,
+    ProjectSettings,
+    StoredModel,
+    StoredRecording,
+    create_project,
+    list_projects,
+)
 from annotator.project.config import rename_project, set_aside
-from annotator.web.context import Ctx, Operator
-from annotator.web.projects import ProjectInfo, ProjectSummary, project_info, summary, summary_of
+from annotator.project.database.store import waiting_at_most
+from annotator.types import DetectorKind
+from annotator.types.errors import AnnotatorError
+from annotator.web.context import Context, Ctx, Operator
+from annotator.web.errors import INTERNAL
+from annotator.web.schemas import ClassName, Schema
+from annotator.workflows.detectors import stand_in
 
-router = APIRouter(prefix="/api/projects", tags=["projects"])
+LOG = logging.getLogger("annotator.web")
 
-ClassName = Annotated[str, Field(min_length=1, max_length=64)]
+# For a locked project: those after it in the list wait meanwhile.
+LIST_WAIT_S = 0.2
+
+
+class MissingRecording(BaseModel):
+    """A recording whose path does not exist."""
+
+    id: int
+    name: str
+
+
+class ProjectSummary(BaseModel):
+    """One project in a list; `problem`: why it cannot be opened; `missing`: recordings whose path is gone."""
+
+    name: str
+    classes: list[str]
+    frames: int
+    recordings: int
+    labels_by_state: dict[str, int]
+    problem: str | None = None
+    missing: list[MissingRecording] = []
+
+
+class RecordingInfo(BaseModel):
+    """A recording of a project; `missing` is True if its path does not exist."""
+
+    id: int
+    name: str
+    format: str
+    frames: int
+    is_sequence: bool
+    missing: bool
+
+
+class ModelInfo(BaseModel):
+    """A trained detector, in short."""
+
+    model_config = ConfigDict(ser_json_inf_nan="null")
+
+    id: int
+    role: DetectorKind
+    name: str
+    created_ns: int
+    active: bool
+    metrics: dict[str, float]
+
+
+class ActiveDetectors(BaseModel):
+    """The active detectors; `stand_in` names the detector that is used while there is no view detector, if any."""
+
+    image: ModelInfo | None
+    view: ModelInfo | None
+    stand_in: str | None
+
+
+class ProjectInfo(BaseModel):
+    """One project."""
+
+    name: str
+    classes: list[str]
+    class_styles: dict[str, dict[str, Any]]
+    attributes: list[dict[str, Any]]
+    settings: dict[str, Any]
+    recordings: list[RecordingInfo]
+    labels_by_state: dict[str, int]
+    frames: int
+    detectors: ActiveDetectors
+
+
+def summary(ctx: Context, listed: ListedProject) -> ProjectSummary:
+    """The summary of a project in a projects folder; for one that cannot be opened, with its problem."""
+    # a name that is not text in UTF-8 cannot be sent
+    name = listed.path.name.encode(errors="replace").decode()
+    classes = [] if listed.config is None else list(listed.config.classes)
+    try:
+        if listed.problem is not None:
+            return _broken(name, classes, ctx.public_message(listed.problem))
+        with waiting_at_most(LIST_WAIT_S):
+            return summary_of(name, ctx.project(name))
+    except AnnotatorError as error:
+        return _broken(name, classes, ctx.public_message(str(error)))
+    except Exception:  # one project must not take the list of all down
+        LOG.exception("project %s cannot be listed", name)
+        return _broken(name, classes, f"the project cannot be read: {INTERNAL}")
+
+
+def summary_of(name: str, project: Project) -> ProjectSummary:
+    """The summary of an open project."""
+    counts = project.statistics()
+    return ProjectSummary(
+        name=name,
+        classes=list(project.config.classes),
+        frames=counts.frames,
+        recordings=counts.recordings,
+        labels_by_state={state.value: number for state, number in counts.labels.by_state.items()},
+        missing=[
+            MissingRecording(id=recording.id, name=recording.name)
+            for recording in project.recordings.all()
+            if why_missing(recording.path)
+        ],
+    )
+
+
+def project_info(name: str, project: Project) -> ProjectInfo:
+    """One project."""
+    short, config = summary_of(name, project), project.config
+    return ProjectInfo(
+        name=name,
+        classes=short.classes,
+        class_styles={each: style.model_dump(mode="json") for each, style in config.class_styles.items()},
+        attributes=[attribute.model_dump(mode="json") for attribute in config.attributes],
+        settings=config.settings.model_dump(mode="json"),
+        recordings=[recording_info(recording) for recording in project.recordings.all()],
+        labels_by_state=short.labels_by_state,
+        frames=short.frames,
+        detectors=ActiveDetectors(
+            image=_detector(project, DetectorKind.IMAGE),
+            view=_detector(project, DetectorKind.VIEW),
+            stand_in=stand_in(project),
+        ),
+    )
+
+
+def recording_info(stored: StoredRecording) -> RecordingInfo:
+    """A recording of a project."""
+    return RecordingInfo(
+        id=stored.id,
+        name=stored.name,
+        format=stored.format,
+        frames=stored.frames,
+        is_sequence=stored.is_sequence,
+        missing=why_missing(stored.path) is not None,
+    )
+
+
+def model_info(model: StoredModel) -> ModelInfo:
+    """A trained detector, in short."""
+    return ModelInfo(
+        id=model.id,
+        role=model.role,
+        name=model.path.parent.name,
+        created_ns=model.created_ns,
+        active=model.active,
+        metrics=model.metrics,
+    )
+
+
+def _detector(project: Project, role: DetectorKind) -> ModelInfo | None:
+    model = project.models.active(role)
+    return None if model is None else model_info(model)
+
+
+def _broken(name: str, classes: list[str], problem: str) -> ProjectSummary:
+    return ProjectSummary(name=name, classes=classes, frames=0, recordings=0, labels_by_state={}, problem=problem)
+
+
+router = APIRouter(tags=["projects"])
+
 Classes = Annotated[list[ClassName], Field(min_length=1, max_length=200)]
 
 
-class NewProject(BaseModel):
+class NewProject(Schema):
     """A project to create."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(max_length=64)
     classes: Classes
     rotation: BoxRotation = BoxRotation.AUTO
 
 
-class ProjectChange(BaseModel):
+class ProjectChange(Schema):
     """Changes of a project; null = unchanged."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     classes: Classes | None = None
     rotation: BoxRotation | None = None
 
 
-class NewName(BaseModel):
+class NewName(Schema):
     """The new name of a project."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(max_length=64)
 
@@ -59,13 +226,13 @@ class ProjectList(BaseModel):
     projects: list[ProjectSummary]
 
 
-@router.get("")
+@router.get("/api/projects")
 def projects(ctx: Ctx, operator: Operator) -> ProjectList:
     """All projects in the server's projects folder."""
     return ProjectList(projects=[summary(ctx, listed) for listed in list_projects(ctx.settings.projects_root)])
 
 
-@router.post("", status_code=201)
+@router.post("/api/projects", status_code=201)
 def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     """Create a project."""
     settings = ProjectSettings(rotation=body.rotation)
@@ -73,13 +240,13 @@ def create(body: NewProject, ctx: Ctx, operator: Operator) -> ProjectSummary:
     return summary_of(body.name, ctx.project(body.name))
 
 
-@router.get("/{project}")
+@router.get("/api/projects/{project}")
 def project(project: str, ctx: Ctx, operator: Operator) -> ProjectInfo:
     """One project with its recordings and detectors."""
     return project_info(project, ctx.project(project))
 
 
-@router.patch("/{project}")
+@router.patch("/api/projects/{project}")
 def change(project: str, body: ProjectChange, ctx: Ctx, operator: Operator) -> ProjectInfo:
     """Change the classes or the rotation of boxes."""
     opened = ctx.project(project)
@@ -89,7 +256,7 @@ def change(project: str, body: ProjectChange, ctx: Ctx, operator: Operator) -> P
     return project_info(project, opened)
 
 
-@router.post("/{project}/rename")
+@router.post("/api/projects/{project}/rename")
 def rename(project: str, body: NewName, ctx: Ctx, operator: Operator) -> ProjectSummary:
     """Rename a project; pages that show it are told its new name."""
     with ctx.closed(project) as folder:
@@ -99,7 +266,7 @@ def rename(project: str, body: NewName, ctx: Ctx, operator: Operator) -> Project
     return summary_of(name, ctx.project(name))
 
 
-@router.delete("/{project}")
+@router.delete("/api/projects/{project}")
 def remove(project: str, ctx: Ctx, operator: Operator) -> RemovedProject:
     """Move a project into the folder of removed ones, from which it can be brought back."""
     with ctx.closed(project) as folder:

@@ -2,27 +2,87 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from annotator.project import Project
 from annotator.recordings import ReaderOptions
+from annotator.recordings.recording import parse_options
+from annotator.recordings.ros.topics import TopicReport
 from annotator.types.errors import InputError, MovedError
 from annotator.web.context import Ctx, Operator
 from annotator.web.errors import error_response, status_of
+from annotator.web.folders import FolderListing
 from annotator.web.jobs.records import ImportRequest, Job
-from annotator.web.projects import RecordingInfo, recording_info
-from annotator.web.schemas import RowId
+from annotator.web.routes.projects import RecordingInfo, recording_info
+from annotator.web.schemas import RowId, Schema
 from annotator.workflows.add_recordings import add_recordings, bring_back, move_recording
 from annotator.workflows.recorded.own_labels import has_own_labels
+from annotator.workflows.workbench.frame_state import preview_bag
 
 router = APIRouter(tags=["recordings"])
+
+BagPath = Annotated[str, Query(min_length=1, max_length=4096)]
+TopicName = Annotated[str | None, Query(max_length=1024)]
+
+
+class BagChoice(BaseModel):
+    """A bag as it would be read.
+
+    Attributes:
+        frames: their number; 0 if it cannot be read.
+        notes: what the reader says about it.
+        problem: why it cannot be read, and what to choose; "" if it can.
+        picture: the first frame with its points, as a `data:` URL; "" if it cannot be read.
+    """
+
+    topics: list[TopicReport]
+    frames: int
+    notes: list[str]
+    problem: str
+    picture: str
+
+
+@router.get("/api/bags")
+def bag(
+    ctx: Ctx,
+    operator: Operator,
+    path: BagPath,
+    image: TopicName = None,
+    points: TopicName = None,
+    depth: TopicName = None,
+    camera_info: TopicName = None,
+    depth_info: TopicName = None,
+) -> BagChoice:
+    """The topics of a bag below one of the server's folders, and its first frame with these topics."""
+    chosen = {
+        "image": image, "points": points, "depth": depth, "camera_info": camera_info, "depth_info": depth_info,
+    }  # fmt: skip
+    options = parse_options(**{name: topic or None for name, topic in chosen.items()})
+    found = preview_bag(ctx.folders.find(path), options)
+    picture = "" if found.jpeg is None else f"data:image/jpeg;base64,{base64.b64encode(found.jpeg).decode()}"
+    return BagChoice(
+        topics=list(found.topics), frames=found.frames, notes=list(found.notes),
+        problem=_public(ctx, found.problem, [topic.name for topic in found.topics]), picture=picture,
+    )  # fmt: skip
+
+
+def _public(ctx: Ctx, text: str, topics: list[str]) -> str:
+    """Returns a message for browsers, in which the names of topics, which look like paths, stay."""
+    names = sorted(topics, key=len, reverse=True)
+    for number, name in enumerate(names):
+        text = text.replace(name, f"<{number}>")
+    text = ctx.public_message(text)
+    for number, name in enumerate(names):
+        text = text.replace(f"<{number}>", name)
+    return text
+
 
 FolderPath = Annotated[str, Query(max_length=4096)]
 
@@ -31,27 +91,8 @@ MOVED: dict[int | str, dict[str, Any]] = {
 }
 
 
-class FolderEntry(BaseModel):
-    """A sub-folder, a recording, or both; see `annotator.web.folders.Entry`."""
-
-    name: str
-    path: str
-    recording: str | None
-    is_folder: bool
-
-
-class FolderListing(BaseModel):
-    """The content of a folder."""
-
-    path: str
-    parent: str | None
-    entries: list[FolderEntry]
-
-
-class RecordingPath(BaseModel):
+class RecordingPath(Schema):
     """The path of a recording below one of the server's folders, such as `ROOT/sub/take`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     path: str = Field(min_length=1, max_length=4096)
 
@@ -122,9 +163,7 @@ class AddedRecordings(BaseModel):
 @router.get("/api/folders")
 def folders(ctx: Ctx, operator: Operator, path: FolderPath = "") -> FolderListing:
     """The sub-folders and recordings in a folder; "" lists the server's folders."""
-    listing = ctx.folders.list(path)
-    entries = [FolderEntry(**asdict(entry)) for entry in listing.entries]
-    return FolderListing(path=listing.path, parent=listing.parent, entries=entries)
+    return ctx.folders.list(path)
 
 
 @router.get("/api/projects/{project}/recordings")

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import asyncio
+from typing import Annotated, Literal
 from urllib.parse import quote
 
-from fastapi import APIRouter, Request, Response
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from fastapi import APIRouter, Query, Request, Response, WebSocket, WebSocketDisconnect
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
+from starlette.concurrency import run_in_threadpool
 
 from annotator import __version__
-from annotator.web.context import LONGEST_NAME, OPERATOR_COOKIE, Ctx, check_operator, operator_or_none
+from annotator.project.database.store import waiting_at_most
+from annotator.web.context import (
+    LONGEST_NAME,
+    OPERATOR_COOKIE,
+    Context,
+    Ctx,
+    Operator,
+    check_operator,
+    operator_or_none,
+)
+from annotator.web.hub import Client
+from annotator.web.schemas import ClassName, RowId, Schema
 
-router = APIRouter(prefix="/api/session", tags=["session"])
+router = APIRouter(tags=["session"])
 
 A_YEAR_S = 365 * 24 * 3600
 
 
-class SignIn(BaseModel):
+class SignIn(Schema):
     """The operator's name, stored as the author of changes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     operator: Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(check_operator)]
 
@@ -32,20 +43,20 @@ class Session(BaseModel):
     token_required: bool
 
 
-@router.get("")
+@router.get("/api/session")
 def session(request: Request, ctx: Ctx) -> Session:
     """The operator who is signed in on this browser."""
     return _session(ctx, operator_or_none(request))
 
 
-@router.post("")
+@router.post("/api/session")
 def sign_in(body: SignIn, response: Response, ctx: Ctx) -> Session:
     """Sign in with a name, which becomes the author of all changes."""
     response.set_cookie(OPERATOR_COOKIE, quote(body.operator), max_age=A_YEAR_S, httponly=True, samesite="strict")
     return _session(ctx, body.operator)
 
 
-@router.delete("")
+@router.delete("/api/session")
 def sign_out(response: Response, ctx: Ctx) -> Session:
     """Sign out."""
     response.delete_cookie(OPERATOR_COOKIE, httponly=True, samesite="strict")
@@ -54,3 +65,93 @@ def sign_out(response: Response, ctx: Ctx) -> Session:
 
 def _session(ctx: Ctx, name: str | None) -> Session:
     return Session(operator=name, version=__version__, token_required=ctx.settings.token is not None)
+
+
+# Time limit for sending an event to a page; after that the page is disconnected.
+SEND_WITHIN_S = 10.0
+# Time limit for reading a locked project; a page tries again by itself.
+CONNECT_WITHIN_S = 0.5
+BAD_MESSAGE, TOO_SLOW = 1007, 1013
+
+
+class Opened(Schema):
+    """The page shows a frame."""
+
+    type: Literal["open"]
+    project: ClassName
+    frame: RowId
+
+
+class Closed(Schema):
+    """The page no longer shows a frame."""
+
+    type: Literal["close"]
+
+
+class Shows(Schema):
+    """The page shows the 3D viewport with this id, and receives its events."""
+
+    type: Literal["workbench"]
+    id: Annotated[str, Field(max_length=64)]
+
+
+PageMessage = TypeAdapter[Opened | Closed | Shows](Annotated[Opened | Closed | Shows, Field(discriminator="type")])
+
+
+@router.websocket("/api/events")
+async def events(
+    socket: WebSocket, ctx: Ctx, operator: Operator, project: Annotated[str | None, Query(max_length=64)] = None
+) -> None:
+    """Sends events to a page, and receives which frame and viewport it shows."""
+    since = 0 if project is None else await run_in_threadpool(_newest_event, ctx, project)
+    # joined before the page knows that it is connected: what it reads from then on is followed by every later event
+    client = Client(project, operator, since)
+    ctx.hub.join(client)
+    tasks = []
+    try:
+        await socket.accept()
+        tasks = [asyncio.create_task(_send(socket, client)), asyncio.create_task(_receive(socket, ctx, client))]
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        ctx.hub.leave(client)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _newest_event(ctx: Context, project: str) -> int:
+    # pages that connect again and again to a locked project must not occupy all threads
+    with waiting_at_most(CONNECT_WITHIN_S):
+        return ctx.project(project).log.last()
+
+
+async def _send(socket: WebSocket, client: Client) -> None:
+    try:
+        while (text := await client.queue.get()) is not None:
+            # unlike `wait_for`, without a task for each event
+            async with asyncio.timeout(SEND_WITHIN_S):
+                await socket.send_text(text)
+        async with asyncio.timeout(SEND_WITHIN_S):
+            await socket.close(TOO_SLOW)
+    except (TimeoutError, WebSocketDisconnect, RuntimeError):  # disconnected during a send
+        return
+
+
+async def _receive(socket: WebSocket, ctx: Context, client: Client) -> None:
+    try:
+        while True:
+            _handle(ctx, client, await socket.receive_text())
+    except ValidationError:
+        await socket.close(BAD_MESSAGE, "invalid message")
+    except (WebSocketDisconnect, KeyError):  # KeyError: a binary message has no text
+        return
+
+
+def _handle(ctx: Context, client: Client, text: str) -> None:
+    match PageMessage.validate_json(text):
+        case Opened(project=project, frame=frame):
+            ctx.hub.set_frame(client, project, frame)
+        case Closed():
+            ctx.hub.set_frame(client, None, None)
+        case Shows(id=viewport):
+            ctx.hub.add_viewport(client, viewport)

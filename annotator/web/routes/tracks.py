@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated
+import asyncio
+import base64
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Path
-from fastapi.responses import JSONResponse
+from fastapi.responses import StreamingResponse
+from pydantic import Field
 
 from annotator.project import Project, StoredFrame
-from annotator.types import DetectorKind, ReviewState
-from annotator.types.errors import DetectionError, StaleRevisionError
+from annotator.types import DetectorKind, Label, ReviewState
+from annotator.types.errors import AnnotatorError, DetectionError
 from annotator.web.context import Context, Ctx, Operator
 from annotator.web.follow_runs import Direction, FollowRequest, FollowRunJson
-from annotator.web.frame_json import frame_state, stale_response
-from annotator.web.routes.frames import STALE
-from annotator.web.schemas import Box3DJson, Effort, FrameStateJson, RowId, Schema, Uid
+from annotator.web.frame_json import STALE, both_versions, frame_state
+from annotator.web.schemas import Box3DJson, FrameChange, FrameStateJson, RowId, Schema, Uid, WithEffort
 from annotator.workflows.tracks.copy_next import carry_correction, copy_next
 from annotator.workflows.tracks.follow_run import follow_from_frame
 from annotator.workflows.tracks.interpolate import FitBox, box_fitter, interpolate_back
 from annotator.workflows.tracks.propose_boxes import boxes_of
+from annotator.workflows.workbench.contact_sheet import SeenBox, accept_boxes
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.loaded_detectors import ReadyDetector, has_view_with_classes
 
@@ -45,12 +51,10 @@ class TrackOut(Schema):
     boxes: list[TrackBox]
 
 
-class CopyNextIn(Schema):
+class CopyNextIn(FrameChange):
     """A label, reviewed or not."""
 
-    revision: RowId
     uid: Uid
-    effort: Effort | None = None
 
 
 class CopyNextOut(Schema):
@@ -60,13 +64,11 @@ class CopyNextOut(Schema):
     uid: str
 
 
-class CarryIn(Schema):
+class CarryIn(FrameChange):
     """A reviewed label, and its box before it was corrected."""
 
-    revision: RowId
     uid: Uid
     was: Box3DJson
-    effort: Effort | None = None
 
 
 class CarryOut(Schema):
@@ -75,13 +77,11 @@ class CarryOut(Schema):
     changed: int
 
 
-class FollowIn(Schema):
+class FollowIn(FrameChange):
     """A reviewed label to follow; null = all reviewed labels of the frame."""
 
-    revision: RowId
     uid: Uid | None = None
     direction: Direction = "forward"
-    effort: Effort | None = None
 
 
 class FollowOut(Schema):
@@ -90,13 +90,11 @@ class FollowOut(Schema):
     run: FollowRunJson | None
 
 
-class InterpolateIn(Schema):
+class InterpolateIn(FrameChange):
     """A reviewed label; proposals fill the frames back to its track's previous key frame. `refit`: refit each box."""
 
-    revision: RowId
     uid: Uid
     refit: bool = False
-    effort: Effort | None = None
 
 
 class InterpolateOut(Schema):
@@ -129,15 +127,12 @@ def track(ctx: Ctx, name: str, recording_id: RowId, track_id: TrackId) -> TrackO
     )
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/copy-next", response_model=CopyNextOut, responses=STALE)
-def copy_to_next(
-    ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyNextIn
-) -> CopyNextOut | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/copy-next", responses=STALE)
+def copy_to_next(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CopyNextIn) -> CopyNextOut:
     """Propose a box in the next frame, moved along its track; one undo step."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
     opened = _opener(ctx, project, operator)
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
         done = copy_next(
             project,
             frame_id,
@@ -145,37 +140,30 @@ def copy_to_next(
             body.revision,
             operator,
             read=lambda frame: opened(frame).frame,
-            effort=effort,
+            effort=body.stored_effort(),
         )
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
-    for changed, receipt in done.changed:
-        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
+    ctx.hub.frames_changed(project, done.changed, operator)
     return CopyNextOut(frame=done.frame_id, uid=done.uid)
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/carry", response_model=CarryOut, responses=STALE)
-def carry(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CarryIn) -> CarryOut | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/carry", responses=STALE)
+def carry(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: CarryIn) -> CarryOut:
     """Correct the later proposals of a track like this box; one undo step."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
-    try:
-        done = carry_correction(project, frame_id, body.uid, body.revision, body.was.box(), operator, effort=effort)
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
-    for changed, receipt in done:
-        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
+    with both_versions(ctx, name, frame_id, operator, body):
+        was, effort = body.was.box(), body.stored_effort()
+        done = carry_correction(project, frame_id, body.uid, body.revision, was, operator, effort=effort)
+    ctx.hub.frames_changed(project, done, operator)
     return CarryOut(changed=len(done))
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/follow", response_model=FollowRunJson, responses=STALE)
-def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FollowIn) -> FollowRunJson | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/follow", responses=STALE)
+def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: FollowIn) -> FollowRunJson:
     """Follow reviewed boxes through the recording; one undo step. The operator's last run is stopped first."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
     view = _own_view(ctx, project)
     ctx.follow_runs.stop(project, operator)
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
         run = follow_from_frame(
             project,
             frame_id,
@@ -184,10 +172,8 @@ def follow(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: Follo
             operator,
             uid=body.uid,
             forward=body.direction == "forward",
-            effort=effort,
+            effort=body.stored_effort(),
         )
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
     request = FollowRequest(run, frame_id, body.direction, view is not None)
     return ctx.follow_runs.start(project, operator, request)
 
@@ -204,20 +190,15 @@ def stop_following(ctx: Ctx, operator: Operator, name: str) -> FollowOut:
     return FollowOut(run=ctx.follow_runs.stop(ctx.project(name), operator))
 
 
-@router.post("/api/projects/{name}/frames/{frame_id}/interpolate", response_model=InterpolateOut, responses=STALE)
-def interpolate(
-    ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: InterpolateIn
-) -> InterpolateOut | JSONResponse:
+@router.post("/api/projects/{name}/frames/{frame_id}/interpolate", responses=STALE)
+def interpolate(ctx: Ctx, operator: Operator, name: str, frame_id: RowId, body: InterpolateIn) -> InterpolateOut:
     """Propose boxes between a reviewed box and its track's previous reviewed box; one undo step."""
     project = ctx.project(name)
-    effort = None if body.effort is None else body.effort.stored()
     fit = _box_fitter(ctx, project, _opener(ctx, project, operator)) if body.refit else None
-    try:
+    with both_versions(ctx, name, frame_id, operator, body):
+        effort = body.stored_effort()
         done = interpolate_back(project, frame_id, body.uid, body.revision, operator, fit=fit, effort=effort)
-    except StaleRevisionError as error:
-        return stale_response(ctx, name, frame_id, operator, error, [body.model_dump(mode="json")])
-    for changed, receipt in done.filled:
-        ctx.hub.frame_changed(project, changed, receipt.revision, operator)
+    ctx.hub.frames_changed(project, done.filled, operator)
     state = frame_state(ctx, name, frame_id, operator)
     return InterpolateOut.model_construct(
         filled=len(done.filled), finalised=done.finalised, covered=done.covered, state=state
@@ -229,11 +210,7 @@ def _opener(ctx: Context, project: Project, operator: str) -> Callable[[StoredFr
 
 
 def _own_view(ctx: Context, project: Project) -> ReadyDetector | None:
-    """The project's own view detector, or None.
-
-    Raises:
-        DetectionError: it cannot be loaded.
-    """
+    """The project's own view detector, or None."""
     if not has_view_with_classes(project):
         return None
     ready = ctx.caches.detectors.readiness(project, DetectorKind.VIEW)
@@ -245,3 +222,106 @@ def _own_view(ctx: Context, project: Project) -> ReadyDetector | None:
 def _box_fitter(ctx: Context, project: Project, open_frame: Callable[[StoredFrame], OpenFrame]) -> FitBox:
     view = ctx.caches.detectors.get(project, DetectorKind.VIEW)
     return box_fitter(project, open_frame, view)
+
+
+# A sheet of so many boxes would be too long to look at.
+MOST_BOXES = 2000
+# One thread draws while the other one waits for the disk.
+THREADS = 2
+AHEAD = 2 * THREADS
+
+Entry = TypeVar("Entry")
+
+
+class TileJson(Schema):
+    """A picture: top, front and right side of a box, as a PNG file in base64; or why it cannot be drawn."""
+
+    uid: str
+    png: str | None = None
+    problem: str | None = None
+
+
+class SeenJson(Schema):
+    """A proposal on a sheet, and the revision of its frame that the sheet shows."""
+
+    frame: RowId
+    revision: RowId
+    uid: Uid
+
+
+class AcceptIn(WithEffort):
+    """The proposals that were not clicked out."""
+
+    boxes: Annotated[list[SeenJson], Field(max_length=MOST_BOXES)]
+
+
+class AcceptOut(Schema):
+    """Number of accepted proposals."""
+
+    accepted: int
+
+
+STREAM: dict[int | str, dict[str, Any]] = {200: {"model": TileJson}}
+
+
+@router.get(
+    "/api/projects/{name}/recordings/{recording_id}/tracks/{track_id}/sheet",
+    response_class=StreamingResponse,
+    responses=STREAM,
+)
+def track_sheet(ctx: Ctx, name: str, recording_id: RowId, track_id: TrackId) -> StreamingResponse:
+    """The pictures of a track's boxes in its order, a line of JSON (`TileJson`) each, sent as soon as it is drawn."""
+    project = ctx.project(name)
+    return _tiles(ctx, project, boxes_of(project, recording_id, track_id))
+
+
+@router.get("/api/projects/{name}/frames/{frame_id}/sheet", response_class=StreamingResponse, responses=STREAM)
+def frame_sheet(ctx: Ctx, name: str, frame_id: RowId) -> StreamingResponse:
+    """The pictures of a frame's boxes, as those of a track."""
+    project = ctx.project(name)
+    stored = project.frames.get(frame_id)
+    return _tiles(ctx, project, [(stored, label) for label in project.labels.of_frame(frame_id)])
+
+
+def _tiles(ctx: Context, project: Project, boxes: Sequence[tuple[StoredFrame, Label]]) -> StreamingResponse:
+    shown = [(s, label) for s, label in boxes if s.index is not None and label.state is not ReviewState.REJECTED]
+
+    def line(entry: tuple[StoredFrame, Label]) -> str:
+        stored, label = entry
+        try:
+            content = ctx.caches.sheets.get(project, stored, label.box)
+        except AnnotatorError as error:
+            tile = TileJson(uid=label.uid, problem=ctx.public_message(str(error)))
+        else:
+            tile = TileJson(uid=label.uid, png=base64.b64encode(content).decode())
+        return tile.model_dump_json() + "\n"
+
+    async def lines() -> AsyncIterator[str]:
+        with ctx.caches.detectors.holding_off():
+            async for each in drawn_ahead(line, shown):
+                yield each
+
+    return StreamingResponse(lines(), media_type="application/x-ndjson")
+
+
+async def drawn_ahead(draw: Callable[[Entry], str], entries: Sequence[Entry]) -> AsyncIterator[str]:
+    """Yields what `draw` returns, in order; no more than `AHEAD` are drawn before they are asked for."""
+    executor, waiting = ThreadPoolExecutor(THREADS, "sheet"), iter(entries)
+    try:
+        drawn = deque(executor.submit(draw, entry) for entry in islice(waiting, AHEAD))
+        while drawn:
+            line = await asyncio.wrap_future(drawn.popleft())
+            drawn.extend(executor.submit(draw, entry) for entry in islice(waiting, 1))
+            yield line
+    finally:
+        # also if the client has gone
+        executor.shutdown(wait=False, cancel_futures=True)
+
+
+@router.post("/api/projects/{name}/sheet/accept")
+def accept(ctx: Ctx, operator: Operator, name: str, body: AcceptIn) -> AcceptOut:
+    """Accept proposals in several frames, all or none, as one undo step."""
+    boxes = [SeenBox(seen.frame, seen.revision, seen.uid) for seen in body.boxes]
+    project = ctx.project(name)
+    ctx.hub.frames_changed(project, accept_boxes(project, boxes, operator, body.stored_effort()), operator)
+    return AcceptOut(accepted=len(boxes))

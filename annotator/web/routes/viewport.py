@@ -18,9 +18,8 @@ from annotator.types import BoxKind, Label, OrientedBox, ReviewState
 from annotator.web.context import Ctx, Operator
 from annotator.web.hub import Hub
 from annotator.web.schemas import MOST_BOXES, Axes, Box2DJson, Box3DJson, ClassName, RowId, Schema, Uid
-from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
-from annotator.web.viewport.proxy import forward_http, forward_socket
-from annotator.web.viewport.viewports import Viewport, Viewports
+from annotator.web.viewport.drawing import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
+from annotator.web.viewport.viewports import Viewport, Viewports, forward_http, forward_socket
 from annotator.workflows.workbench.drawing_steps import label_object
 from annotator.workflows.workbench.frame_cache import OpenFrame
 from annotator.workflows.workbench.frame_state import present_page

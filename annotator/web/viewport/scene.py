@@ -12,9 +12,23 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.rcv.drawing import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
-from annotator.web.viewport.content import Draft, Gizmo, InitialCamera, SceneContent, ShownBox
-from annotator.web.viewport.display import initial_camera, point_colors, point_size_m, scene_up, shown_points
-from annotator.web.viewport.lines import arrow_lines, box_lines, frustum_lines, placed_box_lines, view_placement
+from annotator.web.viewport.drawing import (
+    Draft,
+    Gizmo,
+    InitialCamera,
+    SceneContent,
+    ShownBox,
+    arrow_lines,
+    box_lines,
+    frustum_lines,
+    initial_camera,
+    placed_box_lines,
+    point_colors,
+    point_size_m,
+    scene_up,
+    shown_points,
+    view_placement,
+)
 
 if TYPE_CHECKING:
     import viser
@@ -74,10 +88,6 @@ class Scene:
     """
 
     def __init__(self, server: viser.ViserServer, on_gizmo: OnGizmo) -> None:
-        """
-        Args:
-            on_gizmo: called in the server's event loop while the gizmo is dragged.
-        """
         self._server = server
         self._api = server.scene
         self._on_gizmo = on_gizmo

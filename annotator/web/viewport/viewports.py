@@ -2,27 +2,222 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+import httpx
 import numpy as np
+from fastapi import WebSocket
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.websockets import WebSocketDisconnect, WebSocketState
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.protocol import State
+from websockets.typing import Origin, Subprotocol
 
-from annotator.types import OrientedBox
 from annotator.types.errors import NotFoundError
-from annotator.web.viewport.content import SceneContent
-from annotator.web.viewport.picking import pick
+from annotator.web.schemas import Box3DOut
+from annotator.web.viewport.drawing import SceneContent, pick
 from annotator.web.viewport.scene import PointCounts, Scene
-from annotator.web.viewport.server import HOST, silence, start_viser
 
 if TYPE_CHECKING:
     import viser
 
 LOG = logging.getLogger("annotator.web")
+
+
+HOST = "127.0.0.1"
+# Connections of one viser server whose request has not come yet; the proxy needs few, and only for a moment.
+MOST_SILENT = 32
+
+_starting = threading.Lock()
+_quiet = threading.Lock()
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """Suppresses viser's messages on the terminal, which it prints on start and stop even with `verbose=False`."""
+    import rich
+
+    with _quiet:
+        console = rich.get_console()
+        before, console.quiet = console.quiet, True
+        try:
+            yield
+        finally:
+            console.quiet = before
+
+
+def start_viser(host: str, origin: str) -> viser.ViserServer:
+    """A viser server on a free port of `host`, which refuses every WebSocket whose `Origin` is not `origin`.
+
+    Any page in any browser on this computer may open a WebSocket to a port of 127.0.0.1, and viser accepts all of them.
+    With a secret origin, which no browser sends, only the proxy can connect.
+    """
+    import viser
+
+    with _starting, _required_origin(origin) as guarded:
+        server = viser.ViserServer(host, 0, verbose=False)
+    if not guarded:
+        server.stop()
+        raise RuntimeError(
+            "access to the 3D view cannot be restricted with this version of viser; install another version"
+        )
+    return server
+
+
+class _FewSilent(ServerConnection):
+    """A connection to viser. Other users of this computer can open some, too, but not take all file descriptors."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Accepts a connection; closes the oldest silent one if there are too many."""
+        super().connection_made(transport)
+        silent = [other for other in self.server.handlers if other.state is State.CONNECTING]
+        if len(silent) > MOST_SILENT:
+            silent[0].transport.abort()
+
+
+@contextmanager
+def _required_origin(origin: str) -> Iterator[list[str]]:
+    """Patches `websockets.serve` to require `origin`, since viser has no option for it.
+
+    The constructor of a viser server returns once it serves, so the patch is active only during the call. Yields the
+    list of origins of the servers started so far.
+    """
+    from websockets.asyncio import server as sockets
+    from websockets.typing import Origin
+
+    serve, guarded = sockets.serve, list[str]()
+
+    def guard(*arguments: Any, **options: Any) -> Any:
+        guarded.append(origin)
+        return serve(*arguments, **options, origins=[Origin(origin)], create_connection=_FewSilent)
+
+    setattr(sockets, "serve", guard)  # noqa: B010  (mypy forbids a plain assignment)
+    try:
+        yield guarded
+    finally:
+        setattr(sockets, "serve", serve)  # noqa: B010
+
+
+FORWARDED_REQUEST = ("accept", "accept-encoding", "if-none-match")
+FORWARDED_RESPONSE = ("content-type", "content-encoding", "etag")
+# viser's page unpacks itself with inline scripts, WebAssembly and a worker, all contained in its single file.
+POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; "
+    "connect-src 'self' blob: data:; worker-src 'self' blob: data:; frame-ancestors 'self'; base-uri 'none'; "
+    "form-action 'none'; object-src 'none'"
+)
+TIMEOUT_S = 10.0
+# Close codes that only describe a local state and must not be sent.
+UNSENDABLE = (1005, 1006, 1015)
+GONE, TRY_AGAIN = 1001, 1013
+
+
+@runtime_checkable
+class ViserEndpoint(Protocol):
+    """A viser server behind the proxy.
+
+    Attributes:
+        id: its name in messages.
+        port: on `HOST`.
+        origin: a secret that it requires of every connection.
+    """
+
+    id: str
+    port: int
+    origin: str
+
+
+async def forward_http(request: Request, viewport: ViserEndpoint, path: str) -> Response:
+    """Forwards a request for one of viser's files."""
+    headers = {name: request.headers[name] for name in FORWARDED_REQUEST if name in request.headers}
+    async with (
+        # plain HTTP on this machine: no proxy of the environment, and no certificates, which take 60 ms to load
+        httpx.AsyncClient(timeout=TIMEOUT_S, trust_env=False, verify=False) as client,
+        client.stream(
+            "GET", httpx.URL(scheme="http", host=HOST, port=viewport.port, path=f"/{path}"), headers=headers
+        ) as response,
+    ):
+        # raw: without decompression
+        body = b"".join([part async for part in response.aiter_raw()])
+    headers_out = {name: response.headers[name] for name in FORWARDED_RESPONSE if name in response.headers}
+    return Response(body, response.status_code, {**headers_out, "Content-Security-Policy": POLICY})
+
+
+async def forward_socket(browser: WebSocket, viewport: ViserEndpoint) -> None:
+    """Forwards a browser's WebSocket until either side closes it.
+
+    Each direction waits for its receiver, so no messages pile up here: with a slow browser, viser drops outdated ones.
+    """
+    offered = [Subprotocol(name) for name in browser.scope["subprotocols"]]
+    try:
+        viser = await connect(
+            f"ws://{HOST}:{viewport.port}",
+            origin=Origin(viewport.origin),
+            subprotocols=offered or None,
+            compression=None,
+            max_size=None,
+            open_timeout=TIMEOUT_S,
+            ping_interval=None,
+            proxy=None,
+        )
+    except (OSError, TimeoutError, WebSocketException) as error:
+        LOG.warning("viewport %s does not respond: %s", viewport.id, error)
+        await browser.close(TRY_AGAIN, "the viewport does not respond")
+        return
+    async with viser:
+        await browser.accept(viser.subprotocol)
+        tasks = [asyncio.create_task(_to_browser(viser, browser)), asyncio.create_task(_to_viser(browser, viser))]
+        _, waiting = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in waiting:
+            task.cancel()
+        results = await asyncio.gather(*tasks, return_exceptions=True)
+    for result in results:
+        if isinstance(result, Exception):
+            LOG.error("viewport %s: connection failed", viewport.id, exc_info=result)
+
+
+async def _to_browser(viser: ClientConnection, browser: WebSocket) -> None:
+    try:
+        async for message in viser:
+            if isinstance(message, bytes):
+                await browser.send_bytes(message)
+            else:
+                await browser.send_text(message)
+    except ConnectionClosed:
+        pass
+    except (WebSocketDisconnect, RuntimeError):
+        # the browser disconnected during a send
+        return
+    if browser.application_state is WebSocketState.CONNECTED and browser.client_state is WebSocketState.CONNECTED:
+        code = viser.close_code or GONE
+        await browser.close(GONE if code in UNSENDABLE else code, viser.close_reason or "")
+
+
+async def _to_viser(browser: WebSocket, viser: ClientConnection) -> None:
+    while True:
+        message = await browser.receive()
+        if message["type"] == "websocket.disconnect":
+            code = message.get("code") or GONE
+            await viser.close(GONE if code in UNSENDABLE else code)
+            return
+        data = message.get("bytes")
+        try:
+            await viser.send(message["text"] if data is None else data)
+        except ConnectionClosed:
+            return
+
+
 # A drag whose end event is missing (the browser may have crashed) is assumed to be over after this time, seconds.
 DRAG_ENDS_S = 5.0
 # Maximum number of viewports per operator; the oldest ones close.
@@ -99,16 +294,11 @@ class Viewport:
             self._dragged_s = None if event.phase == "end" else time.monotonic()
             box, selected = self._scene.gizmo_box(), self._scene.selected
             if event.phase != "start" and box is not None and selected is not None:
-                self.send("box", uid=selected.uid, box=_box_json(box), final=event.phase == "end")
+                self.send("box", uid=selected.uid, box=Box3DOut.of(box).model_dump(), final=event.phase == "end")
 
     def send(self, event: str, **fields: object) -> None:
-        """Sends an event to the page."""
         self.used_s = time.monotonic()
         self._send(self, {"type": "viewport", "workbench": self.id, "event": event, **fields})
-
-
-def _box_json(box: OrientedBox) -> dict[str, object]:
-    return {"center": box.center_m.tolist(), "size": box.size_m.tolist(), "rotation": box.rotation.tolist()}
 
 
 @contextmanager
@@ -127,19 +317,11 @@ class Viewports:
         self,
         send: Send,
         *,
-        most: int = MOST_PER_OPERATOR,
         unseen_s: float = UNSEEN_S,
         sweep_s: float = SWEEP_S,
     ) -> None:
-        """
-        Args:
-            send: called with the events of all viewports.
-            most: maximum number per operator.
-            unseen_s: time after which a viewport without a connected browser closes, seconds.
-            sweep_s: interval between checks for such viewports, seconds.
-        """
         self._send = send
-        self._most, self._unseen_s, self._sweep_s = most, unseen_s, sweep_s
+        self._unseen_s, self._sweep_s = unseen_s, sweep_s
         self._lock = threading.Lock()
         self._open: dict[str, Viewport] = {}
         self._stop = threading.Event()
@@ -151,7 +333,7 @@ class Viewports:
         with self._lock:
             self._open[new.id] = new
             of_operator = [viewport for viewport in self._open.values() if viewport.operator == operator]
-            surplus = [self._open.pop(viewport.id) for viewport in of_operator[: -self._most]]
+            surplus = [self._open.pop(viewport.id) for viewport in of_operator[:-MOST_PER_OPERATOR]]
             if self._sweeper is None:
                 self._sweeper = threading.Thread(target=self._sweep, name="viewports", daemon=True)
                 self._sweeper.start()
@@ -160,11 +342,6 @@ class Viewports:
         return new
 
     def get(self, id: str, operator: str) -> Viewport:
-        """An operator's viewport.
-
-        Raises:
-            NotFoundError: no such viewport, or it belongs to another operator.
-        """
         with self._lock:
             viewport = self._open.get(id)
         if viewport is None or viewport.operator != operator:
@@ -172,11 +349,6 @@ class Viewports:
         return viewport
 
     def close_one(self, id: str, operator: str) -> None:
-        """Closes a viewport.
-
-        Raises:
-            NotFoundError: as in `get`.
-        """
         viewport = self.get(id, operator)
         with self._lock:
             removed = self._open.pop(id, None)

@@ -345,4 +345,8 @@ def _with_own_labels(path: Path, dataset: OtherSoftwareDataset) -> Source | None
 
 
 def _open(path: Path) -> Source:
-    return _of_rcv(read_rcv(path), open_recording(path)) if (path / MANIFEST).is_file() else _of_recording(open_recording(path))
+    return (
+        _of_rcv(read_rcv(path), open_recording(path))
+        if (path / MANIFEST).is_file()
+        else _of_recording(open_recording(path))
+    )

@@ -25,7 +25,7 @@ from ros_takes import (
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.cli.main import main
-from annotator.cli.reader_options import ReadAs
+from annotator.cli.options import ReadAs
 from annotator.recordings import ReaderOptions, detect_format, open_recording
 from annotator.recordings.mirror import open_mirror
 from annotator.recordings.ros.topics import list_topics

@@ -29,7 +29,7 @@ from review_desk import Desk, begin
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
 from annotator.types import BoxKind, DetectorKind
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.workbench.loaded_detectors import Readiness, ReadyDetector
 
@@ -91,6 +91,12 @@ def browser() -> Iterator[Browser]:
         browser = driver.chromium.launch(executable_path=chromium, args=list(CHROMIUM_ARGS))
         yield browser
         browser.close()
+
+
+@pytest.fixture
+def live(own_live: Live) -> Live:
+    """A server for one test: some tests stop it, and some give it other projects."""
+    return own_live
 
 
 @pytest.fixture

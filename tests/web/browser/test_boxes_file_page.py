@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from browser_page import refuse, until
-from coco_sample import coco
+from room_api import coco
 
 from annotator.detection import base_detector
 from annotator.detection.base_detector import TITLE

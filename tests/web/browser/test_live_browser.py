@@ -11,7 +11,7 @@ from browser_page import until
 from live_pages import served
 from PIL import Image
 
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from rig_room import label_object, rig_settings
+from room_api import label_object, rig_settings
 
 from annotator.project import WriteContext
 from annotator.types import Source
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 expect = pytest.importorskip("playwright.sync_api").expect
 

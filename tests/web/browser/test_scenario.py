@@ -23,7 +23,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.project import Project
 from annotator.types import ReviewState, Truth
 from annotator.web.jobs.records import WORK
-from annotator.web.settings import ServerSettings
+from annotator.web.security import ServerSettings
 
 if TYPE_CHECKING:
     from live_server import Live

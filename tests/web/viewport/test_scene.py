@@ -17,8 +17,16 @@ from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
 from annotator.recordings import Recording, open_recording
 from annotator.types import Box2D, Frame, OrientedBox, PointCloud, ReviewState
-from annotator.web.viewport.content import MOST_POINTS, Draft, Gizmo, PointColor, SceneContent, ShownBox
-from annotator.web.viewport.lines import arrow_lines, box_lines
+from annotator.web.viewport.drawing import (
+    MOST_POINTS,
+    Draft,
+    Gizmo,
+    PointColor,
+    SceneContent,
+    ShownBox,
+    arrow_lines,
+    box_lines,
+)
 from annotator.web.viewport.viewports import Viewport
 from annotator.workflows.recorded.reading import load_truth
 from annotator.workflows.workbench.drawing_steps import label_steps

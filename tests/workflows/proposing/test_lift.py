@@ -231,7 +231,7 @@ def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base:
 def test_the_command_lifts_drawn_boxes(
     people: Project, base: ReadyDetector, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("annotator.cli.lift.require_view", lambda _: base)
+    monkeypatch.setattr("annotator.cli.annotate.require_view", lambda _: base)
     stored = people.frames.of()[1]
     drawn = ImageBoxesSet(boxes=outlines(people, 1), box_kind=BoxKind.BOX)
     people.log.append(stored.id, [drawn], WriteContext(stored.revision, "ann", Source.MANUAL))

@@ -140,7 +140,7 @@ def test_the_command_says_what_it_did(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("annotator.cli.follow.view_with_classes", lambda _: view)
+    monkeypatch.setattr("annotator.cli.tracks.view_with_classes", lambda _: view)
     accept_truth(people, people.frames.of()[0], truths[0][:1])
     name = people.recordings.all()[0].name
     assert main(["follow", people.path.name, name, "--projects", str(people.path.parent)]) == 0

@@ -1,0 +1,176 @@
+"""`annotator up`, `annotator calibrate`: what a project sets over the files of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+from pydantic import BaseModel, ConfigDict
+
+from annotator.cli.options import AsJson, Clear, ProjectName, Projects, RecordingName, open_named
+from annotator.cli.output import print_facts, print_json
+from annotator.project import Basis, Project
+from annotator.types import NO_CORRECTION
+from annotator.types.errors import ConfigError, GeometryError
+from annotator.workflows.frame_source import FrameSource
+from annotator.workflows.recorded.adjusting import RecordingUp, correct_calibration, estimate_recording_up
+
+UP_AUTHOR = "annotator up"
+ORIGINS = {"files": "from the recording's files", "project": "set in the project"}
+
+
+class UpReport(BaseModel):
+    """The up direction of a recording's first frame; certainty and reason of an estimate that was just made."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    recording: str
+    up: tuple[float, float, float] | None
+    source: Literal["unknown", "files", "project"]
+    certainty: float | None
+    reason: str | None
+
+
+def run_up(
+    project: ProjectName,
+    recording: RecordingName,
+    direction: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z")] = (),
+    /,
+    *,
+    estimate: bool = False,
+    clear: Clear = False,
+    projects: Projects = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show or set which way is up in a recording, for upright boxes. Stored boxes do not change.
+
+    Args:
+        direction: against gravity in the camera frame (x right, y down, z forward), of any length; 0 -1 0 for a
+            level camera.
+        estimate: take it from floors, tables, the ground and walls, if they tell.
+    """
+    if (len(direction) > 0) + estimate + clear > 1 or len(direction) not in (0, 3):
+        raise ConfigError("give three numbers X Y Z, --estimate or --clear; none of them shows the direction")
+    with open_named(project, projects) as opened:
+        stored, found = opened.recordings.find(recording), None
+        if estimate:
+            found = estimate_recording_up(opened, stored.id)
+            if found.up is None:
+                raise GeometryError(
+                    f"{recording}: {found.reason}; the up direction was not changed; give it as three numbers, or set "
+                    "the level on the page"
+                )
+            direction = found.up
+        if direction or clear:
+            opened.adjustments.set_up(stored.id, direction or None, UP_AUTHOR)
+        report = _report(opened, stored.id, found)
+    if as_json:
+        print_json(report)
+    else:
+        print_facts(_up_rows(report))
+
+
+def _report(project: Project, recording_id: int, found: RecordingUp | None) -> UpReport:
+    stored = project.recordings.get(recording_id)
+    frame = next((frame for frame in project.frames.of([recording_id]) if frame.index is not None), None)
+    up = None if frame is None else FrameSource(project).read(frame).up
+    return UpReport(
+        recording=stored.name,
+        up=None if up is None else tuple(up.tolist()),
+        source="unknown" if up is None else "files" if stored.up is None else "project",
+        certainty=None if found is None else found.certainty,
+        reason=None if found is None else found.reason,
+    )
+
+
+def _up_rows(report: UpReport) -> Iterator[tuple[str, object]]:
+    yield "recording", report.recording
+    if report.up is None:
+        yield "up", "not known; --estimate looks for a floor, tables, the ground and walls"
+        return
+    x, y, z = report.up
+    yield "up", f"{x:.4f} {y:.4f} {z:.4f} (camera frame), " + ORIGINS[report.source]
+    yield "camera", f"rolled by {np.degrees(np.arctan2(x, -y)):.1f}, pitched by {np.degrees(np.arcsin(z)):.1f} degrees"
+    if report.certainty is not None:
+        yield "certainty", f"{report.certainty:.2f}: {report.reason}"
+
+
+CALIBRATE_AUTHOR = "annotator calibrate"
+Vector = tuple[float, float, float]
+
+
+class CalibrationReport(BaseModel):
+    """The correction of a recording: degrees, metres, seconds; and the number of labels that moved with its clouds."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    recording: str
+    turn_deg: Vector
+    shift_m: Vector
+    time_offset_s: float
+    moved_labels: int
+
+
+def run_calibrate(
+    project: ProjectName,
+    recording: RecordingName,
+    /,
+    *,
+    turn: Vector | None = None,
+    shift: Vector | None = None,
+    time_offset: float | None = None,
+    clear: Clear = False,
+    projects: Projects = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show or correct where the clouds of a recording lie relative to its images. Its files stay as they are.
+
+    3D boxes stay where they are in the clouds. What is not given stays as it was corrected before.
+
+    Args:
+        turn: rotation of the clouds about the camera's x, y and z axes, degrees (one rotation vector).
+        shift: translation of the clouds along the camera's axes, metres; after the rotation.
+        time_offset: how much the clocks of the clouds are ahead of those of the images, seconds; each cloud is shown
+            with the image that is then nearest in time.
+    """
+    given = turn is not None or shift is not None or time_offset is not None
+    if clear and given:
+        raise ConfigError("give either --clear, or --turn, --shift and --time-offset")
+    with open_named(project, projects) as opened:
+        stored = opened.recordings.find(recording)
+        new, moved = NO_CORRECTION if clear else stored.correction, 0
+        try:
+            if turn is not None:
+                x, y, z = np.radians(turn).tolist()
+                new = replace(new, turn_rad=(x, y, z))
+            new = replace(new, shift_m=new.shift_m if shift is None else shift)
+            new = replace(new, time_offset_s=new.time_offset_s if time_offset is None else time_offset)
+        except ValueError as error:
+            raise ConfigError(f"{error}; give smaller numbers") from error
+        if new != stored.correction:
+            # refused if the page has corrected it meanwhile: what was not given would be undone
+            moved = correct_calibration(opened, stored.id, new, CALIBRATE_AUTHOR, Basis(stored.adjusted))
+    x, y, z = np.degrees(new.turn_rad).tolist()
+    report = CalibrationReport(
+        recording=stored.name,
+        turn_deg=(x, y, z),
+        shift_m=new.shift_m,
+        time_offset_s=new.time_offset_s,
+        moved_labels=moved,
+    )
+    if as_json:
+        print_json(report)
+    else:
+        print_facts(_correction_rows(report))
+
+
+def _correction_rows(report: CalibrationReport) -> Iterator[tuple[str, object]]:
+    yield "recording", report.recording
+    yield "turn", " ".join(f"{x:g}" for x in report.turn_deg) + " degrees"
+    yield "shift", " ".join(f"{x:g}" for x in report.shift_m) + " m"
+    yield "time offset", f"{report.time_offset_s:g} s"
+    if report.moved_labels:
+        yield "labels", f"{report.moved_labels} stay where they are in the clouds; train the detectors anew"

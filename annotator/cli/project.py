@@ -1,0 +1,279 @@
+"""`annotator new`, `annotator project ...`: a project as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from annotator.cli.options import (
+    AsJson,
+    ModelsOption,
+    ProjectName,
+    Projects,
+    RecordingName,
+    Rotation,
+    Yes,
+    named_folder,
+    names_in,
+    no_project,
+    open_named,
+    projects_root,
+)
+from annotator.cli.output import counted, print_json, print_line, require_yes
+from annotator.project import BoxRotation, ProjectSettings, create_project, open_project
+from annotator.project.backup.archive import ModelChoice
+from annotator.project.backup.make import automatic_backups, back_up
+from annotator.project.backup.repair import repair
+from annotator.project.backup.take_in import copy_project, restore
+from annotator.project.backup.verify import Verification, verify
+from annotator.project.config import CONFIG_FILE, rename_project, set_aside
+from annotator.types.amounts import amount
+from annotator.types.errors import AnnotatorError, ConfigError
+from annotator.types.names import first_few
+from annotator.workflows.add_recordings import move_recording
+
+
+def run_new(
+    name: str,
+    /,
+    *,
+    classes: tuple[str, ...],
+    rotation: Rotation[BoxRotation] = BoxRotation.AUTO,
+    projects: Projects = None,
+) -> None:
+    """Create a project.
+
+    Args:
+        name: name of the project and of its folder.
+        classes: classes to annotate, such as `hand`; several with spaces or commas between them.
+    """
+    settings = ProjectSettings(rotation=rotation)
+    with create_project(projects_root(projects), name, names_in(classes), settings=settings) as project:
+        print_line(f"created {project.path} for {', '.join(project.config.classes)}")
+        print_line(f"next: annotator add {name} PATH")
+
+
+MOVE_AUTHOR = "annotator project move"
+
+
+def run_move(project: ProjectName, recording: RecordingName, path: Path, /, *, projects: Projects = None) -> None:
+    """Set the new path of a moved recording. All its frames must be at the new path; labels and boxes are kept.
+
+    A recording that was removed comes back with its labels.
+
+    Args:
+        path: new path of the recording.
+    """
+    with open_named(project, projects) as opened:
+        before = opened.recordings.find(recording, removed=True)
+        now = move_recording(opened, before.id, path, MOVE_AUTHOR)
+    new = now.frames - before.frames if before.removed_by is None else 0
+    grown = f" ({new} new)" if new > 0 else ""
+    print_line(f"{now.name}: {amount(now.frames, 'frame')}{grown}, now at {now.path}")
+
+
+REMOVE_AUTHOR = "annotator project remove"
+
+
+def run_remove(
+    project: ProjectName, recording: str | None = None, /, *, yes: Yes = False, projects: Projects = None
+) -> None:
+    """Remove a recording from a project, or a whole project. Nothing is deleted.
+
+    The labels of a removed recording stay in the project's history. They come back when it is added again. A removed
+    project is moved to the folder `.removed` beside the projects, where you can delete it.
+
+    Args:
+        recording: name of the recording; default: the whole project.
+    """
+    if recording is None:
+        _whole(project, yes, projects)
+        return
+    with open_named(project, projects) as opened:
+        stored = opened.recordings.find(recording)
+        labels = amount(opened.recordings.label_counts().get(stored.id, 0), "label")
+        require_yes(f"Remove {recording} from {project}, with {labels}? Adding it again brings back its labels.", yes)
+        opened.recordings.remove(stored.id, REMOVE_AUTHOR)
+    print_line(f"removed {recording} with {labels}; its files are unchanged")
+    words = f"annotator add {project} {stored.path}"
+    print_line(f"bring it back with: {words}" + (", and the options it was added with" if stored.options else ""))
+
+
+def _whole(name: str, yes: bool, projects: Projects) -> None:
+    folder = named_folder(name, projects)
+    require_yes(f"Remove the project {name}{_content(folder)}? It is moved to {folder.parent / '.removed'}.", yes)
+    aside = set_aside(folder)
+    print_line(f"moved {folder} to {aside}; delete that folder to free its space")
+    print_line(f"bring it back with: annotator project copy {aside} {name}")
+
+
+def _content(folder: Path) -> str:
+    """Such as " (recordings: 2, labels: 14)"; "" for a damaged project, which can be removed, too."""
+    try:
+        with open_project(folder) as opened:
+            counts = opened.statistics()
+    except AnnotatorError:
+        return ""
+    return f" (recordings: {counts.recordings}, labels: {counts.labels.total})"
+
+
+def run_rename(project: ProjectName, new_name: str, /, *, projects: Projects = None) -> None:
+    """Rename a project and its folder. Its automatic backups go with it.
+
+    Args:
+        new_name: the new name.
+    """
+    print_line(f"renamed {project} to {rename_project(named_folder(project, projects), new_name)}")
+
+
+# Files that a message lists.
+MOST_NAMED = 5
+
+
+def run_backup(
+    project: ProjectName,
+    file: Path | None = None,
+    /,
+    *,
+    models: ModelsOption[ModelChoice] = ModelChoice.ALL,
+    projects: Projects = None,
+) -> None:
+    """Write a backup of a project, as of one moment, while a server or a job may go on writing.
+
+    The file holds settings, database, images of pseudo-views and detectors, with their hashes. It does not hold the
+    recordings.
+
+    Args:
+        file: the file to write; default: PROJECT-TIME.zip in this folder.
+    """
+    moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    out = Path(f"{project}-{moment}.zip") if file is None else file
+    with counted("copying files") as progress:
+        backup = back_up(named_folder(project, projects), out, models, progress=progress)
+    manifest = backup.manifest
+    labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
+    print_line(f"{out}: {labels}, {events}, {amount(len(manifest.files), 'file')}")
+    print_missing(backup.missing)
+    print_line(f"restore it with: annotator project restore {out} NAME")
+
+
+def print_missing(names: Sequence[str]) -> None:
+    """Names the files that a project refers to, and that are not there."""
+    if names:
+        files = first_few(names, MOST_NAMED)
+        print_line(f"the project lacks {amount(len(names), 'file')} of its pseudo-views or detectors: {files}")
+
+
+def run_restore(file: Path, name: str | None = None, /, *, projects: Projects = None) -> None:
+    """Make a project of a backup. All of it is checked first; an existing project is never replaced.
+
+    Args:
+        file: a file that `annotator project backup` or a server has written.
+        name: name of the new project; default: that of the backup.
+    """
+    with counted("unpacking files") as progress:
+        path, manifest = restore(file, projects_root(projects), name, progress)
+    moment = datetime.fromtimestamp(manifest.created_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    labels, events = amount(manifest.labels, "label"), amount(manifest.events, "event")
+    print_line(f"restored {path}: {labels}, {events}, as of {moment}")
+
+
+FAULTY = 1
+
+
+def run_verify(
+    project: ProjectName, /, *, deep: bool = False, as_json: AsJson = False, projects: Projects = None
+) -> int:
+    """Check whether a project is sound: its database, and that its tables are exactly those of its version.
+
+    Nothing is changed, and a server may go on writing. The exit code is 1 if there are problems.
+
+    Args:
+        deep: also replay all events and compare, and check the hashes of all images and detectors.
+    """
+    folder = named_folder(project, projects)
+    result = verify(folder, deep=deep)
+    if result.problems or as_json:
+        report_problems(result, folder, as_json)
+    else:
+        print_line(f"{project}: sound")
+    return FAULTY if result.problems else 0
+
+
+def report_problems(result: Verification, folder: Path, as_json: bool) -> None:
+    """Prints the result of a verification of the project in `folder`."""
+    if as_json:
+        print_json(result)
+        return
+    for problem in result.problems:
+        print_line(problem)
+    print_line(f"{result.project}: {amount(len(result.problems), 'problem')}")
+    newest = automatic_backups(folder)[-1:]
+    where = f" such as {newest[0]}, the newest automatic one" if newest else ""
+    print_line(f"`annotator project restore` restores a backup{where}; `annotator project repair` saves what it can")
+
+
+def run_repair(project: ProjectName, new_name: str | None = None, /, *, projects: Projects = None) -> None:
+    """Repair a project: make its present state anew from its events, after a backup.
+
+    If the database is damaged, all that can be read goes into a new project, and the damaged one stays as it is.
+
+    Args:
+        new_name: name of the new project, if one is needed; default: the old name with `-repaired`.
+    """
+    done = repair(named_folder(project, projects), new_name)
+    events = amount(done.events, "event")
+    if not done.is_new:
+        print_line(f"{done.path}: its state was made anew from {events}; backed up before: {done.backup}")
+        print_missing(done.missing)
+        return
+    print_line(f"{done.path}: a new project with {events}; the damaged project is unchanged")
+    if done.lost:
+        lost = ", ".join(amount(count, table.removesuffix("s")) for table, count in sorted(done.lost.items()))
+        print_line(f"missing, unreadable or unusable: {lost}; compare with the newest backup")
+    if done.restored:
+        print_line(f"taken from the damaged tables, because their events are lost: {amount(done.restored, 'state')}")
+    print_missing(done.missing)
+
+
+def run_copy(
+    source: str,
+    name: str,
+    /,
+    *,
+    without_labels: bool = False,
+    models: ModelsOption[ModelChoice] = ModelChoice.ALL,
+    projects: Projects = None,
+) -> None:
+    """Copy a project, or take in one that somebody else has sent, without trusting it.
+
+    Its database is verified, and only the regular files that a project consists of are copied: no links and no caches.
+
+    Args:
+        source: name of a project, or the folder of one.
+        name: name of the new project.
+        without_labels: copy the recordings and the detectors only, no labels and boxes.
+    """
+    root = projects_root(projects)
+    folder, is_sent = _folder(source, root)
+    with counted("copying files") as progress:
+        path = copy_project(folder, root, name, models, progress, labels=not without_labels, sent=is_sent)
+    with open_project(path) as project:
+        print_line(f"copied {folder} to {path}" + (" without its labels" if without_labels else ""))
+        for recording in project.recordings.all():
+            state = "" if recording.path.exists() else " (not on this computer: annotator project move)"
+            print_line(f"it reads the recording {recording.name} from {recording.path}{state}")
+
+
+def _folder(source: str, root: Path) -> tuple[Path, bool]:
+    """The folder of a project that is given by its name or its path, and whether it is not one of those in `root`."""
+    path = Path(source)
+    # as for `annotator check`: ./NAME is a path
+    named = root / source if len(path.parts) == 1 and not source.startswith(".") else None
+    places = [place for place in (path, named) if place is not None and (place / CONFIG_FILE).is_file()]
+    if len(places) == 2 and not places[0].samefile(places[1]):
+        raise ConfigError(f"{source} is both a folder and a project; write ./{source} or {named}")
+    if not places and not path.exists() and (named is None or not named.exists()):
+        raise ConfigError(f"{source}: no such folder, and {no_project(source, root)}")
+    return (places[0], named not in places) if places else (path, True)

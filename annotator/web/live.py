@@ -1,0 +1,429 @@
+"""A live session: from the source to the live page, and optionally into the project."""
+
+from __future__ import annotations
+
+import secrets
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from fastapi import FastAPI, Request, Response, WebSocket
+from jaxtyping import Float64, UInt8
+
+from annotator.detection.config import Backend
+from annotator.geometry.edges import heading_px
+from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.projection import project
+from annotator.project import Project
+from annotator.rcv.finish import FrameProposals
+from annotator.types import Box2D, Camera, Frame, OrientedBox, ReviewState
+from annotator.types.amounts import amount
+from annotator.web.limits import limited_log
+from annotator.web.security import Guard, ServerSettings, check_settings
+from annotator.web.serve import Running
+from annotator.web.viewport.drawing import SceneContent, ShownBox
+from annotator.web.viewport.scene import Scene
+from annotator.web.viewport.viewports import HOST, forward_http, forward_socket, silence, start_viser
+from annotator.workflows.detectors import active_detectors, stand_in
+from annotator.workflows.live.detection import Detected, LiveDetection
+from annotator.workflows.live.open_source import open_source
+from annotator.workflows.live.pipeline import Figures, Pipeline, Source
+from annotator.workflows.live.recorder import Recorder, Stored, require_unused_path, store
+from annotator.workflows.settings import rcv_config
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Interrupts:
+    """A context in which SIGTERM (from `kill`, a service manager or a stopped container) ends a session like Ctrl-C.
+
+    Both raise KeyboardInterrupt. Once the session is ending, further SIGTERMs are ignored, since the recording is being
+    stored. A further Ctrl-C interrupts the storing, too.
+    """
+
+    def __init__(self) -> None:
+        self._is_ending = self._is_deferring = False
+        self._deferred: int | None = None
+        self._former: dict[int, signal._HANDLER] = {}
+
+    def __enter__(self) -> Interrupts:
+        if threading.current_thread() is threading.main_thread():  # only the main thread may set signal handlers
+            self._former = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for number, former in self._former.items():
+            signal.signal(number, former if former is not None else signal.SIG_DFL)
+
+    @contextmanager
+    def session(self) -> Iterator[None]:
+        """The session itself; when the block is left, the session is ending."""
+        try:
+            yield
+        finally:
+            self._is_ending = True
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Defers a signal to the end of the block."""
+        self._is_deferring = True
+        try:
+            yield
+        finally:
+            self._is_deferring = False
+            if self._deferred is not None:
+                self._handle(self._deferred, None)
+
+    def _handle(self, number: int, stack: FrameType | None) -> None:
+        if self._is_deferring:
+            self._deferred = number
+            return
+        is_new, self._is_ending = not self._is_ending, True
+        if is_new or number == signal.SIGINT:
+            raise KeyboardInterrupt
+
+
+# About the width of the panel beside the 3D view, pixels.
+WIDTH_PX = 640
+BOX_COLOR, SOLID_COLOR, LOST_COLOR = (255, 214, 10), (240, 120, 40), (154, 161, 173)
+# Length of the head of a heading's arrow, pixels of the drawn image.
+HEAD_PX = 10
+# Number of segments per box edge on a distorted image, where edges are curved.
+STEPS_DISTORTED = 6
+FONT, FONT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
+# Number of fractional bits of pixel coordinates for cv2.
+SHIFT = 4
+
+
+def draw_detections(frame: Frame, detections: FrameProposals, width_px: int = WIDTH_PX) -> UInt8[np.ndarray, "h w 3"]:
+    """The image, at most `width_px` wide, with the image detector's boxes, and the 3D boxes with their headings.
+
+    Image boxes without a 3D box are grey.
+    """
+    scale = min(width_px / frame.camera.width_px, 1.0)
+    size = (round(scale * frame.camera.width_px), round(scale * frame.camera.height_px))
+    image = cv2.resize(frame.rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else frame.rgb.copy()
+    for lost in detections.lost:
+        _draw_rectangle(image, lost.image_box, scale, LOST_COLOR, lost.label)
+    for proposal in detections.proposals:
+        _draw_rectangle(image, proposal.image_box, scale, BOX_COLOR, f"{proposal.label} {proposal.score:.2f}")
+        for line in (*edges_px(frame.camera, proposal.box), *heading_px(frame.camera, proposal.box, HEAD_PX / scale)):
+            points = _fixed_point(_scaled(line, scale))
+            cv2.polylines(image, [points], False, SOLID_COLOR, 2, cv2.LINE_AA, SHIFT)
+    return image
+
+
+def edges_px(camera: Camera, box: OrientedBox) -> list[Float64[np.ndarray, "k 2"]]:
+    """The edges of a box as lines on the image, pixels; edges that reach behind the camera are left out."""
+    corners = box_corners(box)
+    steps = 1 if camera.is_ideal else STEPS_DISTORTED
+    share = np.linspace(0, 1, steps + 1)[:, None]
+    lines = [corners[a] + share * (corners[b] - corners[a]) for a, b in EDGES]
+    px = project(camera, np.concatenate(lines)).reshape(len(EDGES), steps + 1, 2)
+    # coordinates far outside the image overflow in cv2
+    limit = 4 * max(camera.width_px, camera.height_px)
+    return [line for line in px if np.isfinite(line).all() and np.abs(line).max() < limit]
+
+
+def _draw_rectangle(
+    image: UInt8[np.ndarray, "h w 3"], box: Box2D, scale: float, color: tuple[int, int, int], text: str
+) -> None:
+    edges = np.array([[box.x_min, box.y_min], [box.x_max, box.y_max]])
+    first, last = (tuple(map(int, corner)) for corner in _fixed_point(_scaled(edges, scale)))
+    cv2.rectangle(image, first, last, color, 1, cv2.LINE_AA, SHIFT)
+    _write(image, text, (first[0] >> SHIFT, first[1] >> SHIFT), color)
+
+
+def _write(image: UInt8[np.ndarray, "h w 3"], text: str, corner: tuple[int, int], color: tuple[int, int, int]) -> None:
+    """Writes a line above a box's upper left corner, or below it at the image's upper border."""
+    (width, height), below = cv2.getTextSize(text, FONT, FONT_SIZE, 1)
+    left, line = max(corner[0], 0), height + below + 2
+    bottom = corner[1] if corner[1] >= line else corner[1] + line
+    cv2.rectangle(image, (left, bottom - line), (left + width + 2, bottom), (20, 20, 20), cv2.FILLED)
+    cv2.putText(image, text, (left + 1, bottom - below), FONT, FONT_SIZE, color, 1, cv2.LINE_AA)
+
+
+def _scaled(px: Float64[np.ndarray, "k 2"], scale: float) -> Float64[np.ndarray, "k 2"]:
+    """Pixel coordinates on the scaled image; (0, 0) is the centre of the first pixel on both."""
+    return (px + 0.5) * scale - 0.5
+
+
+def _fixed_point(px: Float64[np.ndarray, "k 2"]) -> np.ndarray:
+    return np.round(px * (1 << SHIFT)).astype(np.int32)
+
+
+# Limit of shown points, which are sent many times per second.
+MOST_POINTS = 40_000
+# Factor of the default point size, which is too large for near objects in a thinned cloud.
+POINT_SIZE = 0.7
+JPEG_QUALITY = 75
+# Minimum interval between updates of the figures, seconds.
+FIGURES_EVERY_S = 0.5
+# Width of the panel with the image and the figures.
+PANEL_PX = 440
+SCENE_KEY = ("live", 0)
+
+
+class LivePage:
+    """A page with its own viser server; `show` must be called from one thread. Browsers connect through the proxy.
+
+    Attributes:
+        id: its name in messages.
+        port, origin: as in `ViserEndpoint`.
+    """
+
+    def __init__(self, source: str, facts: Mapping[str, str]) -> None:
+        """Starts the server.
+
+        Args:
+            source: description of the source, for people.
+            facts: constant rows of the table of figures, such as the backend.
+        """
+        self.id = "live"
+        self.origin = f"annotator://{secrets.token_hex(16)}"
+        with silence():
+            self._server = start_viser(HOST, self.origin)
+        self.port = self._server.get_port()
+        self._facts, self._figures_at_s = facts, 0.0
+        self._pipeline: Pipeline | None = None
+        self._scene = Scene(self._server, _ignored)
+        self._reset_camera = threading.Event()
+        gui = self._server.gui
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL_PX)
+        gui.set_panel_label(f"annotator live: {source}")
+        self._image: viser.GuiImageHandle | None = None
+        self._text = gui.add_markdown("waiting for the first frame", order=2.0)
+        self._pause = gui.add_button("Pause", order=3.0)
+        look = gui.add_button("Look from the camera", order=4.0)
+
+        @look.on_click
+        def _(_: object) -> None:
+            self._reset_camera.set()
+
+    def follow(self, pipeline: Pipeline) -> None:
+        """Shows a pipeline's figures beside the image, and connects the pause button to it."""
+        self._pipeline = pipeline
+
+        @self._pause.on_click
+        def _(_: object) -> None:
+            pipeline.pause(not pipeline.is_paused)
+            self._pause.label = "Resume" if pipeline.is_paused else "Pause"
+
+    def show(self, detected: Detected) -> None:
+        """Shows one frame, in place of the previous one."""
+        boxes = tuple(ShownBox(None, proposal.box, ReviewState.PROPOSED) for proposal in detected.found.proposals)
+        reset_camera = self._reset_camera.is_set()
+        self._reset_camera.clear()
+        content = SceneContent(
+            SCENE_KEY, detected.frame, boxes, most_points=MOST_POINTS, point_size=POINT_SIZE, reset_camera=reset_camera
+        )
+        self._scene.show(content)
+        image = draw_detections(detected.frame, detected.found)
+        if self._image is None:
+            self._image = self._server.gui.add_image(image, format="jpeg", jpeg_quality=JPEG_QUALITY, order=1.0)
+        else:
+            self._image.image = image
+        now = time.monotonic()
+        if self._pipeline is not None and now - self._figures_at_s >= FIGURES_EVERY_S:
+            self._figures_at_s = now
+            self._text.content = table(detected, self._pipeline.figures(), self._facts)
+
+    def close(self) -> None:
+        with silence():
+            self._server.stop()
+
+
+def table(detected: Detected, figures: Figures, facts: Mapping[str, str]) -> str:
+    """The figures as Markdown."""
+    stages = " · ".join(f"{name} {ms:.0f}" for name, ms in figures.stages_ms.items())
+    drops = " · ".join(f"{name} {count}" for name, count in vars(figures.drops).items() if count)
+    objects = f"{len(detected.found.proposals)}" + (f", {lost} lost" if (lost := len(detected.found.lost)) else "")
+    rows = {
+        "frame": f"{detected.frame.key} ({figures.shown} shown)",
+        "objects": objects,
+        "frames/s": "-" if figures.fps is None else f"**{figures.fps:.1f}**",
+        "latency": "-"
+        if figures.latency_ms is None
+        else f"**{figures.latency_ms:.0f} ms**, 95 %: {figures.latency_p95_ms:.0f} ms",
+        "stages, ms": stages or "-",
+        "dropped": drops or "none",
+        **({"unreadable": str(figures.broken)} if figures.broken else {}),
+        **facts,
+    }
+    return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())])
+
+
+async def _ignored(event: object) -> None:
+    """The live page has no gizmo."""
+
+
+# Maximum number of unreadable frames that are logged one by one.
+MOST_LOGGED = 10
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """Options of a live session.
+
+    Attributes:
+        source: as in `open_source`.
+        rate, loop: playback options of a recording.
+        backend: runs the detectors.
+        warm_start: start each recursion with the boxes of the previous frame.
+        frames: end after this number of frames of the source; None = at its end.
+        record: record the session to this path, and add it to the project.
+    """
+
+    source: str
+    rate: float | None = None
+    loop: bool = False
+    backend: Backend = "fastest"
+    warm_start: bool = True
+    frames: int | None = None
+    record: Path | None = None
+
+
+@dataclass(frozen=True)
+class LiveResult:
+    """The final figures of a session, and the summary of its recording in the project."""
+
+    figures: Figures
+    stored: Stored | None
+
+
+def run_live(
+    project: Project,
+    options: LiveOptions,
+    settings: ServerSettings,
+    *,
+    report: Callable[[str], None],
+) -> LiveResult:
+    """Detects and shows frames until the source ends, or until interrupted. The recording is kept even after an error.
+
+    Args:
+        report: called with each log line while the session runs.
+    """
+    check_settings(settings)
+    if options.record is not None:
+        require_unused_path(project, options.record)
+    # opened before the detectors are loaded, which takes seconds, so that an invalid source is reported at once
+    source = open_source(
+        project, options.source, rate=options.rate, loop=options.loop, to_record=options.record is not None
+    )
+    try:
+        with Interrupts() as interrupts:
+            return _Session(project, options, settings, source, report, interrupts).run()
+    finally:
+        source.close()
+
+
+@dataclass(frozen=True, eq=False)
+class _Session:
+    project: Project
+    options: LiveOptions
+    settings: ServerSettings
+    source: Source
+    report: Callable[[str], None]
+    interrupts: Interrupts
+
+    def run(self) -> LiveResult:
+        project, options, report = self.project, self.options, self.report
+        detectors, warm = active_detectors(project, backend=options.backend), options.warm_start
+        rotation = project.config.settings.rotation
+        detection = LiveDetection(detectors, rcv_config(project), rotation, warm_start=warm)
+        facts = {"backend": detectors.backends[1] or options.backend, "warm start": "on" if warm else "off"}
+        if named := stand_in(project):
+            report(f"view detector: {named}")
+            facts["view detector"] = named
+        if options.record is None:
+            return LiveResult(self._show(detection, None, facts), None)
+        with Recorder(options.record, report) as recorder:
+            stored = None
+            try:
+                figures = self._show(detection, recorder, facts | {"recording": recorder.out.name})
+            finally:
+                if frames := recorder.finish():
+                    report(f"storing the detections of {amount(frames, 'frame')} in {recorder.out}")
+                    stored = store(project, recorder, detectors, detection.config, rotation, warm_start=warm)
+            recorder.require_complete()
+            return LiveResult(figures, stored)
+
+    def _show(self, detection: LiveDetection, recorder: Recorder | None, facts: dict[str, str]) -> Figures:
+        page, most, log = LivePage(self.source.name, facts), self.options.frames, _LimitedLog(self.report)
+        try:
+            pipeline = Pipeline(self.source, detection, page.show, record=recorder, max_frames=most, report=log)
+            serve_live(self.settings, page, pipeline, self.interrupts)
+            return pipeline.figures()
+        finally:
+            page.close()
+
+
+class _LimitedLog:
+    """Logs the first `MOST_LOGGED` unreadable frames; the figures count all of them."""
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._tell, self._left = report, MOST_LOGGED
+
+    def __call__(self, line: str) -> None:
+        if self._left:
+            self._left -= 1
+            self._tell(line)
+            if not self._left:
+                self._tell("further unreadable frames are only counted")
+
+
+def live_app(settings: ServerSettings, page: LivePage) -> FastAPI:
+    """An application that forwards requests to the page's viser server, with the same checks as the workbench."""
+    check_settings(settings)
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+    @app.get("/{path:path}")
+    async def file(path: str, request: Request) -> Response:
+        return await forward_http(request, page, path)
+
+    @app.websocket("/")
+    async def socket(browser: WebSocket) -> None:
+        await forward_socket(browser, page)
+
+    app.add_middleware(Guard, settings=settings)
+    return app
+
+
+def serve_live(settings: ServerSettings, page: LivePage, pipeline: Pipeline, interrupts: Interrupts) -> None:
+    """Runs a pipeline and serves its page until the pipeline ends or is interrupted; prints the URL.
+
+    Args:
+        interrupts: a context that the caller has entered, and leaves after storing a recording.
+    """
+    server = Running(settings, live_app(settings, page))
+
+    def stop_serving() -> None:
+        server.should_exit = True
+
+    page.follow(pipeline)
+    pipeline.at_end(stop_serving)
+    sys.stdout.write(f"live at {server.link()}\nstop it with Ctrl-C\n")
+    sys.stdout.flush()
+    try:
+        # Ctrl-C is the regular end of a session
+        with suppress(KeyboardInterrupt), limited_log(None), interrupts.session():
+            with interrupts.deferred():  # all threads of the pipeline are started, or none
+                pipeline.start()
+            # on either signal, uvicorn shuts down and then raises the signal again
+            server.serve_until_stopped()
+    finally:
+        pipeline.end()

@@ -1,0 +1,353 @@
+"""What a viewport shows, as data: its content, the shown points and their colours, the lines of boxes and views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Float64, UInt8
+
+from annotator.geometry.frustum import in_frustum
+from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES
+from annotator.geometry.projection import undistort_px
+from annotator.geometry.thinning import thin
+from annotator.types import Box2D, Frame, OrientedBox, PointCloud, PseudoView, ReviewState
+
+# Default limit of shown points, which graphics cards and networks handle without delay.
+MOST_POINTS = 150_000
+
+
+class Gizmo(StrEnum):
+    """The mode of the gizmo on the selected box."""
+
+    OFF = "off"
+    TRANSLATE = "translate"
+    ROTATE = "rotate"
+
+
+class PointColor(StrEnum):
+    """The quantity that the points' colours show."""
+
+    RGB = "rgb"
+    DEPTH = "depth"
+    HEIGHT = "height"
+    INTENSITY = "intensity"
+
+
+@dataclass(frozen=True, eq=False)
+class ShownBox:
+    """A 3D box of the scene.
+
+    Attributes:
+        uid: of its label; None for a box without a label.
+        box: camera frame.
+        state: determines its colour.
+    """
+
+    uid: str | None
+    box: OrientedBox
+    state: ReviewState
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """An object that is being labelled.
+
+    Attributes:
+        image_box: on the camera image.
+        views: the pseudo-views of the present step.
+        box: the 3D box from the 2D boxes drawn so far, camera frame.
+    """
+
+    image_box: Box2D
+    views: tuple[PseudoView, ...]
+    box: OrientedBox | None
+
+
+@dataclass(frozen=True, eq=False)
+class SceneContent:
+    """The content of a viewport.
+
+    Attributes:
+        key: identifies the recording; the camera is reset if it changes.
+        frame: None = an empty viewport.
+        selected: uid of the selected box.
+        draft: the object that is being labelled, if any.
+        most_points: maximum number of shown points; a larger cloud is thinned.
+        point_size: factor of the default size, which depends on the cloud's distance.
+        reset_camera: move the camera to its initial pose.
+    """
+
+    key: tuple[str, int] | None
+    frame: Frame | None
+    boxes: tuple[ShownBox, ...] = ()
+    selected: str | None = None
+    gizmo: Gizmo = Gizmo.OFF
+    draft: Draft | None = None
+    color: PointColor = PointColor.RGB
+    most_points: int = MOST_POINTS
+    point_size: float = 1.0
+    reset_camera: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class InitialCamera:
+    """The initial pose of the viewport's camera, in the camera frame, metres.
+
+    Attributes:
+        position: of the camera.
+        look_at: the point at the centre of the screen.
+        up: unit vector that points up on the screen.
+    """
+
+    position: Float64[np.ndarray, "3"]
+    look_at: Float64[np.ndarray, "3"]
+    up: Float64[np.ndarray, "3"]
+
+
+# Depth and height colours cover the range between these percentiles, so that outliers do not compress them.
+LOW_PERCENT, HIGH_PERCENT = 2.0, 98.0
+# Point size as a share of the cloud's median distance: about the spacing of a thinned RGB-D cloud.
+POINT_SHARE = 0.0035
+# If there are fewer points than FULL_DETAIL, they are drawn larger, up to a factor. The factor is higher for a thinned
+# cloud, whose surfaces are dense.
+FULL_DETAIL, LARGEST_GROWTH, LARGEST_GROWTH_THINNED = 150_000, 2.0, 3.5
+# Number of points for estimates of a scene's distance.
+SAMPLE = 5_000
+# Position of the initial camera behind and above the recording's camera, as shares of the scene's distance.
+BEHIND, ABOVE = 0.2, 0.2
+# Distance of an empty scene, metres.
+EMPTY_DISTANCE_M = 3.0
+
+CAMERA_UP = np.array([0.0, -1.0, 0.0])
+
+
+def shown_points(frame: Frame, most: int) -> PointCloud:
+    """The shown part of a frame's cloud, at most `most` points, with colours and reflectance."""
+    cloud = frame.cloud
+    keep = thin(len(cloud), most)
+    if keep is None:
+        return cloud
+    rgb, reflectance = (
+        None if values is None else values.take(keep, axis=0) for values in (cloud.rgb, cloud.reflectance)
+    )
+    return PointCloud(cloud.xyz_m.take(keep, axis=0), rgb, reflectance)
+
+
+def point_colors(cloud: PointCloud, color: PointColor, up: Float64[np.ndarray, "3"]) -> UInt8[np.ndarray, "n 3"]:
+    """The colour of each point; a cloud without the required quantity is coloured by depth.
+
+    Args:
+        up: unit vector, camera frame.
+    """
+    if color is PointColor.RGB and cloud.rgb is not None:
+        return cloud.rgb
+    if color is PointColor.HEIGHT:
+        return _mapped(cloud.xyz_m @ up.astype(np.float32))
+    if color is not PointColor.DEPTH and cloud.reflectance is not None:
+        # the square root brightens dark values, which most LiDAR returns have
+        return _gray(np.sqrt(np.clip(cloud.reflectance, 0, 1)))
+    if color is PointColor.INTENSITY and cloud.rgb is not None:
+        return _gray(cloud.rgb @ np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255))
+    return _mapped(-np.log(np.maximum(cloud.xyz_m[:, 2], np.float32(0.05))))
+
+
+def typical_distance_m(cloud: PointCloud) -> float:
+    """Median distance of the points from the camera, metres."""
+    if len(cloud) == 0:
+        return EMPTY_DISTANCE_M
+    some = cloud.xyz_m[:: max(1, len(cloud) // SAMPLE)]
+    return max(float(np.median(np.linalg.norm(some, axis=1))), 0.05)
+
+
+def point_size_m(shown: PointCloud, n_points: int) -> float:
+    """The default point size, metres.
+
+    Args:
+        shown: the shown points; the fewer, the larger each is, so that surfaces stay closed.
+        n_points: of the whole cloud.
+    """
+    ratio = max(FULL_DETAIL / max(len(shown), 1), 1.0)
+    largest = LARGEST_GROWTH if n_points == len(shown) else LARGEST_GROWTH_THINNED
+    return POINT_SHARE * typical_distance_m(shown) * min(math.sqrt(ratio), largest)
+
+
+def scene_up(frame: Frame) -> Float64[np.ndarray, "3"]:
+    """The up direction in the camera frame: against gravity if known, else up in the image."""
+    return CAMERA_UP if frame.up is None else frame.up
+
+
+def initial_camera(frame: Frame) -> InitialCamera:
+    """A pose behind and slightly above the recording's camera, looking along its optical axis."""
+    ahead_m = EMPTY_DISTANCE_M
+    if len(frame.cloud):
+        ahead_m = max(float(np.median(frame.cloud.xyz_m[:: max(1, len(frame.cloud) // SAMPLE), 2])), 0.2)
+    up = scene_up(frame)
+    axis = np.array([0.0, 0.0, 1.0])
+    return InitialCamera(ahead_m * (ABOVE * up - BEHIND * axis), ahead_m * axis, up)
+
+
+def _gray(share: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    level = (share * 215 + 40).astype(np.uint8)
+    return np.repeat(level[:, None], 3, axis=1)
+
+
+def _mapped(values: Float32[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """Blue for low values to red for high ones."""
+    if len(values) == 0:
+        return np.zeros((0, 3), np.uint8)
+    low, high = np.percentile(values[:: max(1, len(values) // SAMPLE)], [LOW_PERCENT, HIGH_PERCENT])
+    level = np.clip((values - np.float32(low)) * np.float32(255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
+    return cv2.cvtColor(cv2.applyColorMap(level[None], cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)[0]
+
+
+def pick(
+    boxes: Sequence[OrientedBox], origin_m: Float64[np.ndarray, "3"], direction: Float64[np.ndarray, "3"]
+) -> int | None:
+    """The box that a ray enters first. Boxes around the ray's origin come last, the smallest of them first.
+
+    Args:
+        origin_m, direction: of the ray, camera frame.
+
+    Returns:
+        Its index, or None if the ray misses all boxes.
+    """
+    hits = [(*hit, box.volume_m3, n) for n, box in enumerate(boxes) if (hit := _entry(box, origin_m, direction))]
+    return min(hits)[-1] if hits else None
+
+
+def _entry(
+    box: OrientedBox, origin_m: Float64[np.ndarray, "3"], direction: Float64[np.ndarray, "3"]
+) -> tuple[bool, float] | None:
+    """Whether the ray starts inside the box, and the distance at which it enters; None if it misses (slab test)."""
+    T_box_camera = box.T_camera_box.inv()
+    start = T_box_camera.apply(origin_m)
+    along = T_box_camera.rotation.apply(direction)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        to_planes = (np.array([[-0.5], [0.5]]) * box.size_m - start) / along
+    # a ray within the plane of a face gives 0/0, and counts as inside that slab
+    near = np.nan_to_num(np.minimum(*to_planes), nan=-np.inf).max()
+    far = np.nan_to_num(np.maximum(*to_planes), nan=np.inf).min()
+    if far < max(near, 0.0):
+        return None
+    return (True, 0.0) if near < 0 else (False, float(near))
+
+
+Segments = Float32[np.ndarray, "k 2 3"]
+
+# Number of segments per side of an image box, since lens distortion curves its rays.
+SIDE_STEPS = 4
+# The frustum ends at this percentile of its points' depths; if it has no points, at this depth, metres.
+FAR_PERCENT, EMPTY_FAR_M = 99.0, 5.0
+# Distance between a view's image and the nearest of its points, as a share of the view's larger side.
+GAP = 0.15
+# An arrow's head: length and radius as shares of the arrow, and number of lines of its cone.
+HEAD_LENGTH, HEAD_RADIUS, HEAD_LINES = 0.12, 0.045, 16
+# The head of a box's heading begins and ends in front of the box, where no edge hides it: distances from the front and
+# radius, shares of the box's mean side.
+HEADING_FROM, HEADING_TO, HEADING_RADIUS = 0.08, 0.4, 0.13
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPlacement:
+    """The pose of a pseudo-view's image in space, facing the direction that it was rendered from.
+
+    Attributes:
+        center_m: centre of the image, camera frame.
+        R_camera_view: columns = right, down and into the image.
+        size_m: width and height.
+        seen_from_m, looks_at_m: ends of the viewing direction's arrow: from in front of the image, through its centre,
+            to the median depth of its points.
+    """
+
+    center_m: Float64[np.ndarray, "3"]
+    R_camera_view: Float64[np.ndarray, "3 3"]
+    size_m: Float64[np.ndarray, "2"]
+    seen_from_m: Float64[np.ndarray, "3"]
+    looks_at_m: Float64[np.ndarray, "3"]
+
+
+def box_lines(size_m: Float64[np.ndarray, "3"]) -> Segments:
+    """Edges of a box in its own axes, and an arrow from the middle of its top to beyond its front (+x): its heading.
+
+    At the top, the object's own points do not hide it. Its head is four lines from the tip to the corners of a square,
+    and the square: seen from anywhere, some of them are beside the shaft.
+    """
+    corners = 0.5 * CORNER_SIGNS * size_m
+    (length_m, _, height_m), mean_m = size_m, size_m.mean()
+    middle, ahead = np.array([0.0, 0.0, 0.5 * height_m]), np.array([1.0, 0.0, 0.0])
+    tip = middle + (0.5 * length_m + HEADING_TO * mean_m) * ahead
+    around = np.array([[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]])
+    square = middle + (0.5 * length_m + HEADING_FROM * mean_m) * ahead + HEADING_RADIUS * mean_m * around
+    shaft = np.stack([middle, tip])
+    head = np.stack([np.broadcast_to(tip, square.shape), square], axis=1)
+    rim = np.stack([square, np.roll(square, -1, axis=0)], axis=1)
+    return np.concatenate([corners[np.array(EDGES)], shaft[None], head, rim]).astype(np.float32)
+
+
+def placed_box_lines(box: OrientedBox) -> Segments:
+    """As `box_lines`, in the camera frame."""
+    pose = box.pose
+    return (box_lines(box.size_m) @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
+
+
+def frustum_lines(frame: Frame, image_box: Box2D) -> Segments:
+    """The frustum of an image box: rays through its corners to the far end, and the outline there."""
+    border = _border_px(image_box)
+    rays = np.column_stack([undistort_px(frame.camera, border), np.ones(len(border))])
+    depth = frame.cloud.xyz_m[in_frustum(frame.camera, frame.cloud.xyz_m, image_box), 2]
+    far = rays * (float(np.percentile(depth, FAR_PERCENT)) if len(depth) else EMPTY_FAR_M)
+    corners = far[::SIDE_STEPS]
+    lines = [*zip(np.zeros_like(corners), corners, strict=True), *zip(far, np.roll(far, -1, axis=0), strict=True)]
+    segments = np.array(lines, np.float32)
+    # a corner outside the range of the lens model has no ray
+    return segments[np.isfinite(segments).all(axis=(1, 2))]
+
+
+def arrow_lines(
+    start_m: Float64[np.ndarray, "3"], tip_m: Float64[np.ndarray, "3"], end_m: Float64[np.ndarray, "3"]
+) -> Segments:
+    """An arrow as lines: its shaft, then the cone of its head from the tip to a ring, then the ring.
+
+    The colour of lines does not depend on the lights, in contrast to that of a mesh.
+
+    Args:
+        start_m, end_m: of the shaft.
+        tip_m: tip of the head, on the shaft: at the end of the shaft, points would hide it.
+    """
+    along = end_m - start_m
+    length = float(np.linalg.norm(along))
+    direction = along / length
+    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    across /= np.linalg.norm(across)
+    angle = 2 * np.pi * np.arange(HEAD_LINES)[:, None] / HEAD_LINES
+    spokes = np.cos(angle) * across + np.sin(angle) * np.cross(direction, across)
+    ring = tip_m - HEAD_LENGTH * along + HEAD_RADIUS * length * spokes
+    cone = np.stack([np.broadcast_to(tip_m, ring.shape), ring], axis=1)
+    rim = np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+    return np.concatenate([np.stack([start_m, end_m])[None], cone, rim]).astype(np.float32)
+
+
+def view_placement(view: PseudoView) -> ViewPlacement:
+    """The pose of a pseudo-view's image: parallel to its plane, in front of its nearest point."""
+    height_px, width_px = view.rgb.shape[:2]
+    right, down = view.origin_m + 0.5 * (np.array([width_px, height_px]) - 1) * view.metres_per_px
+    depth = view.xyz_m @ view.axes[2].astype(np.float32)
+    near = float(depth.min()) if len(depth) else 0.0
+    median = float(np.median(depth)) if len(depth) else 0.0
+    in_front = near - GAP * float(view.extent_m.max())
+    seen_from = in_front - 2 * GAP * float(view.extent_m.max())
+    points = np.array([[right, down, z] for z in (in_front, seen_from, median)]) @ view.axes
+    return ViewPlacement(points[0], view.axes.T.copy(), view.extent_m, points[1], points[2])
+
+
+def _border_px(box: Box2D) -> Float64[np.ndarray, "n 2"]:
+    corners = np.array(
+        [[box.x_min, box.y_min], [box.x_max, box.y_min], [box.x_max, box.y_max], [box.x_min, box.y_max]], np.float64
+    )
+    share = np.arange(SIDE_STEPS)[:, None] / SIDE_STEPS
+    return np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
