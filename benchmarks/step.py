@@ -21,7 +21,7 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.frustum import in_frustum
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import pixel_rays, unproject_depth
-from annotator.rcv import compute, measure, propose, recursion
+from annotator.rcv import measure, propose, recursion
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.normals import with_normals
 from annotator.rcv.warm_start import WarmStart
@@ -100,7 +100,7 @@ def timed_frame(
         (propose, "absorb_step", "rest"),
         (propose, "plan_step", "rest", True),
         (recursion, "_consensus_axes", "axes"),
-        (compute, "render_pairs", "render"),
+        (recursion, "render_pairs", "render"),
         (recursion, "cut_cloud", "cut"),
         (recursion, "contains", "cut"),
         (recursion, "_step_trace", "trace"),

@@ -201,7 +201,7 @@ class Project:
         boxes = image_boxes_of(frames, image_boxes, image_detector)
         pair = self._pair(image_detector, image_kind_of(image_detector, image_kind))
         config, rotation = pair.settings(self._config()), self.stored.config.settings.rotation
-        proposals = propose_image_boxes(several, boxes, pair.view, config, rotation, pair.compute) if several else []
+        proposals = propose_image_boxes(several, boxes, pair.view, config, rotation) if several else []
         return proposals[0] if isinstance(frames, Frame) else proposals
 
     def watch(self, frames: Iterable[Frame]) -> Iterator[Detected]:

@@ -7,7 +7,6 @@ looks along a3, the side view along -a1. For upright boxes a2 points down.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +17,6 @@ from annotator.types import OrientedBox, PointCloud
 
 # K-means usually converges in a few rounds; this bounds the time if it oscillates.
 KMEANS_ROUNDS = 20
-
-Clustering = Callable[[np.ndarray, int, int], tuple[np.ndarray, np.ndarray]]
-"""A function with the signature of `axial_kmeans`."""
 
 
 class NoAxesError(Exception):
@@ -162,13 +158,11 @@ def normal_axes(
     normals: Float[np.ndarray, "n 3"],
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
-    clustering: Clustering = axial_kmeans,
 ) -> Float64[np.ndarray, "3 3"]:
     """Axes with a3 along the largest cluster of normals; the next cluster (or gravity, if upright) gives the others.
 
     Args:
         normals: unit vectors, or zero where unknown; opposite vectors count as one direction.
-        clustering: finds the clusters.
 
     Raises:
         NoAxesError: too few usable normals.
@@ -183,7 +177,7 @@ def normal_axes(
         raise NoAxesError(f"too few usable normals ({len(known)})")
     if len(known) > config.axes.max_normals:
         known = known[np.linspace(0, len(known) - 1, config.axes.max_normals).astype(int)]
-    centres, counts = clustering(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)
+    centres, counts = axial_kmeans(known, min(config.axes.kmeans_clusters, len(known)), config.axes.seed)
     major = centres[np.argmax(counts)]
     if up is not None:
         return upright_axes(major, up)
@@ -207,14 +201,12 @@ def find_axes(
     reference: Float64[np.ndarray, "3 3"],
     up: Float64[np.ndarray, "3"] | None,
     config: RcvConfig,
-    clustering: Clustering = axial_kmeans,
 ) -> FoundAxes:
     """The axes of a strategy, or of the next simpler one that works on the cloud, matched to `reference`.
 
     Args:
         strategy: camera, eigenvectors or normals.
         up: unit vector against gravity, to which one axis stays parallel, from `held_direction`; None: free axes.
-        clustering: finds the clusters of normals.
     """
     symmetries = UPRIGHT_SYMMETRIES if up is not None else BOX_SYMMETRIES
     failed: list[str] = []
@@ -226,7 +218,7 @@ def find_axes(
         try:
             if candidate is Strategy.NORMALS:
                 normals = cloud.normals if cloud.normals is not None else np.zeros((0, 3))
-                axes = normal_axes(normals, up, config, clustering)
+                axes = normal_axes(normals, up, config)
             else:
                 axes = eigenvector_axes(cloud.xyz_m, up, config)
         except NoAxesError as error:

@@ -1,8 +1,7 @@
 """Rendering of points: each is drawn as a square that closes gaps; a pixel shows the nearest point.
 
 One integer key per point holds its depth and its index. The minimum key over the points of a pixel gives the nearest
-point; the minimum over a neighbourhood draws points as squares. The image filters on a GPU
-(`annotator.gpu`) only accept floats, so keys are chosen whose bits are also positive floats in the same order.
+point; the minimum over a neighbourhood draws points as squares.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.geometry.transforms import unit
-from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.pseudo_view import render_pairs
 from annotator.types import PointCloud, PseudoView
 
 
@@ -17,7 +17,6 @@ def frustum_views(
     cloud: PointCloud,
     axes: Float64[np.ndarray, "3 3"],
     config: RcvConfig,
-    compute: Compute = NUMPY,
     *,
     enlarge_deep: bool = True,
 ) -> tuple[PseudoView, PseudoView]:
@@ -31,10 +30,10 @@ def frustum_views(
     # all points are drawn, because thinning would leave too few points of a far object
     view = config.view.model_copy(update={"points_per_px": float(len(cloud))})
     if not (enlarge_deep and is_deep(cloud, config)):
-        front, side = compute.render_pairs(cloud, [axes], view, None)
+        front, side = render_pairs(cloud, [axes], view)
         return front, side
     large = view.model_copy(update={"size_px": max(view.size_px, view.deep_size_px)})
-    front, side = compute.render_pairs(cloud, [axes], large, None)
+    front, side = render_pairs(cloud, [axes], large)
     return replace(front, look_px=view.deep_size_px), replace(side, look_px=view.deep_size_px)
 
 

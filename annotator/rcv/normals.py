@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from annotator.geometry.frustum import in_frustums
-from annotator.geometry.normals import normals_knn
-from annotator.rcv.compute import NUMPY, Compute
+from annotator.geometry.normals import normals_from_depth, normals_knn
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import Box2D, BoxKind, Frame, PointCloud
 
@@ -22,7 +21,7 @@ def needs_normals(config: RcvConfig) -> bool:
     )
 
 
-def with_normals(frame: Frame, mask: Bool[np.ndarray, "n"], config: RcvConfig, compute: Compute = NUMPY) -> PointCloud:
+def with_normals(frame: Frame, mask: Bool[np.ndarray, "n"], config: RcvConfig) -> PointCloud:
     """The frame's cloud with normals, at least at the points of `mask`; zero if unknown.
 
     They are estimated from pixel neighbours if the cloud comes from a depth image, otherwise from the nearest
@@ -32,7 +31,7 @@ def with_normals(frame: Frame, mask: Bool[np.ndarray, "n"], config: RcvConfig, c
     if cloud.normals is not None:
         return cloud
     if frame.depth_m is not None and cloud.pixel_index is not None:
-        grid = compute.normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
+        grid = normals_from_depth(frame.camera, frame.depth_m).reshape(-1, 3)
         return replace(cloud, normals=grid[cloud.pixel_index])
     normals = np.zeros((len(cloud), 3), np.float32)
     if mask.any():

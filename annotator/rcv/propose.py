@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from annotator.geometry.frustum import in_frustums
-from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
 from annotator.rcv.normals import needs_normals, with_normals
@@ -23,7 +22,6 @@ def propose(
     view_detector: Detector,
     config: RcvConfig,
     warm_starts: Sequence[Sequence[WarmStart]] | None = None,
-    compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
     """Recursive Cross-View on several frames at once.
 
@@ -33,13 +31,12 @@ def propose(
     Args:
         warm_starts: for each frame, the boxes of its objects in an earlier frame. An object starts from the box that
             matches its image box (`annotator.rcv.warm_start`).
-        compute: the device that draws views and estimates and clusters normals.
 
     Returns:
         one result per frame, in the order of `frames`.
     """
     image_boxes = image_detector.detect(frames)
-    return propose_from_boxes(frames, image_boxes, view_detector, config, warm_starts, compute)
+    return propose_from_boxes(frames, image_boxes, view_detector, config, warm_starts)
 
 
 def propose_from_boxes(
@@ -48,17 +45,16 @@ def propose_from_boxes(
     view_detector: Detector,
     config: RcvConfig,
     warm_starts: Sequence[Sequence[WarmStart]] | None = None,
-    compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
     """As `propose`, from given 2D boxes on the images, one list per frame."""
     active: list[ObjectState] = []
     starts_of_frames = warm_starts if warm_starts is not None else [()] * len(frames)
     for index, (frame, boxes, starts) in enumerate(zip(frames, image_boxes, starts_of_frames, strict=True)):
-        active.extend(_initial_states(index, frame, boxes, starts, config, compute))
+        active.extend(_initial_states(index, frame, boxes, starts, config))
     done = [state for state in active if state.stop is not StopReason.CONTINUES]
     active = [state for state in active if state.stop is StopReason.CONTINUES]
     while active:
-        plans = [plan_step(state, config, compute) for state in active]
+        plans = [plan_step(state, config) for state in active]
         on_views = iter(view_detector.detect([view for plan in plans for view in plan.views]))
         advanced: list[ObjectState] = []
         for state, plan in zip(active, plans, strict=True):
@@ -92,16 +88,13 @@ def _initial_states(
     boxes: Sequence[Box2D],
     warm_starts: Sequence[WarmStart],
     config: RcvConfig,
-    compute: Compute,
 ) -> list[ObjectState]:
     """The state of each image box before its first step."""
     boxes = [box for box in boxes if box.score >= config.min_image_score]
-    if boxes:
-        frame = compute.hold(frame)
     masks = in_frustums(frame.camera, frame.cloud.xyz_m, boxes)
     cloud = frame.cloud
     if boxes and needs_normals(config):
-        cloud = with_normals(frame, np.logical_or.reduce(masks), config, compute)
+        cloud = with_normals(frame, np.logical_or.reduce(masks), config)
     states = [start(index, box, cloud.select(mask), frame.up, config) for box, mask in zip(boxes, masks, strict=True)]
     start_boxes = match_warm_starts(frame.camera, boxes, warm_starts, config) if warm_starts else [None] * len(states)
     begun: list[ObjectState] = []

@@ -17,13 +17,13 @@ from annotator.geometry.oriented_box import box_corners, canonical_box, contains
 from annotator.geometry.outline import NEAR_M
 from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
-from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.frustum_views import frustum_views
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
+from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.typical_size.evidence import Candidates, Evidence
 from annotator.types import (
     Box2D,
@@ -151,24 +151,24 @@ def start(
     return state
 
 
-def plan_step(state: ObjectState, config: RcvConfig, compute: Compute = NUMPY) -> StepPlan:
-    """Chooses the projection axes of the next step and draws its views on the device of `compute`."""
+def plan_step(state: ObjectState, config: RcvConfig) -> StepPlan:
+    """Chooses the projection axes of the next step and draws its views."""
     fallback: tuple[str, ...] = ()
     if state.is_first:
         strategy, axes = Strategy.CAMERA, [camera_axes(state.up)]
     elif config.strategy is Strategy.CONSENSUS:
         strategy = Strategy.CONSENSUS
-        axes, fallback = _consensus_axes(state, config, compute)
+        axes, fallback = _consensus_axes(state, config)
     else:
-        chosen = find_axes(state.cloud, config.strategy, state.axes, state.up, config, compute.axial_kmeans)
+        chosen = find_axes(state.cloud, config.strategy, state.axes, state.up, config)
         strategy, fallback, axes = chosen.strategy, chosen.fallback, [chosen.axes]
     fallback = state.notes + fallback
     views: Sequence[PseudoView]
     if state.is_first:
-        views = frustum_views(state.cloud, axes[0], config, compute, enlarge_deep=state.frustum is None)
+        views = frustum_views(state.cloud, axes[0], config, enlarge_deep=state.frustum is None)
     else:
         show = None if state.box is None else box_corners(shown_box(state.box, state.is_cut, config))
-        views = compute.render_pairs(state.cloud, axes, config.view, show)
+        views = render_pairs(state.cloud, axes, config.view, show)
     return StepPlan(strategy, fallback, tuple(axes), tuple(views))
 
 
@@ -182,9 +182,7 @@ def cut_cloud(cloud: PointCloud, box: OrientedBox, views: Sequence[PseudoView], 
     return cloud.select(contains(box, cloud.xyz_m, cross_view.cut_margin_m(box, views, config)))
 
 
-def _consensus_axes(
-    state: ObjectState, config: RcvConfig, compute: Compute
-) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
+def _consensus_axes(state: ObjectState, config: RcvConfig) -> tuple[list[Float64[np.ndarray, "3 3"]], tuple[str, ...]]:
     """The axis hypotheses of a step, and why more complex strategies failed."""
     if state.box is None or (len(state.steps) == 1 and not state.is_warm):
         return wide_axes(state.up, config, state.rivals), ()
@@ -195,7 +193,7 @@ def _consensus_axes(
     if config.box_kind is not BoxKind.SILHOUETTE:
         return axes, ()
     reference = camera_axes(state.up)
-    normals = find_axes(state.cloud, Strategy.NORMALS, reference, state.up, config, compute.axial_kmeans)
+    normals = find_axes(state.cloud, Strategy.NORMALS, reference, state.up, config)
     return [*axes, normals.axes], normals.fallback
 
 

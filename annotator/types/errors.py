@@ -22,7 +22,6 @@
     │   ├── TrackTakenError       a track would get a second box in a frame, or its id is in use by now
     │   ├── HistoryError          nothing to undo or redo, or someone else has changed it since
     │   └── FinalisedFrameError   an automatic pass would change a finalised frame
-    ├── ComputeError          the device that draws and clusters points is missing or fails
     ├── WorkerError           a batch's worker processes cannot be started, or crash repeatedly
     └── MissingExtraError     an optional package is not installed
 
@@ -144,10 +143,6 @@ class GeometryError(AnnotatorError):
 
 class DetectionError(AnnotatorError):
     """A 2D detector cannot be trained, loaded or run."""
-
-
-class ComputeError(AnnotatorError):
-    """The device that draws pseudo-views and clusters normals is missing or fails."""
 
 
 class ProjectError(AnnotatorError):

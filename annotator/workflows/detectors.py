@@ -13,13 +13,11 @@ from annotator.detection.base_detector import NAME, TITLE, base_weights, has_bas
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import read_trained
 from annotator.detection.yolo import YoloDetector
-from annotator.gpu.compute import torch_compute
 from annotator.project import Statistics
 from annotator.project.classes.relabelling import renamed_over
 from annotator.project.jobs import Run
 from annotator.project.models import StoredModel
 from annotator.project.project import Project
-from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.types import BoxKind, Detector, DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
@@ -56,16 +54,6 @@ class Detectors:
     def backends(self) -> tuple[str, str]:
         """The backends of the image and the view detector, e.g. ("openvino", "openvino"); "" if unknown."""
         return str(getattr(self.image, "backend", "")), str(getattr(self.view, "backend", ""))
-
-    @property
-    def compute(self) -> Compute:
-        """The device that draws and clusters points: the view detector's CUDA device, else the processor (numpy).
-
-        Raises:
-            ComputeError: the device cannot be used.
-        """
-        device = self.view.device if isinstance(self.view, YoloDetector) else "cpu"
-        return torch_compute(device) if device.startswith("cuda") else NUMPY
 
 
 def load_detector(

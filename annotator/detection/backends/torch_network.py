@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from annotator.detection.backends.cuda import CudaRunner, decode_in_full_precision
 from annotator.detection.backends.network import Answer, Batch
 from annotator.detection.backends.raw_network import raw_network
 from annotator.detection.config import Backend
@@ -22,7 +21,7 @@ MAX_BATCH_PX = 32 * 320 * 320
 
 
 class TorchNetwork:
-    """A network that torch runs on the CPU or a GPU; on CUDA in half precision and with CUDA graphs.
+    """A network that torch runs on the CPU or a GPU, in single precision.
 
     Attributes:
         backend: "torch".
@@ -49,8 +48,6 @@ class TorchNetwork:
         self._run = module.to(memory_format=api().torch.channels_last)
         # Needed because the network caches the last size's anchors, and torch's number of threads is global.
         self._lock = threading.Lock()
-        if device.type == "cuda":
-            self._run = CudaRunner(decode_in_full_precision(module.half()))
 
     def predict(self, batches: Sequence[Batch]) -> list[Answer]:
         """As `Network.predict`, with at most `MAX_BATCH_PX` per forward pass.

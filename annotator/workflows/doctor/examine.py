@@ -34,7 +34,6 @@ CHECKS: Mapping[str, Check] = {
     "choices": packages.choices,
     "base detector": packages.base_detector,
     "backends": self_test.backends,
-    "gpu": self_test.gpu,
 }
 
 

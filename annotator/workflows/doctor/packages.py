@@ -62,7 +62,7 @@ def required(_: Path) -> Iterator[Line]:
 
 def torch(_: Path) -> Iterator[Line]:
     """Reports the version of torch, and the CUDA devices that it can use."""
-    from annotator.gpu.facts import cuda_devices, torch_facts
+    from annotator.detection.ultralytics_api import cuda_devices, torch_facts
 
     try:
         facts = torch_facts()

@@ -1,11 +1,10 @@
-"""Self-tests: compares the backends, and the GPU's computations on points, with the CPU."""
+"""Self-tests: compares the backends with torch on the CPU."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,9 +13,6 @@ from annotator.geometry.projection import pixel_colors, unproject_depth
 from annotator.types import Camera, Frame, PointCloud
 from annotator.types.errors import AnnotatorError
 from annotator.workflows.doctor.report import Line, State
-
-if TYPE_CHECKING:
-    from annotator.gpu.agreement import Difference
 
 SECTION = "self-test"
 REPORT_IT = "report this, with the whole output"
@@ -92,54 +88,9 @@ def backends(_: Path) -> Iterator[Line]:
                 yield Line(section=SECTION, name=name, state=state, found=result, remedy=remedy, figures=figures)
 
 
-def gpu(_: Path) -> Iterator[Line]:
-    """Compares drawing, normals and clustering on each CUDA device with the CPU."""
-    devices = _cuda()
-    if not devices:
-        yield Line(section=SECTION, name="GPU", state=State.OK, found="no CUDA device; not tested")
-    for device in devices:
-        yield from points_on(device)
-
-
-def points_on(device: str) -> Iterator[Line]:
-    """Compares the computations on points on a torch device (which may be "cpu") with those of numpy."""
-    from annotator.gpu.agreement import WORKS
-    from annotator.gpu.compute import TorchCompute
-
-    frame = generated_frame()
-    for name, work in WORKS.items():
-        try:
-            for difference in work(TorchCompute(device), frame):
-                yield _line(device, difference)
-        except AnnotatorError as error:
-            yield Line(
-                section=SECTION, name=f"{device}, {name}", state=State.FAILED, found=str(error), remedy=REPORT_IT
-            )
-
-
-def _line(device: str, difference: Difference) -> Line:
-    result = (
-        f"differs from the CPU by {difference.value:.2g} ({difference.measure}); allowed: {difference.bound:.2g}; "
-        f"{1000 * difference.device_s:.1f} ms, on the CPU {1000 * difference.processor_s:.1f} ms"
-    )
-    return Line(
-        section=SECTION,
-        name=f"{device}, {difference.work}",
-        state=State.OK if difference.holds else State.FAILED,
-        found=result,
-        remedy="" if difference.holds else f"run the view detector with another --backend, and {REPORT_IT}",
-        figures={
-            "value": difference.value,
-            "bound": difference.bound,
-            "device_s": difference.device_s,
-            "processor_s": difference.processor_s,
-        },
-    )
-
-
 def _cuda() -> list[str]:
     """Returns the names of the CUDA devices; empty if torch is missing or broken, which `packages.torch` reports."""
-    from annotator.gpu.facts import cuda_devices
+    from annotator.detection.ultralytics_api import cuda_devices
 
     try:
         return [device.name for device in cuda_devices()]

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from annotator.project.config import BoxRotation
-from annotator.rcv.compute import NUMPY, Compute
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose_from_boxes
@@ -26,7 +25,7 @@ def propose_frames(
     """
     image_boxes = detectors.image.detect(frames) if frames else []
     config = detectors.settings(config)
-    return propose_image_boxes(frames, image_boxes, detectors.view, config, rotation, detectors.compute)
+    return propose_image_boxes(frames, image_boxes, detectors.view, config, rotation)
 
 
 def propose_image_boxes(
@@ -35,7 +34,6 @@ def propose_image_boxes(
     view_detector: Detector,
     config: RcvConfig,
     rotation: BoxRotation,
-    compute: Compute = NUMPY,
 ) -> list[FrameProposals]:
     """As `propose_frames`, but with given image boxes, one list per frame; sets only the orientation of `config`."""
     groups: dict[Orientation, list[int]] = defaultdict(list)
@@ -45,6 +43,6 @@ def propose_image_boxes(
     for orientation, indices in groups.items():
         settings = config.model_copy(update={"orientation": orientation})
         chosen, boxes = [frames[i] for i in indices], [image_boxes[i] for i in indices]
-        done = propose_from_boxes(chosen, boxes, view_detector, settings, compute=compute)
+        done = propose_from_boxes(chosen, boxes, view_detector, settings)
         results.update(zip(indices, done, strict=True))
     return [results[index] for index in range(len(frames))]

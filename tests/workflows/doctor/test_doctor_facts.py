@@ -16,8 +16,8 @@ import pytest
 
 from annotator import __version__
 from annotator.detection import base_detector
+from annotator.detection import ultralytics_api as facts
 from annotator.detection.backends import choose
-from annotator.gpu import facts
 from annotator.types.errors import DetectionError
 from annotator.workflows.doctor import Line, State, machine, packages
 

@@ -1,4 +1,4 @@
-"""The self-test detects backends with wrong output, and devices that draw or cluster differently."""
+"""The self-test detects backends with wrong output."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from annotator.detection.backends.network import Answer, Batch
 from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.seeded_network import write_seeded_network
 from annotator.detection.ultralytics_api import api, pick_device
-from annotator.gpu import compute
 from annotator.types.errors import DetectionError
-from annotator.workflows.doctor import Line, State, self_test
+from annotator.workflows.doctor import State, self_test
 
 
 @pytest.fixture(scope="module")
@@ -132,65 +131,3 @@ def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pyte
     monkeypatch.setattr(seeded_network, "api", missing)
     (line,) = self_test.backends(tmp_path)
     assert (line.state, line.found) == (State.WARNING, "not tested (no ultralytics)")
-
-
-def points(device: str = "cpu") -> dict[str, Line]:
-    found = list(self_test.points_on(device))
-    assert len({line.name for line in found}) == len(found)
-    return {line.name: line for line in found}
-
-
-def test_torch_on_the_processor_agrees_with_numpy() -> None:
-    found = points()
-    assert {name.split(", ")[1] for name in found} == {"drawing", "normals", "clusters"}
-    assert all(line.state is State.OK for line in found.values()), found
-    frame = self_test.generated_frame()
-    assert frame.depth_m is not None
-    assert len(frame.cloud) > 60_000 > (frame.depth_m == 0).sum() > 0
-
-
-def turned(result: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    centres, counts = result
-    angle = 0.01
-    c, s = np.cos(angle), np.sin(angle)
-    return centres @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), counts
-
-
-def shifted(views: list[Any]) -> list[Any]:
-    return [
-        type(view)(np.roll(view.rgb, 1, axis=1), view.axes, view.metres_per_px, view.origin_m, view.xyz_m)
-        for view in views
-    ]
-
-
-@pytest.mark.parametrize(
-    ("module", "function", "change", "expected"),
-    [
-        ("drawing", "render_pairs", shifted, "drawing"),
-        ("normals", "normals_from_depth", lambda normals: normals * np.float32([1, -1, 1]), "normals"),
-        ("kmeans", "axial_kmeans", turned, "clusters"),
-        ("kmeans", "axial_kmeans", lambda result: (result[0], result[1][::-1].copy()), "clusters"),
-    ],
-)
-def test_an_injected_error_is_found_and_nothing_else(
-    monkeypatch: pytest.MonkeyPatch, module: str, function: str, change: Callable[[Any], Any], expected: str
-) -> None:
-    right = getattr(getattr(compute, module), function)
-    monkeypatch.setattr(getattr(compute, module), function, lambda *args: change(right(*args)))
-    failed = [name for name, line in points().items() if line.state is State.FAILED]
-    assert failed
-    assert {name.split(", ")[1] for name in failed} == {expected}
-
-
-def test_a_failing_device_gives_one_line_per_kind_of_work() -> None:
-    found = points("nonsense")
-    assert set(found) == {"nonsense, drawing", "nonsense, normals", "nonsense, clusters"}
-    assert all(line.state is State.FAILED and "cannot process points" in line.found for line in found.values())
-
-
-def test_without_a_cuda_device_the_gpu_is_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(self_test, "_cuda", list)
-    (line,) = self_test.gpu(tmp_path)
-    assert (line.state, line.found) == (State.OK, "no CUDA device; not tested")
-    monkeypatch.setattr(self_test, "_cuda", lambda: ["nonsense"])
-    assert {each.name.split(",")[0] for each in self_test.gpu(tmp_path)} == {"nonsense"}

@@ -1,1 +1,0 @@
-"""The interface `annotator.rcv.compute.Compute` on a GPU, with torch."""
