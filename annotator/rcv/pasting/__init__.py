@@ -1,1 +1,0 @@
-"""Reviewed objects that are put into other frames, for training."""
