@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import accumulate, chain
+from itertools import accumulate
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import TrainingSample
@@ -23,9 +23,8 @@ from annotator.types.errors import ConfigError
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.settings import rcv_config
-from annotator.workflows.training.agnostic_samples import MOST_DRAWS, agnostic_samples, with_generated
-from annotator.workflows.training.held_out import Decision, HeldOut, held_out_groups
-from annotator.workflows.training.pasted_samples import pasted_image_samples, pasted_view_samples
+from annotator.workflows.training.agnostic_samples import agnostic_samples, with_generated
+from annotator.workflows.training.held_out import Decision, HeldOut
 from annotator.workflows.training.rounds import (
     DEFAULT_VIEW_PX,
     FIRST_PART_S,
@@ -186,9 +185,7 @@ def _train_image(
         left_out.lines.append(f"{amount(material.unreviewed_images, 'camera image')} with unreviewed proposals")
     run = Run(project, DetectorKind.IMAGE, project.config.classes, material.image_kind, plan.decides)
     real = image_samples(project, material, left_out.skip)
-    held_out, rcv = _held_out(project, plan), plan.rcv or rcv_config(project)
-    pasted = pasted_image_samples(project, material, rcv, plan.samples, held_out, left_out.skip)
-    written = run.write(unless_stopped(chain(real, pasted), partial(_check_stop, stop)))
+    written = run.write(unless_stopped(real, partial(_check_stop, stop)))
     config = image_config(project, plan.image, written.sha256, plan.decides)
     ran = run.train(written, config, report, stop)
     model = project.models.activate(ran.model.id)
@@ -282,14 +279,9 @@ class _ViewTraining:
         """The project's views, and generated ones if the detector at the start is class-agnostic."""
         project, material, rcv, skip = self.project, self.material, self.rcv, self.left_out.skip
         agnostic = origin is not None and origin.class_agnostic
-        most_draws = MOST_DRAWS if agnostic else drawing.most_draws
-        held_out = _held_out(project, self.plan)
-        views = pasted_view_samples(project, material, rcv, drawing, most_draws, held_out, agnostic, skip)
-        pasted = list(unless_stopped(views, self._check_stop))
-        rest = drawing.without(len(pasted))
         if origin is None or not agnostic:
-            return chain(pasted, view_samples(project, material, rcv, rest, skip))
-        own = chain(pasted, agnostic_samples(project, material, rcv, rest, load_detector(origin.path), skip))
+            return view_samples(project, material, rcv, drawing, skip)
+        own = agnostic_samples(project, material, rcv, drawing, load_detector(origin.path), skip)
         return with_generated(own, self.plan.generated_share, self.view_px, drawing.seed)
 
 
@@ -300,11 +292,6 @@ def _check_stop(stop: Stop | None) -> None:
     """
     if stop is not None and stop():
         raise TrainingStoppedError("training was stopped; train again to begin anew or to resume")
-
-
-def _held_out(project: Project, plan: TrainPlan) -> frozenset[str]:
-    """The groups of the frames that do not train."""
-    return held_out_groups(project) if plan.decides else frozenset()
 
 
 def _in_part(report: Report, part: int, parts: int, step: TrainingProgress) -> None:
