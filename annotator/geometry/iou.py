@@ -105,7 +105,7 @@ def intersection_volume_pairs(
     Raises:
         GeometryError: a size that is not positive, or a value that is not finite.
     """
-    from annotator.geometry.kernels.slab_volumes import intersection_volumes
+    from annotator.geometry.kernels import intersection_volumes
 
     boxes_a = _checked(centers_a, rotations_a, sizes_a)
     boxes_b = _checked(centers_b, rotations_b, sizes_b)

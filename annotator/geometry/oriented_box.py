@@ -69,7 +69,7 @@ def contains_parts(
         center, rotation, size: as in `corners`.
         xyz: points in the same frame, metres.
     """
-    from annotator.geometry.kernels.points_in_box import points_in_box
+    from annotator.geometry.kernels import points_in_box
 
     dtype = xyz.dtype
     half = (0.5 * size).astype(dtype)

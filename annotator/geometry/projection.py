@@ -92,7 +92,7 @@ def unproject_depth(
     Raises:
         GeometryError: the sizes of depth image and camera differ.
     """
-    from annotator.geometry.kernels.depth_points import depth_points
+    from annotator.geometry.kernels import depth_points
 
     require_image_size(camera, depth_m)
     depth = np.ascontiguousarray(depth_m, np.float32).reshape(-1)
@@ -105,7 +105,7 @@ def pixel_colors(rgb: UInt8[np.ndarray, "h w 3"], pixel: Int32[np.ndarray, "n"])
     Raises:
         IndexError: a pixel lies outside the image.
     """
-    from annotator.geometry.kernels.depth_points import colors_at
+    from annotator.geometry.kernels import colors_at
 
     colors = np.ascontiguousarray(rgb).reshape(-1, 3)
     if len(pixel) and not 0 <= pixel.min() <= pixel.max() < len(colors):

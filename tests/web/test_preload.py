@@ -16,7 +16,7 @@ import sys
 from annotator.web.background.preload import preload
 before = {"numba", "viser"} & set(sys.modules)
 preload().join()
-from annotator.geometry.kernels.points_in_box import points_in_box
+from annotator.geometry.kernels import points_in_box
 print(sorted(before), sorted({"numba", "viser"} & set(sys.modules)), bool(points_in_box.signatures))
 """
 

@@ -134,7 +134,7 @@ def test_numba_that_cannot_be_loaded_is_a_failure(monkeypatch: pytest.MonkeyPatc
 def test_compiled_kernels_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     import numpy as np
 
-    from annotator.geometry.kernels.points_in_box import points_in_box
+    from annotator.geometry.kernels import points_in_box
 
     points_in_box(np.zeros((1, 3)), np.zeros(3), np.eye(3), np.ones(3))
     found = lines(packages.numba)["numba"]
