@@ -112,7 +112,7 @@ def draw_views(
         depths_m: smallest and largest depth of the points in each view.
         largest_splat_px: largest square that a point is drawn as.
     """
-    from annotator.rcv.kernels import drawing as kernel
+    from annotator.rcv import drawing_kernels as kernel
 
     n, layout = xyz_m.shape[1], KeyLayout.of(xyz_m.shape[1])
     sizes = np.array([(w.width_px, w.height_px) for w in windows], np.int64).reshape(-1, 2)

@@ -43,7 +43,7 @@ def is_deep(cloud: PointCloud, config: RcvConfig) -> bool:
     The object is then small in the side view: with 60 m of street behind, a pedestrian is 2 of 96 pixels wide.
     Depth is measured along the frustum, which may lie at any angle to the camera's axis.
     """
-    from annotator.rcv.kernels import drawing as kernel
+    from annotator.rcv import drawing_kernels as kernel
 
     xyz = np.array(cloud.xyz_m.T, order="C")
     forward = unit(xyz.mean(axis=1, dtype=np.float64))

@@ -43,7 +43,7 @@ def render_pairs(
             the right and a2 down; the side view shares a2 and has a3 to the right.
         show: additional points, metres, that must lie within the views (the corners of the last step's box).
     """
-    from annotator.rcv.kernels import drawing as kernel
+    from annotator.rcv import drawing_kernels as kernel
 
     if not axes:
         return []
@@ -76,7 +76,7 @@ def render_window(
         axes: rows = right, down, into the image.
         max_splat_px: as in `ViewConfig`.
     """
-    from annotator.rcv.kernels import drawing as kernel
+    from annotator.rcv import drawing_kernels as kernel
 
     reach = np.array([window.width_px, window.height_px])
     px = (cloud.xyz_m @ axes[:2].T - window.origin_m) / window.metres_per_px
