@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 import tyro
 
-from annotator.geometry.common_axis import common_axis
+from annotator.geometry.oriented_box import common_axis
 from annotator.geometry.projection import project as projected
 from annotator.geometry.up_direction import UpEstimate, estimate_up
 from annotator.project import BoxRotation

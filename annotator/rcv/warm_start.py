@@ -16,8 +16,7 @@ from jaxtyping import Float64
 from scipy.optimize import linear_sum_assignment
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.nearest_upright import nearest_upright
-from annotator.geometry.oriented_box import box_corners, canonical_box, contains
+from annotator.geometry.oriented_box import box_corners, canonical_box, contains, nearest_upright
 from annotator.geometry.outline import box_on_image, edges_at_border
 from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import RcvConfig

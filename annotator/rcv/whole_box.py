@@ -26,9 +26,9 @@ from scipy.spatial import KDTree
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.normals import normals_knn
+from annotator.geometry.oriented_box import tightest_box
 from annotator.geometry.projection import project
 from annotator.geometry.registration import Pose, register_surface, share_found
-from annotator.geometry.tightest_box import tightest_box
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.cross_view import make_pair
 from annotator.rcv.hypotheses import face_camera

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from annotator.files import why_missing
-from annotator.geometry.correction import corrected, with_image
+from annotator.geometry.oriented_box import corrected, with_image
 from annotator.project.config import BoxRotation
 from annotator.project.frames import StoredFrame
 from annotator.project.project import Project

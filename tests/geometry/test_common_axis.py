@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.common_axis import common_axis
+from annotator.geometry.oriented_box import common_axis
 
 
 def standing(up: np.ndarray, turns: np.ndarray, lean_deg: float, seed: int) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.geometry.correction import corrected, with_image
+from annotator.geometry.oriented_box import corrected, with_image
 from annotator.geometry.projection import project, unproject_depth
 from annotator.types import NO_CORRECTION, Camera, Correction, Frame, PointCloud
 

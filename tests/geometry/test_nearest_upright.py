@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.nearest_upright import nearest_upright
+from annotator.geometry.oriented_box import nearest_upright
 from annotator.types import OrientedBox
 
 UP = np.array([0.0, -1.0, 0.0])

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.oriented_box import box_corners, contains
-from annotator.geometry.tightest_box import tightest_box
+from annotator.geometry.oriented_box import box_corners, contains, tightest_box
 from annotator.rcv.rotation_search import free_grid, yaw_grid
 from annotator.types import OrientedBox
 

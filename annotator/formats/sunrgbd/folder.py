@@ -29,7 +29,7 @@ from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames, h
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.sunrgbd.meta_table import META, MetaRow, dump_meta, meta_frame
 from annotator.formats.sunrgbd.upright_depth import FIRST_PX, one_based_matrix, tilt_matrix, upright_frame
-from annotator.geometry.nearest_upright import nearest_upright
+from annotator.geometry.oriented_box import nearest_upright
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import project, straightened
 from annotator.types import Box2D, Camera, Frame, OrientedBox

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.geometry.common_axis import common_axis
+from annotator.geometry.oriented_box import common_axis
 from annotator.geometry.up_direction import UpEstimate, estimate_up
 from annotator.project import BoxRotation, Project, StoredFrame, StoredRecording
 from annotator.project.adjusting.adjustment import Up
