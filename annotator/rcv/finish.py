@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.iou import iou_3d_matrix
-from annotator.geometry.nms import nms_3d
+from annotator.geometry.iou import iou_3d_matrix, nms_3d
 from annotator.geometry.oriented_box import aligned_box, canonical_box, contains
 from annotator.geometry.outline import box_on_image, points_on_image
 from annotator.rcv.axes import camera_axes

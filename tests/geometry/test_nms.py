@@ -8,8 +8,7 @@ from geometry_strategies import random_boxes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.geometry.iou import iou_3d, iou_3d_matrix
-from annotator.geometry.nms import nms_3d
+from annotator.geometry.iou import iou_3d, iou_3d_matrix, nms_3d
 from annotator.types import OrientedBox
 from annotator.types.errors import GeometryError
 
