@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.formats.units import Angles, AngleUnit, Lengths, rotation_problem
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.types.errors import UnitError, UnitKind
 
 FILE = Path("a.txt")

@@ -19,7 +19,7 @@ from annotator.formats.nuscenes.model import Attribute, Category, Instance, Samp
 from annotator.formats.nuscenes.shapes import box_from
 from annotator.formats.reading import OnFault, raise_fault
 from annotator.geometry.oriented_box import box_corners
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.nuscenes_tables import CalibratedSensor, EgoPose, Record, SampleData, Sensor, pose
 from annotator.types import OrientedBox
 from annotator.types.errors import FormatError

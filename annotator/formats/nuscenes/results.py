@@ -22,7 +22,7 @@ from annotator.formats.json_file import BoundedPositive
 from annotator.formats.json_stream import read_pairs
 from annotator.formats.nuscenes.model import Quaternion, Vector3
 from annotator.formats.nuscenes.shapes import box_from
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.types import Truth
 from annotator.types.errors import FormatError
 from annotator.types.validation import first_problem

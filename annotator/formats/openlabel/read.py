@@ -18,7 +18,7 @@ from annotator.formats.openlabel.said_text import SAID_BY, said_from
 from annotator.formats.openlabel.scene import PLACE, WORLD
 from annotator.formats.openlabel.shapes import box_from
 from annotator.formats.units import Angles, AngleUnit
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.types import BoxKind, OrientedBox, ReviewState
 from annotator.types.errors import FormatError
 from annotator.types.label import MOST_TRACK, AttributeValue, Said

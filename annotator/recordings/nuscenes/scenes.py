@@ -11,7 +11,7 @@ from typing import TypeVar
 from scipy.spatial.transform import RigidTransform
 
 from annotator.file_names import posix_path
-from annotator.geometry.quaternion_order import Quaternions
+from annotator.geometry.transforms import Quaternions
 from annotator.nuscenes_tables import (
     CalibratedSensor,
     EgoPose,
