@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.geometry.edges import heading_px
 from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.outline import heading_px
 from annotator.geometry.projection import project
 from annotator.types import Box2D, Frame, Label, OrientedBox, Proposal, Truth
 

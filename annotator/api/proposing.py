@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
 from annotator.api.inputs import require_on_image
-from annotator.geometry.image_shares import clip_to_image
+from annotator.geometry.outline import clip_to_image
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals

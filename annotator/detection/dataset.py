@@ -21,7 +21,7 @@ from jaxtyping import UInt8
 from annotator.detection.held_out import is_held_out
 from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, ManifestEntry, Split
 from annotator.files import new_folder
-from annotator.geometry.image_shares import clip_to_image, shares_of
+from annotator.geometry.outline import clip_to_image, shares_of
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError

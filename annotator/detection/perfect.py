@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
-from annotator.geometry.image_shares import clip_to_image
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.geometry.outline import box_on_image, points_on_image
+from annotator.geometry.outline import box_on_image, clip_to_image, points_on_image
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, PseudoView, Region, Truth
 from annotator.types.errors import DetectionError
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.detection.dataset import TrainingSample
-from annotator.geometry.image_shares import clip_to_image
+from annotator.geometry.outline import clip_to_image
 from annotator.types import Box2D
 
 # An object is labelled on a tile if at least this share of its box lies on it.

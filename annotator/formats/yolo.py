@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.formats.reading import OnFault, raise_fault
-from annotator.geometry.image_shares import clip_to_image, edges_of, shares_of
+from annotator.geometry.outline import clip_to_image, edges_of, shares_of
 from annotator.text import SHOWN, to_number
 from annotator.types import Box2D
 from annotator.types.errors import FormatError

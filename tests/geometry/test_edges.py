@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.edges import PIECES_DISTORTED, cut_segments, heading_px, visible_edges
 from annotator.geometry.oriented_box import EDGES, box_corners
-from annotator.geometry.outline import box_on_image
+from annotator.geometry.outline import PIECES_DISTORTED, box_on_image, cut_segments, heading_px, visible_edges
 from annotator.geometry.projection import project
 from annotator.types import Camera, OrientedBox
 

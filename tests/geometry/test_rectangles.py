@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.rectangles import CHUNK, rectangle_intersection_pairs
+from annotator.geometry.outline import CHUNK, rectangle_intersection_pairs
 from annotator.types import OrientedBox
 
 Rectangle = tuple[tuple[float, float], float, tuple[float, float]]

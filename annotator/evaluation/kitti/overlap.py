@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int
 
 from annotator.evaluation.kitti.rows import KittiRows
 from annotator.evaluation.pairs import pairs_within
-from annotator.geometry.rectangles import rectangle_intersection_pairs
+from annotator.geometry.outline import rectangle_intersection_pairs
 
 # Detections per pass, so that memory does not grow with the dataset.
 BLOCK = 20_000

@@ -21,9 +21,9 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.formats.attributes import NO_VALUES, OCCLUSION, TRUNCATION, Values, held_by_kitti
 from annotator.formats.kitti.label_files import DECIMALS, KittiLabel, heading_rotation
-from annotator.geometry.edges import cut_segments
 from annotator.geometry.occlusion import Sight
 from annotator.geometry.oriented_box import EDGES, box_corners, nearest_upright
+from annotator.geometry.outline import cut_segments
 from annotator.geometry.projection import project
 from annotator.geometry.transforms import IMAGE_UP
 from annotator.types import Camera, Frame, OrientedBox

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from annotator.geometry.edges import heading_px
 from annotator.geometry.oriented_box import EDGES, box_corners
+from annotator.geometry.outline import heading_px
 from annotator.geometry.projection import project
 from annotator.rcv.finish import FrameProposals
 from annotator.types import Box2D, Camera, Frame, OrientedBox

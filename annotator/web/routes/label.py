@@ -9,7 +9,7 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
-from annotator.geometry.edges import visible_edges
+from annotator.geometry.outline import visible_edges
 from annotator.project import Project, WriteContext
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import StaleRevisionError

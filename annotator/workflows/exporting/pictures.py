@@ -27,7 +27,7 @@ from annotator.formats.dataset_writing import (
 from annotator.formats.frames_csv import FRAMES_CSV, FrameOrigin, dump_frames
 from annotator.formats.losses import Losses, Lost, count_lost
 from annotator.formats.yolo_dataset import YoloWriter, is_yolo_dataset
-from annotator.geometry.image_shares import clip_to_image
+from annotator.geometry.outline import clip_to_image
 from annotator.project import REVIEWED, ViewBoxes
 from annotator.types import Box2D, BoxKind, Frame, Label
 from annotator.workflows.exporting.choose_pictures import ChosenPictures, loose_views, of_classes

@@ -29,8 +29,8 @@ from typing import TypeGuard
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.edges import visible_edges
 from annotator.geometry.oriented_box import canonical_box
+from annotator.geometry.outline import visible_edges
 from annotator.project import Project
 from annotator.rcv.axes import camera_axes, match_axes
 from annotator.rcv.config import RcvConfig

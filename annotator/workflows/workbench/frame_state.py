@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from annotator.geometry.edges import visible_edges
+from annotator.geometry.outline import visible_edges
 from annotator.project import Project, StoredLabel, ViewBoxes
 from annotator.project.overview import FramePage, read_page
 from annotator.project.sources.covering import covered_by
