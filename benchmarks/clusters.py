@@ -10,8 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import aligned_box
+from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.first_look import in_middle, width_at
 from annotator.rcv.rotation_search import spread_rotations

@@ -18,9 +18,8 @@ import tyro
 from scipy.spatial.transform import Rotation
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.outline import box_on_image
-from annotator.geometry.projection import pixel_rays, unproject_depth
+from annotator.geometry.projection import in_frustum, pixel_rays, unproject_depth
 from annotator.rcv import measure, propose, recursion
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.normals import with_normals

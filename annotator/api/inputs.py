@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from scipy.spatial.transform import RigidTransform
 
-from annotator.geometry.depth_values import measured
+from annotator.geometry.projection import measured
 from annotator.recordings.plausible import are_returns
 from annotator.types import Box2D, Camera
 from annotator.types.errors import ArgumentError

@@ -5,6 +5,7 @@ Pixels are continuous and the centre of the first pixel is (0, 0), as in `cv2.pr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
 
 from annotator.geometry.distortion import distort, undistort
-from annotator.types import Camera
+from annotator.types import Box2D, Camera
 from annotator.types.errors import GeometryError
 
 # width, height, fx, fy, cx, cy, distortion.
@@ -157,3 +158,61 @@ def _ray_columns(key: CameraKey) -> tuple[Float32[np.ndarray, "n"], Float32[np.n
     """x/z and y/z of the rays of all pixels, row by row."""
     rays = _pixel_rays(key).reshape(-1, 2)
     return rays[:, 0].copy(), rays[:, 1].copy()
+
+
+# TODO-MERGED docstring of depth_values.py:
+# Depth images as sensors and programs store them, in metres: one rule for what is no measurement.
+
+
+# The highest numbers of 16 bits and of half precision: saturated, or "no data". Other types hold converted ones.
+SATURATED = (65504, 65535)
+
+
+def measured(values: np.ndarray) -> Bool[np.ndarray, "h w"]:
+    """True where raw depths of any type are measurements: positive, finite, and not the highest of a type."""
+    if values.dtype.kind == "f":
+        values = values.astype(np.float32, copy=False)
+    found = (values > 0) & (values != SATURATED[0]) & (values != SATURATED[1])
+    if values.dtype.kind == "f":
+        return np.asarray(found & (values < np.inf))
+    return np.asarray(found & (values != np.iinfo(values.dtype).max))
+
+
+def in_metres(values: np.ndarray, units_per_m: float) -> Float32[np.ndarray, "h w"]:
+    """Returns depths in metres, 0 where there is no measurement (`measured`).
+
+    Args:
+        values: (h, w) raw depths, of any integer or float type.
+        units_per_m: 1000 for millimetres.
+    """
+    with np.errstate(all="ignore"):
+        depth_m = np.divide(values, np.float32(units_per_m), dtype=np.float32, casting="unsafe")
+    depth_m[~measured(values)] = 0
+    return np.asarray(depth_m)
+
+
+# TODO-MERGED docstring of frustum.py:
+# The points of a cloud in the frustum of a 2D box.
+
+
+def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> Bool[np.ndarray, "n"]:
+    """Which points project into a 2D box on the camera image, edges included.
+
+    Args:
+        camera: intrinsics and distortion.
+        xyz_m: points in the camera frame, metres.
+        box: on the image, pixels; it may extend beyond the image.
+
+    Returns:
+        (n,) mask; points behind the camera (z <= 0) and NaN points are outside.
+    """
+    return in_frustums(camera, xyz_m, [box])[0]
+
+
+def in_frustums(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], boxes: Sequence[Box2D]) -> list[Bool[np.ndarray, "n"]]:
+    """As `in_frustum`, for several boxes on one image; the points are projected once."""
+    if not boxes:
+        return []
+    u, v = project(camera, xyz_m).T
+    # comparisons with NaN are false, so points that cannot be projected are outside
+    return [(u >= box.x_min) & (u <= box.x_max) & (v >= box.y_min) & (v <= box.y_max) for box in boxes]

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import NEAR_M, box_on_image
+from annotator.geometry.projection import in_frustum
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.normals import frame_with_normals
 from annotator.rcv.operator import draw_object

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool
 
-from annotator.geometry.frustum import in_frustums
 from annotator.geometry.normals import normals_from_depth, normals_knn
+from annotator.geometry.projection import in_frustums
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.types import Box2D, BoxKind, Frame, PointCloud
 

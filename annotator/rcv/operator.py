@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes, find_axes
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.cross_view import make_pair

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 from scipy.spatial.transform import Rotation
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
+from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.cross_view import span_box

@@ -12,8 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from annotator.files import read_text_file
-from annotator.geometry.depth_values import in_metres
-from annotator.geometry.projection import resized
+from annotator.geometry.projection import in_metres, resized
 from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole, is_rotation
 from annotator.recordings.rotated_depth import decode_depth, looks_rotated
 from annotator.types import Camera

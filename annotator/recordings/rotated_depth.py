@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32, UInt16
 
-from annotator.geometry.depth_values import in_metres, measured
+from annotator.geometry.projection import in_metres, measured
 
 # Depths below 8.192 m become multiples of eight, which few plain values are.
 LEAST_MULTIPLES = 0.9

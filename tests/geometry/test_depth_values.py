@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from annotator.geometry.depth_values import in_metres
+from annotator.geometry.projection import in_metres
 
 INF, NAN = float("inf"), float("nan")
 TABLE = [

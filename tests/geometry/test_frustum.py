@@ -7,8 +7,7 @@ import pytest
 from geometry_strategies import cameras
 from hypothesis import given, settings
 
-from annotator.geometry.frustum import in_frustum
-from annotator.geometry.projection import unproject_depth
+from annotator.geometry.projection import in_frustum, unproject_depth
 from annotator.types import Box2D, Camera
 
 

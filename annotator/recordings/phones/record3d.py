@@ -23,8 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from annotator.frame_limits import require_pixels
-from annotator.geometry.depth_values import in_metres
-from annotator.geometry.projection import resized
+from annotator.geometry.projection import in_metres, resized
 from annotator.image_bytes import decode_image
 from annotator.recordings.frame_times import Times, known_times
 from annotator.recordings.listing import sorted_keys

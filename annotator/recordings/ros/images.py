@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from annotator.frame_limits import require_pixels
-from annotator.geometry.depth_values import in_metres
+from annotator.geometry.projection import in_metres
 from annotator.image_bytes import decode_image
 from annotator.recordings.deep_images import Levels, contrast_levels, depth_levels, eight_bits
 from annotator.recordings.ros.decode import FIELD_ERRORS, byte_array

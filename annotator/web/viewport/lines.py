@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.oriented_box import CORNER_SIGNS, EDGES
-from annotator.geometry.projection import undistort_px
+from annotator.geometry.projection import in_frustum, undistort_px
 from annotator.types import Box2D, Frame, OrientedBox, PseudoView
 
 Segments = Float32[np.ndarray, "k 2 3"]

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.geometry.frustum import in_frustum
+from annotator.geometry.projection import in_frustum
 from annotator.project import ViewBoxes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import make_pair

@@ -11,9 +11,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from jaxtyping import Bool
 
-from annotator.geometry.frustum import in_frustum
 from annotator.geometry.normals import normals_from_depth
 from annotator.geometry.point_index import PointIndex
+from annotator.geometry.projection import in_frustum
 from annotator.project.overview import FramePage
 from annotator.project.views import png
 from annotator.types import Box2D, Detector, Frame, OrientedBox, PseudoView
