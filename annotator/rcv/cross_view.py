@@ -89,7 +89,7 @@ def pair_all(
     Objects on the same floor overlap on the shared axis even in wrong pairs. So a pair is also ranked by its support:
     the IoU of the sets of points in its front box and in its side box.
     """
-    from annotator.rcv.kernels.spans import count_within
+    from annotator.rcv.fit_kernels import count_within
 
     axes32, xyz_m = axes.astype(np.float32, "C"), np.ascontiguousarray(cloud.xyz_m)
     ranked: list[tuple[float, Pair]] = []

@@ -182,7 +182,7 @@ class Edges:
 
     def determine(self, fit: Solution, held: bool) -> bool:
         """True if the equations determine all unknowns of the box; `held` as in `refine`."""
-        from annotator.rcv.kernels.refinement import FREE, HELD, determined
+        from annotator.rcv.fit_kernels import FREE, HELD, determined
 
         box = (fit.center_m, fit.rotation, fit.size_m)
         return determined(self._measured, box, HELD if held else FREE, self.config.min_determinacy)
@@ -194,7 +194,7 @@ class Edges:
             rotation: start rotations; columns = box axes.
             held: rotate about the boxes' z axes only.
         """
-        from annotator.rcv.kernels.refinement import FREE, HELD, refine
+        from annotator.rcv.fit_kernels import FREE, HELD, refine
 
         starts, unknowns = np.array(rotation, order="C"), HELD if held else FREE
         delta, least = self.config.huber_sigmas, self.config.min_size_m

@@ -138,7 +138,7 @@ def rotation_costs(
         directions, ends_m, sigma_m: as in `Intervals`; intervals with an unknown end are ignored.
         rotations: columns = box axes in the frame of `directions`.
     """
-    from annotator.rcv.kernels.rotation_search import size_costs
+    from annotator.rcv.fit_kernels import size_costs
 
     half = (ends_m[:, 1] - ends_m[:, 0]) / 2
     sigma = np.hypot(sigma_m[:, 0], sigma_m[:, 1]) / 2

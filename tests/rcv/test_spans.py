@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from annotator.rcv.kernels.spans import count_within
+from annotator.rcv.fit_kernels import count_within
 
 
 def test_counts_agree_with_masks() -> None:

@@ -133,7 +133,7 @@ class Evidence:
 
     def outlines(self, boxes: Candidates) -> Float64[np.ndarray, "k 4"]:
         """The outlines of boxes, clipped to the image: left, right, top, bottom, normalised."""
-        from annotator.rcv.kernels.box_evidence import outlines
+        from annotator.rcv.fit_kernels import outlines
 
         return outlines(boxes.rotation, boxes.center_m, boxes.size_m, self.image)
 
@@ -157,7 +157,7 @@ class Evidence:
         Args:
             measured: what the views of each rival measured; the one with the least distance counts.
         """
-        from annotator.rcv.kernels.box_evidence import point_evidence
+        from annotator.rcv.fit_kernels import point_evidence
 
         hits = point_evidence(boxes.rotation, boxes.center_m, boxes.size_m, self.points, self.middle, MARGIN)
         terms = np.column_stack([hits, self.edge_errors(boxes), self._deviation(boxes.size_m)])
