@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from annotator.project import Project
 from annotator.project.config import BoxRotation
 from annotator.project.labels import ReviewedBox
-from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
+from annotator.rcv.config import TypicalSize, typical_size
 from annotator.types import OrientedBox
 
 # Number of the latest reviewed boxes of a class that are read, and of those that count: one for each track.

@@ -11,11 +11,10 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv import starts
-from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, ViewConfig
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.typical_size.evidence import Candidates, Evidence
 from annotator.rcv.typical_size.placement import place
-from annotator.rcv.typical_size.sizes import TypicalSize
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, Truth
 from tests.rcv.test_typical_size import BOX, CAMERA, TYPICAL, Blind, frame_with
 

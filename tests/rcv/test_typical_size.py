@@ -12,7 +12,7 @@ from test_first_look import AnyClass
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv import finish
-from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig
+from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig, TypicalSize, typical_size
 from annotator.rcv.first_look import Outline
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
@@ -20,7 +20,6 @@ from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
 from annotator.rcv.typical_size.evidence import MARGIN, Candidates, Evidence, best_expected
 from annotator.rcv.typical_size.placement import BY_SCORE, changed, distinct, place
-from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
 from annotator.workflows.detectors import Detectors

@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float, Float64
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.geometry.projection import undistort_px
+from annotator.rcv.config import TypicalSize
 from annotator.rcv.first_look import Outline, in_middle
 from annotator.rcv.interval_fit import Intervals
-from annotator.rcv.typical_size.sizes import TypicalSize
 from annotator.types import Box2D, Camera, OrientedBox
 
 # Number of points of a frustum that are used.

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.formats.units import Lengths
-from annotator.rcv.typical_size.sizes import TypicalSize, typical_size
+from annotator.rcv.config import TypicalSize, typical_size
 from annotator.types.amounts import amount
 
 # Factor by which a side may differ from the usual one, and standard deviations of its class if these are larger.
