@@ -17,8 +17,7 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
 from annotator.rcv.first_look import expected_outline
 from annotator.rcv.recursion import FrustumFacts, ObjectState
-from annotator.rcv.typical_size.evidence import Candidates, best_expected
-from annotator.rcv.typical_size.placement import changed
+from annotator.rcv.typical_size import Candidates, best_expected, changed
 from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Proposal, StopReason
 
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.

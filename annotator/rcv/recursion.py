@@ -24,7 +24,7 @@ from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
 from annotator.rcv.pseudo_view import render_pairs
-from annotator.rcv.typical_size.evidence import Candidates, Evidence
+from annotator.rcv.typical_size import Candidates, Evidence
 from annotator.types import (
     Box2D,
     BoxKind,

@@ -21,8 +21,7 @@ from annotator.rcv.finish import image_agreement
 from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
 from annotator.rcv.frustum_views import is_deep
 from annotator.rcv.recursion import FrustumFacts, ObjectState
-from annotator.rcv.typical_size.evidence import Evidence
-from annotator.rcv.typical_size.placement import distinct, place, place_near
+from annotator.rcv.typical_size import Evidence, distinct, place, place_near
 from annotator.types import Camera, StopReason
 
 # Points of the middle of an image box that are kept to compare rivals.

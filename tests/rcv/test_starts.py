@@ -13,8 +13,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.rcv import starts
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, TypicalSize, ViewConfig
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.typical_size.evidence import Candidates, Evidence
-from annotator.rcv.typical_size.placement import place
+from annotator.rcv.typical_size import Candidates, Evidence, place
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image, OrientedBox, Truth
 from tests.rcv.test_typical_size import BOX, CAMERA, TYPICAL, Blind, frame_with
 

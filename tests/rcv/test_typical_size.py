@@ -18,8 +18,7 @@ from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
-from annotator.rcv.typical_size.evidence import MARGIN, Candidates, Evidence, best_expected
-from annotator.rcv.typical_size.placement import BY_SCORE, changed, distinct, place
+from annotator.rcv.typical_size import BY_SCORE, MARGIN, Candidates, Evidence, best_expected, changed, distinct, place
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
 from annotator.workflows.detectors import Detectors
