@@ -16,10 +16,9 @@ from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes, find_axes
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.cross_view import make_pair
-from annotator.rcv.frustum_views import frustum_views
 from annotator.rcv.measure import any_cut
 from annotator.rcv.normals import with_normals
-from annotator.rcv.pseudo_view import render_pairs
+from annotator.rcv.pseudo_view import frustum_views, render_pairs
 from annotator.rcv.recursion import cut_cloud, held_direction, shown_box
 from annotator.types import Box2D, Frame, PseudoView
 

@@ -19,11 +19,10 @@ from annotator.rcv import cross_view
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import expected_outline, image_planes
-from annotator.rcv.frustum_views import frustum_views
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
-from annotator.rcv.pseudo_view import render_pairs
+from annotator.rcv.pseudo_view import frustum_views, render_pairs
 from annotator.rcv.typical_size import Candidates, Evidence
 from annotator.types import (
     Box2D,

@@ -19,7 +19,7 @@ from annotator.geometry.oriented_box import canonical_box, contains
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import image_agreement
 from annotator.rcv.first_look import depth_crops, expected_outline, in_middle
-from annotator.rcv.frustum_views import is_deep
+from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import FrustumFacts, ObjectState
 from annotator.rcv.typical_size import Evidence, distinct, place, place_near
 from annotator.types import Camera, StopReason

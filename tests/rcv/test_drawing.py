@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.rcv.config import ViewConfig
-from annotator.rcv.drawing import BACKGROUND, KeyLayout, draw_views, fit_windows, pack_colors, splat_px
+from annotator.rcv.pseudo_view import BACKGROUND, KeyLayout, draw_views, fit_windows, pack_colors, splat_px
 
 VIEWS = 3
 

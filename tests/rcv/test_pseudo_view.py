@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.rcv.config import ViewConfig
-from annotator.rcv.drawing import BACKGROUND
-from annotator.rcv.pseudo_view import drawn_points, render_pairs
+from annotator.rcv.pseudo_view import BACKGROUND, drawn_points, render_pairs
 from annotator.types import Box2D, PointCloud
 
 VIEW = ViewConfig(size_px=100, padding=0.05)

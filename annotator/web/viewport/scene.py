@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.rcv.drawing import BACKGROUND
+from annotator.rcv.pseudo_view import BACKGROUND
 from annotator.types import Frame, OrientedBox, PointCloud, ReviewState
 from annotator.web.viewport.content import Draft, Gizmo, InitialCamera, SceneContent, ShownBox
 from annotator.web.viewport.display import initial_camera, point_colors, point_size_m, scene_up, shown_points

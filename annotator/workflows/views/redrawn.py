@@ -17,8 +17,7 @@ from annotator.geometry.projection import in_frustum
 from annotator.project import ViewBoxes
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import make_pair
-from annotator.rcv.drawing import Window
-from annotator.rcv.pseudo_view import drawn_points, render_window
+from annotator.rcv.pseudo_view import Window, drawn_points, render_window
 from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS
 from annotator.types import Frame, PointCloud

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import contains
-from annotator.rcv.drawing import BACKGROUND, Window, draw_views, pack_colors
-from annotator.rcv.pseudo_view import point_colors
+from annotator.rcv.pseudo_view import BACKGROUND, Window, draw_views, pack_colors, point_colors
 from annotator.types import OrientedBox, PointCloud, PseudoView
 from annotator.workflows.workbench.open_frame import OpenFrame
 
