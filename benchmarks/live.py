@@ -20,7 +20,7 @@ from rich.console import Console
 from annotator.detection.config import Backend
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.warm_start import is_warm
+from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types import Detector
 from annotator.types.amounts import amount

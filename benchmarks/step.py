@@ -23,7 +23,7 @@ from annotator.geometry.projection import in_frustum, pixel_rays, unproject_dept
 from annotator.rcv import measure, propose, recursion
 from annotator.rcv.config import Orientation, RcvConfig
 from annotator.rcv.normals import with_normals
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import ConfigError
 from benchmarks.report import Table, finish, guarded

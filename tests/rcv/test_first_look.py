@@ -14,7 +14,7 @@ from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig
 from annotator.rcv.first_look import Outline, depth_crops, expected_outline, image_planes, width_at
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox
 from annotator.workflows.detectors import Detectors

@@ -14,7 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import Orientation, RcvConfig, Strategy, WarmConfig
 from annotator.rcv.propose import propose
-from annotator.rcv.warm_start import WARM_START, WarmStart, is_warm, match_warm_starts
+from annotator.rcv.starts import WARM_START, WarmStart, is_warm, match_warm_starts
 from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, Proposal, PseudoView
 
 UP = np.array([0.0, -1.0, 0.0])

@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 
-from annotator.rcv.warm_start import is_warm
+from annotator.rcv.starts import is_warm
 from annotator.workflows.warm_up import warm_up
 
 # In a process of its own, because other tests call compiled functions, too. Functions called from Python have

@@ -10,7 +10,7 @@ from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.rcv.propose import propose_from_boxes
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.types import Box2D, Detector, Frame, Image
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.frame_source import orientation_for

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.cross_view import box_iou
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.types import Box2D, Detector, Frame, Region
 
 # The whole image is used once in this many frames, and for this many frames after an object was lost in its region.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.project.overview import neighbours
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.tracking.config import TrackingConfig
 from annotator.tracking.link import Seen, link
 from annotator.types import Label, Proposal

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
-from annotator.rcv.warm_start import WarmStart
+from annotator.rcv.starts import WarmStart
 from annotator.types import NO_CORRECTION, BoxKind, Correction
 
 
