@@ -9,7 +9,7 @@ import numpy as np
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.project import StoredFrame
-from annotator.rcv.operator import draw_object
+from annotator.rcv.known_objects import draw_object
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, BoxKind, OrientedBox, PseudoView
 from annotator.workflows.training.held_out import inaccurate

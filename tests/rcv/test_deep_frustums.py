@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.rcv.operator import first_views
+from annotator.rcv.known_objects import first_views
 from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import plan_step, start
 from annotator.types import Box2D, Camera, Frame, PointCloud

@@ -21,7 +21,7 @@ from annotator.geometry.oriented_box import aligned_box, contains
 from annotator.project import REVIEWED, ImageBoxes, Project, StoredFrame, StoredLabel, ViewBoxes
 from annotator.project.sources.covering import covered_by
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.operator import LABELLED_STEPS, cut_out
+from annotator.rcv.known_objects import LABELLED_STEPS, cut_out
 from annotator.rcv.recursion import held_direction
 from annotator.rcv.teach import MIN_POINTS, TaughtObject, teach_views
 from annotator.types import Box2D, BoxKind, DetectorKind, Frame, Label, OrientedBox, ReviewState
