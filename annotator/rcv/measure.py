@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from annotator.geometry.oriented_box import box_corners, contains
-from annotator.rcv import cross_view
 from annotator.rcv.config import RcvConfig
+from annotator.rcv.cross_view import Pair, choose, cut_edges, make_pair, measured_intervals
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView
 
@@ -47,9 +47,9 @@ class Measurement:
 def choose_all(
     views: Sequence[PseudoView], boxes: Sequence[Sequence[Box2D]], last: OrientedBox | None, config: RcvConfig
 ) -> tuple[int | None, ...]:
-    """The detection on each view that continues the last box, see `cross_view.choose`."""
+    """The detection on each view that continues the last box, see `choose`."""
     corners = None if last is None else box_corners(last)
-    return tuple(cross_view.choose(view, on_view, corners, config) for view, on_view in zip(views, boxes, strict=True))
+    return tuple(choose(view, on_view, corners, config) for view, on_view in zip(views, boxes, strict=True))
 
 
 def measure_pair(
@@ -63,7 +63,7 @@ def measure_pair(
     front, side = choose_all(views, boxes, last, config)
     if front is None or side is None:
         return None
-    pair = cross_view.make_pair(axes, (views[0], views[1]), boxes[0], boxes[1], front, side)
+    pair = make_pair(axes, (views[0], views[1]), boxes[0], boxes[1], front, side)
     used = (front, side)
     return Measurement(pair.box, axes, pair.disagreement, pair.score, used, cut=any_cut(views, boxes, used, config))
 
@@ -92,7 +92,7 @@ def measure_consensus(
     detected = [(view, on_view[i]) for view, on_view, i in zip(views, boxes, used, strict=True) if i is not None]
     if not detected:
         return None
-    parts = [cross_view.measured_intervals([view for view, _ in detected], [box for _, box in detected], config)]
+    parts = [measured_intervals([view for view, _ in detected], [box for _, box in detected], config)]
     if start_box is not None:
         parts.append(_start_intervals(start_box, parts[0], config))
     intervals = Intervals.concatenate(parts if earlier is None else [earlier, *parts])
@@ -124,13 +124,13 @@ def _pairs(
     views: Sequence[PseudoView],
     boxes: Sequence[Sequence[Box2D]],
     used: Sequence[int | None],
-) -> list[cross_view.Pair]:
+) -> list[Pair]:
     pairs = []
     for k, rows in enumerate(axes):
         front, side = used[2 * k], used[2 * k + 1]
         if front is not None and side is not None:
             two = (views[2 * k], views[2 * k + 1])
-            pairs.append(cross_view.make_pair(rows, two, boxes[2 * k], boxes[2 * k + 1], front, side))
+            pairs.append(make_pair(rows, two, boxes[2 * k], boxes[2 * k + 1], front, side))
     return pairs
 
 
@@ -139,13 +139,13 @@ def any_cut(
 ) -> bool:
     """True if a used detection touches the border of its view."""
     return any(
-        i is not None and any(cross_view.cut_edges(view, on_view[i], config))
+        i is not None and any(cut_edges(view, on_view[i], config))
         for view, on_view, i in zip(views, boxes, used, strict=True)
     )
 
 
 def _least_volume(
-    pairs: Sequence[cross_view.Pair],
+    pairs: Sequence[Pair],
     used: tuple[int | None, ...],
     intervals: Intervals | None,
     fallback: tuple[str, ...] = (),
