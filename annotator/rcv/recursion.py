@@ -17,11 +17,19 @@ from annotator.geometry.oriented_box import box_corners, canonical_box, contains
 from annotator.geometry.outline import NEAR_M
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
-from annotator.rcv.cross_view import cut_margin_m, of_class, pair_all
 from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
-from annotator.rcv.measure import Measurement, any_cut, measure_consensus, measure_pair, measure_tightest
+from annotator.rcv.measure import (
+    Measurement,
+    any_cut,
+    cut_margin_m,
+    measure_consensus,
+    measure_pair,
+    measure_tightest,
+    of_class,
+    pair_all,
+)
 from annotator.rcv.pseudo_view import frustum_views, render_pairs
 from annotator.rcv.typical_size import Candidates, Evidence
 from annotator.types import (

@@ -30,8 +30,8 @@ from annotator.geometry.oriented_box import tightest_box
 from annotator.geometry.projection import project
 from annotator.geometry.registration import Pose, register_surface, share_found
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
-from annotator.rcv.cross_view import make_pair
 from annotator.rcv.hypotheses import face_camera
+from annotator.rcv.measure import make_pair
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.rotation_search import free_grid, yaw_grid
 from annotator.types import Box2D, BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud

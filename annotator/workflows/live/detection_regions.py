@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import box_iou
+from annotator.rcv.measure import box_iou
 from annotator.rcv.starts import WarmStart
 from annotator.types import Box2D, Detector, Frame, Region
 

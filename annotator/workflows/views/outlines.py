@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from annotator.geometry.outline import MIN_SIDE_PX, box_on_image
-from annotator.rcv.cross_view import box_iou
+from annotator.rcv.measure import box_iou
 from annotator.types import Box2D, Camera, Label
 
 # 2D IoU from which a drawn box and an outline of the same class belong to the same object. Low, because the drawn box

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from annotator.geometry.projection import in_frustum
 from annotator.project import ViewBoxes
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import make_pair
+from annotator.rcv.measure import make_pair
 from annotator.rcv.pseudo_view import Window, drawn_points, render_window
 from annotator.rcv.recursion import cut_cloud
 from annotator.rcv.teach import MIN_POINTS

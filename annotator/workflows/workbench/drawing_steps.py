@@ -34,9 +34,9 @@ from annotator.geometry.outline import visible_edges
 from annotator.project import Project
 from annotator.rcv.axes import camera_axes, match_axes
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import make_pair, measured_intervals
 from annotator.rcv.interval_fit import fit_box
 from annotator.rcv.known_objects import Span, first_views, next_views
+from annotator.rcv.measure import make_pair, measured_intervals
 from annotator.rcv.recursion import held_direction
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 from annotator.types.errors import AnnotatorError, ConfigError

@@ -28,10 +28,10 @@ from annotator.geometry.projection import in_frustum
 from annotator.geometry.thinning import thin
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.cross_view import traced_intervals
 from annotator.rcv.first_look import expected_outline, image_planes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.known_objects import Span, cut_out
+from annotator.rcv.measure import traced_intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import ObjectState, absorb_step, box_trace, held_direction, plan_step
 from annotator.rcv.starts import TYPICAL_SIZE
