@@ -14,7 +14,7 @@ from annotator.geometry.oriented_box import aligned_box
 from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.first_look import in_middle, width_at
-from annotator.rcv.rotation_search import spread_rotations
+from annotator.rcv.rotations import spread_rotations
 from annotator.types import Box2D, Frame, OrientedBox
 
 # Points closer than this share of the object's width are connected.

@@ -31,10 +31,10 @@ from annotator.detection.yolo import YoloDetector
 from annotator.geometry.oriented_box import box_corners
 from annotator.project.config import BoxRotation
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig, TypicalSize, ViewConfig
-from annotator.rcv.hypotheses import near_axes, wide_axes
 from annotator.rcv.interval_fit import Intervals, fit_box
 from annotator.rcv.pseudo_view import render_pairs
 from annotator.rcv.recursion import plan_step, start
+from annotator.rcv.rotations import near_axes, wide_axes
 from annotator.rcv.starts import start_rivals
 from annotator.types import Box2D, BoxKind, Camera, Detector, Image, OrientedBox, PseudoView, Truth
 from annotator.workflows.detectors import Detectors

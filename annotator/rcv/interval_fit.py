@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from annotator.rcv.config import FitConfig
 from annotator.rcv.fit_uncertainty import expected_iou_loss
-from annotator.rcv.rotation_search import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
+from annotator.rcv.rotations import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
 
 # Number of rotations that are refined, and their minimum distance at the start. They are not settings, because they
 # only trade accuracy against time.

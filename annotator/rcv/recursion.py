@@ -18,7 +18,6 @@ from annotator.geometry.outline import NEAR_M
 from annotator.rcv.axes import axes_angle_rad, camera_axes, find_axes
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, Strategy
 from annotator.rcv.first_look import expected_outline, image_planes
-from annotator.rcv.hypotheses import near_axes, warm_axes, wide_axes
 from annotator.rcv.interval_fit import BoxFit, Intervals
 from annotator.rcv.measure import (
     Measurement,
@@ -31,6 +30,7 @@ from annotator.rcv.measure import (
     pair_all,
 )
 from annotator.rcv.pseudo_view import frustum_views, render_pairs
+from annotator.rcv.rotations import near_axes, warm_axes, wide_axes
 from annotator.rcv.typical_size import Candidates, Evidence
 from annotator.types import (
     Box2D,

@@ -19,9 +19,9 @@ from annotator.geometry.projection import in_frustum
 from annotator.rcv.axes import camera_axes
 from annotator.rcv.config import AGNOSTIC_LABELS, RcvConfig
 from annotator.rcv.first_look import depth_crop, in_middle, width_at
-from annotator.rcv.hypotheses import face_camera
 from annotator.rcv.measure import span_box
 from annotator.rcv.pseudo_view import frustum_views, is_deep, render_pairs
+from annotator.rcv.rotations import face_camera
 from annotator.types import Box2D, BoxKind, Frame, OrientedBox, PseudoView
 
 # Parameters of the random crops. They are not settings like those of `RcvConfig`, because every change requires

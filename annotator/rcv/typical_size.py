@@ -15,7 +15,7 @@ from annotator.geometry.projection import undistort_px
 from annotator.rcv.config import TypicalSize
 from annotator.rcv.first_look import Outline, in_middle
 from annotator.rcv.interval_fit import Intervals
-from annotator.rcv.rotation_search import free_grid, rotation_matrices, yaw_grid
+from annotator.rcv.rotations import free_grid, rotation_matrices, yaw_grid
 from annotator.types import Box2D, Camera, OrientedBox
 
 # TODO-MERGED docstring of evidence.py:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains, tightest_box
-from annotator.rcv.rotation_search import free_grid, yaw_grid
+from annotator.rcv.rotations import free_grid, yaw_grid
 from annotator.types import OrientedBox
 
 UP = np.array([0.0, -1.0, 0.0])

@@ -15,14 +15,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.rcv.axes import BOX_SYMMETRIES
 from annotator.rcv.config import FitConfig
 from annotator.rcv.interval_fit import Edges, Intervals, fit_box
-from annotator.rcv.rotation_search import (
-    cheapest_distinct,
-    free_grid,
-    neighbours,
-    rotation_costs,
-    spread_rotations,
-    yaw_grid,
-)
+from annotator.rcv.rotations import cheapest_distinct, free_grid, neighbours, rotation_costs, spread_rotations, yaw_grid
 from annotator.types import OrientedBox
 
 UP = np.array([0.0, -1.0, 0.0])
