@@ -21,8 +21,8 @@ from annotator.detection.perfect import PerfectDetector
 from annotator.geometry.outline import box_on_image
 from annotator.geometry.projection import in_frustum, pixel_rays, unproject_depth
 from annotator.rcv import measure, propose, recursion
+from annotator.rcv.axes import with_normals
 from annotator.rcv.config import Orientation, RcvConfig
-from annotator.rcv.normals import with_normals
 from annotator.rcv.starts import WarmStart
 from annotator.types import Camera, Frame, OrientedBox, PointCloud, Truth
 from annotator.types.errors import ConfigError

@@ -16,10 +16,9 @@ from jaxtyping import Bool, Float64
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import NEAR_M, box_on_image
 from annotator.geometry.projection import in_frustum
-from annotator.rcv.axes import camera_axes, find_axes
+from annotator.rcv.axes import camera_axes, find_axes, frame_with_normals, with_normals
 from annotator.rcv.config import RcvConfig, Strategy
 from annotator.rcv.measure import any_cut, make_pair
-from annotator.rcv.normals import frame_with_normals, with_normals
 from annotator.rcv.pseudo_view import frustum_views, render_pairs
 from annotator.rcv.recursion import cut_cloud, held_direction, shown_box
 from annotator.rcv.teach import is_shown, project_box

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from annotator.geometry.projection import in_frustums
+from annotator.rcv.axes import needs_normals, with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals, finish
-from annotator.rcv.normals import needs_normals, with_normals
 from annotator.rcv.recursion import ObjectState, StepPlan, absorb_step, plan_step, start
 from annotator.rcv.starts import WarmStart, after_look, begin, check_first_step, match_warm_starts, start_warm
 from annotator.types import Box2D, Detector, Frame, StopReason

@@ -9,9 +9,9 @@ import pytest
 from scenes import CAMERA, frame_with, some_box
 
 from annotator.detection.perfect import PerfectDetector
+from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.known_objects import LABELLED_STEPS, DrawnObject, cut_out, draw_object, first_views, next_views
-from annotator.rcv.normals import frame_with_normals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, Frame, Image, PseudoView

@@ -19,9 +19,9 @@ import numpy as np
 from annotator.files import new_folder
 from annotator.formats.coco import CocoImage, write_coco
 from annotator.project import Project, StoredFrame, ViewBoxes
+from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import first_views, next_views
-from annotator.rcv.normals import frame_with_normals
 from annotator.types import Box2D, Frame, PseudoView
 from annotator.types.errors import ConfigError, FormatError, FrameError
 from annotator.workflows.frame_source import FrameSource, orientation_for
