@@ -12,8 +12,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners
 from annotator.rcv import interval_fit
 from annotator.rcv.config import RcvConfig
-from annotator.rcv.fit_uncertainty import expected_iou_loss
-from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
+from annotator.rcv.interval_fit import BoxFit, Intervals, expected_iou_loss, fit_box
 from annotator.rcv.rotations import near_axes, wide_axes
 from annotator.types import OrientedBox
 
