@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from pydantic import ValidationError
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 # Kinds of errors whose message names a class of the program.
 _NAMING_A_CLASS = ("model_type", "model_attributes_type", "dataclass_type", "is_instance_of")
