@@ -23,8 +23,8 @@ from annotator.rcv.config import RcvConfig
 from annotator.rcv.starts import is_warm
 from annotator.recordings import Recording, open_recording
 from annotator.types import Detector
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.web.live.page import LivePage
 from annotator.workflows.detectors import (
     Detectors,

@@ -12,8 +12,8 @@ from annotator.formats.kitti.label_folders import read_kitti_file
 from annotator.mat_file import MatFileError, read_mat
 from annotator.recordings import Recording
 from annotator.recordings.sunrgbd.scenes import SunRgbdScenes
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.messages import amount
 from annotator.workflows.evaluating.evaluate_files import read_frame_names
 from annotator.workflows.recorded.frame_subset import share_of
 from annotator.workflows.recorded.kitti_rows import TRACKING

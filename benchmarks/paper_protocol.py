@@ -11,8 +11,8 @@ from annotator.detection.progress import TrainingProgress
 from annotator.project import Project, ProjectSettings, Status, create_project, open_project
 from annotator.recordings import Recording, open_recording
 from annotator.types import DetectorKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.evaluating.evaluate_files import Protocol

@@ -12,8 +12,8 @@ from annotator.project.config import BoxRotation
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.finish import FrameProposals
 from annotator.types import Box2D, BoxKind, Detector, Frame, Image, PseudoView, Region
-from annotator.types.amounts import amount
 from annotator.types.errors import ArgumentError
+from annotator.types.messages import amount
 from annotator.workflows.detectors import Detectors
 from annotator.workflows.live.detection import Detected, LiveDetection
 from annotator.workflows.live.source import Taken

@@ -17,9 +17,8 @@ from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.cli.reader_options import AS_FILES_SAY, Reading
 from annotator.project import REVIEWED
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives, amount
 from annotator.workflows.add_recordings import Added, add_recordings
 from annotator.workflows.recorded.own_labels import OwnLabels, has_own_labels, import_own_labels
 

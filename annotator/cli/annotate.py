@@ -16,7 +16,7 @@ from annotator.cli.projects import open_named
 from annotator.detection.config import Backend
 from annotator.project import BoxRotation
 from annotator.rcv.config import Strategy
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.detectors import stand_in
 from annotator.workflows.proposing.annotate import annotate_with, require_limit
 from annotator.workflows.proposing.batch_store import AnnotateSummary

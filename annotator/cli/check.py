@@ -15,8 +15,8 @@ from annotator.cli.progress import counted
 from annotator.cli.project_verify import report_problems
 from annotator.cli.projects import named_folder, no_project, open_named, projects_root
 from annotator.project.config import CONFIG_FILE
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 
 FAULTY = 1
 UNREADABLE = "unreadable"

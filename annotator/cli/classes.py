@@ -21,9 +21,8 @@ from annotator.project.classes.changing import change_classes
 from annotator.project.classes.counting import ClassCounts
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.classes.listing import ClassRow, list_classes
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
-from annotator.types.validation import first_problem
+from annotator.types.messages import amount, first_problem
 
 AUTHOR = "annotator classes"
 

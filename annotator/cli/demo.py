@@ -20,8 +20,8 @@ from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_
 from annotator.demo.stages import PROJECT, Progress
 from annotator.demo.trained import TrainedPlan, TrainedResult, run_trained
 from annotator.detection.base_detector import has_base
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 
 
 def run(

@@ -8,7 +8,7 @@ from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.tracks.follow_recording import follow_recording
 from annotator.workflows.workbench.loaded_detectors import view_with_classes
 

@@ -9,7 +9,7 @@ from annotator.cli.options import Seed
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.synthetic import write_generated
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 
 class Preset(StrEnum):

@@ -10,7 +10,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.importing import BoxFormat, read_labels
 from annotator.workflows.recorded.boxes_from_3d import BoxesFrom3d, boxes_from_3d
 from annotator.workflows.recorded.labelled_frames import KnownLabels, labels_beside, labels_from

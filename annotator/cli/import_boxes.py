@@ -17,9 +17,8 @@ from annotator.cli.projects import open_named
 from annotator.formats.units import AngleUnit
 from annotator.project import Project
 from annotator.types import BoxKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
-from annotator.types.names import nearest
+from annotator.types.messages import amount, nearest
 from annotator.workflows.importing import (
     BoxFormat,
     FlatFormat,

@@ -10,7 +10,7 @@ from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named
 from annotator.project import Project
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.tracks.fit_boxes import FitBox, box_fitter
 from annotator.workflows.tracks.interpolate import interpolate

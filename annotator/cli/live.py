@@ -9,7 +9,7 @@ from annotator.cli.options import BackendOption, Host, Limit, NoToken, Port, Pro
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named, projects_root
 from annotator.detection.config import Backend
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 
 def run(

@@ -12,8 +12,7 @@ from annotator.cli.progress import counted
 from annotator.cli.projects import named_folder
 from annotator.project.backup.content import ModelChoice
 from annotator.project.backup.make import back_up
-from annotator.types.amounts import amount
-from annotator.types.names import first_few
+from annotator.types.messages import amount, first_few
 
 # Files that a message lists.
 MOST_NAMED = 5

@@ -7,7 +7,7 @@ from pathlib import Path
 from annotator.cli.options import ProjectName, Projects, RecordingName
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.add_recordings import move_recording
 
 AUTHOR = "annotator project move"

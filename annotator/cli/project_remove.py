@@ -9,8 +9,8 @@ from annotator.cli.output import print_line, require_yes
 from annotator.cli.projects import named_folder, open_named
 from annotator.project import open_project
 from annotator.project.tidying.folders import set_aside
-from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError
+from annotator.types.messages import amount
 
 AUTHOR = "annotator project remove"
 

@@ -7,7 +7,7 @@ from annotator.cli.output import print_line
 from annotator.cli.project_backup import print_missing
 from annotator.cli.projects import named_folder
 from annotator.project.backup.repair import repair
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 
 def run(project: ProjectName, new_name: str | None = None, /, *, projects: Projects = None) -> None:

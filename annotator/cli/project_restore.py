@@ -10,7 +10,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import projects_root
 from annotator.project.backup.take_in import restore
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 
 def run(file: Path, name: str | None = None, /, *, projects: Projects = None) -> None:

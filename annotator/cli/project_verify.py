@@ -9,7 +9,7 @@ from annotator.cli.output import print_json, print_line
 from annotator.cli.projects import named_folder
 from annotator.project.backup.automatic import automatic_backups
 from annotator.project.backup.verify import Verification, verify
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 FAULTY = 1
 

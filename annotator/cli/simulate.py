@@ -7,7 +7,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
 from annotator.types import BoxKind
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.simulate import simulate_recording
 

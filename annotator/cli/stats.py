@@ -10,7 +10,7 @@ from annotator.cli.output import print_facts, print_json
 from annotator.cli.projects import open_named
 from annotator.project.progress.report import Progress
 from annotator.types import BoxKind, DetectorKind
-from annotator.types.amounts import amount, duration
+from annotator.types.messages import amount, duration
 from annotator.workflows.detectors import ReportedStatistics, reported_statistics
 from annotator.workflows.training.held_out import measured_ious
 from annotator.workflows.training.model_report import decision_of

@@ -6,7 +6,7 @@ from annotator.cli.options import ProjectName, Projects, RecordingNames
 from annotator.cli.output import print_line
 from annotator.cli.progress import counted
 from annotator.cli.projects import open_named
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.tracks.link import link_tracks
 
 

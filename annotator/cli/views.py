@@ -7,7 +7,7 @@ from pathlib import Path
 from annotator.cli.options import ProjectName, Projects
 from annotator.cli.output import print_line
 from annotator.cli.projects import open_named
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.settings import rcv_config
 from annotator.workflows.views.write_pictures import COCO, write_views
 from annotator.workflows.workbench.drawing_steps import to_draw_on

@@ -13,7 +13,7 @@ from annotator.formats.dataset_writing import DatasetItem
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.transforms import IMAGE_UP
 from annotator.types import OrientedBox, ReviewState
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 
 class Lost(StrEnum):

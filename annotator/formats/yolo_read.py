@@ -25,9 +25,8 @@ from annotator.formats.text_folder import read_text
 from annotator.formats.yolo import KEYPOINTS, YoloBox, are_keypoints, parse_boxes
 from annotator.formats.yolo_dataset import DATA_YAML, PARTS
 from annotator.types import BoxKind
-from annotator.types.amounts import amount
 from annotator.types.errors import FormatError
-from annotator.types.validation import first_problem
+from annotator.types.messages import amount, first_problem
 
 CLASSES = "classes.txt"
 READABLE = (".png", ".jpg", ".jpeg")

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import box_corners
 from annotator.types import OrientedBox
-from annotator.types.amounts import amount
 from annotator.types.errors import GeometryError, UnitError, UnitKind
+from annotator.types.messages import amount
 
 # Against gravity, for a level camera.
 IMAGE_UP = np.array([0.0, -1.0, 0.0])

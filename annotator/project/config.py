@@ -25,7 +25,7 @@ from annotator.file_names import is_within
 from annotator.files import read_file, write_atomic
 from annotator.project.classes.attributes import Attribute, ClassStyle
 from annotator.types.errors import RESTORE, ConfigError, ProjectError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 CONFIG_FILE = "project.json"
 FORMAT_VERSION = 1

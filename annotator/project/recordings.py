@@ -18,9 +18,8 @@ from annotator.project.schema import AnyRow, adjustments, frames, labels, moves,
 from annotator.project.store import Store
 from annotator.project.tidying.removed import hide_removed, show_again
 from annotator.types import NO_CORRECTION, Correction
-from annotator.types.amounts import amount
 from annotator.types.errors import NotFoundError, ProjectError, RecordingError
-from annotator.types.names import alternatives, first_few
+from annotator.types.messages import alternatives, amount, first_few
 
 # Maximum number of frame keys listed in an error message.
 MOST_NAMED = 5

@@ -40,7 +40,7 @@ from annotator.types.errors import (
     StaleRevisionError,
     TrackTakenError,
 )
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives
 
 # Events without class names that concern attributes.
 _OF_ATTRIBUTES = (LabelTracked, LabelAttributesSet, FrameAttributesSet, ProposalsImported)

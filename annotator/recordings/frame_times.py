@@ -12,8 +12,8 @@ import numpy as np
 
 from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
-from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
+from annotator.types.messages import amount
 from annotator.types.times import LATEST_NS, too_dense, too_late
 
 FILE_NAME = "timestamps.csv"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from annotator.types.errors import RecordingError
-from annotator.types.names import nearest
+from annotator.types.messages import nearest
 
 # What each format's folder must have; `|` separates alternatives. Optional files are left out.
 PARTS: dict[str, tuple[str, ...]] = {

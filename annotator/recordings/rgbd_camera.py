@@ -17,7 +17,7 @@ from annotator.recordings.plausible import LARGEST, LARGEST_SIDE_PX, is_pinhole,
 from annotator.recordings.rotated_depth import decode_depth, looks_rotated
 from annotator.types import Camera
 from annotator.types.errors import FrameError, UnclearError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 FILE_NAME, DEPTH_FILE_NAME = "camera_intrinsic.json", "depth_intrinsic.json"
 MM_PER_M = 1000.0

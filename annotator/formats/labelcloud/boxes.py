@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.formats.labelcloud.model import Axes, BoxObject, Dimensions
 from annotator.formats.units import BEYOND, MOST_RAD
 from annotator.types import OrientedBox
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 DECIMALS = 8
 SIGNS = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])

@@ -25,7 +25,7 @@ from annotator.formats.nuscenes.shapes import box_from
 from annotator.geometry.transforms import Quaternions
 from annotator.types import Truth
 from annotator.types.errors import FormatError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 RESULTS = "results"
 

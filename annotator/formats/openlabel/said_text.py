@@ -17,7 +17,7 @@ from annotator.formats.json_file import Bounded, BoundedTrack
 from annotator.formats.openlabel.shapes import box_from, cuboid_values
 from annotator.types import BoxKind
 from annotator.types.label import Said
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 SAID_BY = "said_by"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from annotator.formats.rcv.model import RcvManifest
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 TEXT = """\
 # 3D boxes of {objects} in {frames}

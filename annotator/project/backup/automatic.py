@@ -22,7 +22,7 @@ from annotator.project.config import ProjectSettings, read_config
 from annotator.project.schema import events
 from annotator.project.store import Store
 from annotator.types.errors import AnnotatorError, ProjectError
-from annotator.types.names import first_few
+from annotator.types.messages import first_few
 
 LOG = logging.getLogger("annotator.project")
 FOLDER = ".backups"

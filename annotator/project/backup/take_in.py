@@ -28,8 +28,8 @@ from annotator.project.backup.verify import verify
 from annotator.project.config import CONFIG_FILE, check_name, free_path, read_config, write_config
 from annotator.project.store import DATABASE_FILE, explained
 from annotator.project.tidying.unlabelled import remove_labels
-from annotator.types.amounts import amount
 from annotator.types.errors import FormatError, ProjectError
+from annotator.types.messages import amount
 
 # Bound of a foreign project's settings, bytes.
 _MOST_CONFIG = 2**20

@@ -33,9 +33,8 @@ from annotator.project.schema import (
     view_labels,
 )
 from annotator.project.store import DATABASE_FILE, explained, foreign_wal, open_store
-from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
-from annotator.types.names import first_few
+from annotator.types.messages import amount, first_few
 
 MOST_NAMED = 3
 # The columns that identify a row of a derived table, and those that a rebuild may number anew.

@@ -28,7 +28,7 @@ from annotator.project.sources.lending import borrowed, lend
 from annotator.types import ReviewState
 from annotator.types.errors import NotFoundError, ProjectError
 from annotator.types.label import AttributeValue
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives
 
 Values = dict[str, AttributeValue]
 

@@ -11,9 +11,9 @@ from sqlalchemy import Connection, func, select
 from annotator.project.classes.applying import values_of
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.project.schema import frame_attributes, frames, labels
-from annotator.types.amounts import amount
 from annotator.types.errors import ProjectError
 from annotator.types.label import AttributeValue
+from annotator.types.messages import amount
 
 # the shown box is a source's, too
 _SAID = """

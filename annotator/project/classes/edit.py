@@ -11,8 +11,7 @@ from annotator.project.classes.attributes import MEASURED, Attribute, AttributeK
 from annotator.project.classes.relabelling import Filled, Relabelling
 from annotator.project.config import ProjectConfig
 from annotator.types.errors import ConfigError, NotFoundError
-from annotator.types.names import alternatives
-from annotator.types.validation import first_problem
+from annotator.types.messages import alternatives, first_problem
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
+from annotator.types.messages import first_problem
 from annotator.types.times import in_time
-from annotator.types.validation import first_problem
 
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"

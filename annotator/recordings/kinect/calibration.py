@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.geometry.projection import in_metres, undistort_px
 from annotator.recordings.two_cameras import seen_points
 from annotator.types import Camera
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 
 MM_PER_M = 1000.0
 LENS_MODEL = "CALIBRATION_LensDistortionModelBrownConrady"

@@ -34,8 +34,8 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
 from annotator.recordings.scan_file import NUSCENES, read_rows, scan_bytes, valid_rows
 from annotator.types import Camera, Frame
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FrameError, RecordingError
+from annotator.types.messages import amount
 
 LOOKED_FOR = "nuScenes' tables (v1.0-*/scene.json, sample_data.json, ...) beside samples/ and sweeps/"
 FRONT = "CAM_FRONT"

@@ -36,8 +36,8 @@ from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side, pinhole
 from annotator.types import Camera, Frame
 from annotator.types.errors import FrameError, RecordingError
+from annotator.types.messages import first_problem
 from annotator.types.times import LATEST_NS
-from annotator.types.validation import first_problem
 
 LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
 SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"

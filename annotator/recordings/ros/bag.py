@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int64
 
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 
 @dataclass(frozen=True, eq=False)

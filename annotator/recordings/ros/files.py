@@ -18,8 +18,8 @@ from annotator.files import open_file, read_text_file
 from annotator.recordings.ros import mcap_file, ros1_file, sqlite_file
 from annotator.recordings.ros.bag import Bag, BagFile, join
 from annotator.recordings.ros.decode import FIELD_ERRORS
-from annotator.types.amounts import amount
 from annotator.types.errors import RecordingError
+from annotator.types.messages import amount
 
 METADATA = "metadata.yaml"
 MAGICS = {".bag": ros1_file.MAGIC, ".mcap": mcap_file.MAGIC, ".db3": sqlite_file.MAGIC}

@@ -19,7 +19,7 @@ import numpy as np
 from annotator.files import TABLE_BYTES, open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, Chunk, Chunks, unpack_message
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, CHUNK_INDEX, DATA_END = 1, 2, 3, 4, 5, 6, 7, 8, 15

@@ -14,7 +14,7 @@ from jaxtyping import Int64
 from annotator.recordings.ros.bag import Topic
 from annotator.recordings.ros.decode import SECOND, quick_stamp_ns
 from annotator.recordings.ros.kept_times import kept_times
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 Clock = Literal["header", "log"]
 # Topics whose stamps are further apart than this, measured against the log, have different clocks.

@@ -15,8 +15,8 @@ from annotator.recordings.ros.camera_info import baseline_m
 from annotator.recordings.ros.decode import FIELD_ERRORS, frame_id, message
 from annotator.recordings.ros.images import Picture, describe
 from annotator.recordings.ros.transforms import TYPES as TF_TYPES
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, RecordingError
+from annotator.types.messages import amount
 
 IMAGE_TYPES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "foxglove/RawImage", "foxglove/CompressedImage")
 VIDEO_TYPE = "foxglove/CompressedVideo"

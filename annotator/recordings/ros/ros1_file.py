@@ -19,7 +19,7 @@ import numpy as np
 from annotator.files import TABLE_BYTES, open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder, shortened
 from annotator.recordings.ros.chunks import Chunk, Chunks
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7

@@ -16,7 +16,7 @@ import numpy as np
 from annotator.files import open_file
 from annotator.recordings.ros.bag import Channel, ChannelBuilder
 from annotator.recordings.ros.chunks import HEAD_OF_MESSAGE, MOST_BYTES, unpack_message
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 if TYPE_CHECKING:
     import sqlite3

@@ -15,7 +15,7 @@ from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.project import new_action
 from annotator.project.backup.take_in import copy_project
 from annotator.types import DetectorKind
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.web.jobs.job_context import JobContext, JobStoppedError, Outcome
 from annotator.web.jobs.records import (
     LIFT_STAGE,

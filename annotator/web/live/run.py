@@ -12,7 +12,7 @@ from fastapi import FastAPI, Request, Response, WebSocket
 
 from annotator.detection.config import Backend
 from annotator.project import Project
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.web.limits.log import limited_log
 from annotator.web.live.interrupts import Interrupts
 from annotator.web.live.page import LivePage

@@ -15,7 +15,7 @@ from annotator.project.classes.changing import change_classes
 from annotator.project.classes.edit import ClassEdit
 from annotator.project.classes.listing import ClassList, list_classes
 from annotator.types.errors import ConfigError, StaleRevisionError
-from annotator.types.validation import first_problem
+from annotator.types.messages import first_problem
 from annotator.web.context import Ctx, Operator
 from annotator.web.frame_json import frame_state, stale_response
 from annotator.web.projects import ProjectInfo, project_info

@@ -14,7 +14,7 @@ from jaxtyping import Float64
 
 from annotator.geometry.iou import iou_3d_matrix
 from annotator.types import Label, Truth
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 # Factor by which a side may differ from the median of its class.
 SIZE_FACTOR = 1.6

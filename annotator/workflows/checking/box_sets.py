@@ -15,8 +15,8 @@ from jaxtyping import Float32
 from annotator.formats.units import Angles
 from annotator.geometry.point_index import PointIndex
 from annotator.types import OrientedBox
-from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, UnitError, UnitKind
+from annotator.types.messages import amount
 from annotator.workflows.checking.box_rules import LEAST_POINTS
 from annotator.workflows.checking.findings import Findings
 from annotator.workflows.checking.label_files import FoundLabel

@@ -18,9 +18,8 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.formats.rcv.export import MANIFEST
 from annotator.types import Frame
-from annotator.types.amounts import amount
 from annotator.types.errors import AnnotatorError, FormatError, UnclearError
-from annotator.types.names import folded
+from annotator.types.messages import amount, folded
 from annotator.workflows.checking import rules
 from annotator.workflows.checking.alignment import FRAMES, Alignment
 from annotator.workflows.checking.box_rules import heading_jumps, odd_size_message, usual_sizes

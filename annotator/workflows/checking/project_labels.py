@@ -26,7 +26,7 @@ from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.project.classes.attributes import Attribute, AttributeOf, value_text
 from annotator.types import Label, OrientedBox, ReviewState
 from annotator.types.label import AttributeValue
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives
 from annotator.workflows.checking.attribute_rules import odd_frame_values, odd_values
 from annotator.workflows.checking.box_rules import (
     LEAST_POINTS,

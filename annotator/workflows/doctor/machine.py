@@ -13,7 +13,7 @@ import annotator
 from annotator.detection.backends.cores import usable_cores
 from annotator.detection.ultralytics_api import cache_dir
 from annotator.files import read_text_file
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.doctor.report import Line, State
 
 SECTION = "machine"

@@ -25,8 +25,8 @@ from annotator.formats.rcv import read_rcv
 from annotator.formats.rcv.export import MANIFEST
 from annotator.formats.text_folder import holds_texts
 from annotator.types import OrientedBox, ReviewState
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError
+from annotator.types.messages import amount
 
 # Used for boxes without a score.
 DEFAULT_SCORE = 1.0

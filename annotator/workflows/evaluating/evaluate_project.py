@@ -13,8 +13,8 @@ from annotator.formats.kitti.box_rows import kitti_row
 from annotator.formats.kitti.label_files import KittiLabel
 from annotator.project import REVIEWED, Project, StoredFrame
 from annotator.types import Label, ReviewState, Source
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.evaluating.evaluate_files import (
     DEFAULT_SCORE,
     Options,

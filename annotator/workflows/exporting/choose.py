@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 from annotator.project import REVIEWED, Project, StoredFrame, StoredLabel
 from annotator.types import ReviewState
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
-from annotator.types.names import alternatives
+from annotator.types.messages import alternatives, amount
 from annotator.workflows.exporting.split import Split, assign
 from annotator.workflows.rigs import once
 

@@ -16,8 +16,8 @@ from annotator.formats.openlabel import write_openlabel
 from annotator.formats.rcv import RcvDetector, RcvInfo, RcvOptions, export_rcv
 from annotator.formats.sunrgbd.folder import write_sunrgbd
 from annotator.formats.sustechpoints import write_sustechpoints
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.detectors import base_titles, lifted_from
 from annotator.workflows.exporting.job import ExportJob, ExportReport
 from annotator.workflows.frame_source import FrameSource

@@ -11,8 +11,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 
 # Parts become the names of files and folders.
 NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")

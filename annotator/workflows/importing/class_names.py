@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from annotator.project import Project
 from annotator.types.errors import ConfigError
-from annotator.types.names import alternatives, folded, nearest
+from annotator.types.messages import alternatives, folded, nearest
 
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 

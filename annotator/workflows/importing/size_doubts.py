@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from annotator.formats.units import Lengths
 from annotator.rcv.config import TypicalSize, typical_size
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 
 # Factor by which a side may differ from the usual one, and standard deviations of its class if these are larger.
 SIZE_FACTOR, SIZE_DEVIATIONS = 1.6, 3.0

@@ -24,8 +24,8 @@ from typing import IO
 from annotator.rcv.finish import FrameProposals
 from annotator.recordings import Recording
 from annotator.recordings.frame_writer import FrameWriter, trim
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, RecordingError
+from annotator.types.messages import amount
 from annotator.workflows.live.detection import Detected
 
 # Maximum number of frames that wait for the disk; a frame takes up to 10 MB.

@@ -17,7 +17,7 @@ from annotator.project import Project, StoredFrame
 from annotator.rcv.config import REVISION, RcvConfig
 from annotator.types import Box2D, BoxKind, Detector, Image
 from annotator.types.errors import ConfigError, FormatError
-from annotator.types.names import MOST_LISTED, first_few
+from annotator.types.messages import MOST_LISTED, first_few
 from annotator.workflows.detectors import LIFTED_FROM
 from annotator.workflows.frame_source import FrameSource
 from annotator.workflows.importing.frame_finder import Renamed

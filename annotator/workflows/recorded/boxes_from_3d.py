@@ -17,8 +17,8 @@ from annotator.project.overview import FramePage, read_page
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.known_objects import KnownFrame, boxes_of_known
 from annotator.types import BoxKind, Source
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, FormatError, FrameError, StaleRevisionError
+from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource, orientation_for
 from annotator.workflows.recorded.frame_subset import share_of
 from annotator.workflows.recorded.labelled_frames import KnownLabels

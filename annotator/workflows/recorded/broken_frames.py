@@ -13,9 +13,8 @@ from annotator.image_bytes import JPEG_START, PNG_SIGNATURE
 from annotator.recordings import Recording
 from annotator.recordings.listing import IMAGE_SUFFIXES
 from annotator.recordings.recording import files_of
-from annotator.types.amounts import amount
 from annotator.types.errors import FrameError
-from annotator.types.names import first_few
+from annotator.types.messages import amount, first_few
 
 # Frames are read for this long; of those that are left then, only the files are looked at.
 SECONDS = 3.0

@@ -17,8 +17,8 @@ from annotator.project import BoxRotation, Project, StoredFrame, StoredRecording
 from annotator.project.adjusting.adjustment import Up
 from annotator.project.labels import ReviewedBox
 from annotator.types import Frame
-from annotator.types.amounts import amount
 from annotator.types.errors import FrameError, RecordingError
+from annotator.types.messages import amount
 from annotator.workflows.frame_source import FrameSource
 
 AUTHOR = "up direction of reviewed boxes"

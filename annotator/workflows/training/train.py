@@ -18,8 +18,8 @@ from annotator.detection.trained import MODEL_NAME, TrainedModel
 from annotator.project import Project, StoredModel
 from annotator.rcv.config import RcvConfig
 from annotator.types import DetectorKind
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError
+from annotator.types.messages import amount
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, load_detector
 from annotator.workflows.recorded.up_direction import learn_up
 from annotator.workflows.settings import rcv_config

@@ -15,7 +15,7 @@ from annotator.project import NewLabel, Project, WriteContext
 from annotator.project.classes import edit
 from annotator.project.classes.attributes import Attribute
 from annotator.types import OrientedBox
-from annotator.types.amounts import amount
+from annotator.types.messages import amount
 from annotator.workflows.exporting import ExportFilter, ExportFormat, export_project
 from annotator.workflows.importing import BoxFormat, import_labels, read_labels
 from benchmarks.trips import trip

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from annotator.detection.backends.cores import usable_cores
-from annotator.types.amounts import amount
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
+from annotator.types.messages import amount
 from annotator.workflows.proposing.engines.local import cuda_devices, environment
 from annotator.workflows.proposing.engines.messages import Died, Done, Fault, Ready, Refused, Report, fault_of
 from annotator.workflows.proposing.engines.pool import TASKS_PER_WORKER, WorkerPool
