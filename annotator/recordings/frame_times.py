@@ -12,9 +12,9 @@ import numpy as np
 
 from annotator.file_names import normal
 from annotator.files import TABLE_BYTES, read_text_file
+from annotator.types.checks import LATEST_NS, too_dense, too_late
 from annotator.types.errors import RecordingError
 from annotator.types.messages import amount
-from annotator.types.times import LATEST_NS, too_dense, too_late
 
 FILE_NAME = "timestamps.csv"
 HEADER = "key,timestamp_ns"

@@ -34,9 +34,9 @@ from annotator.recordings.rgbd_camera import FILE_NAME, RgbdCamera, read_camera
 from annotator.recordings.rgbd_folder import read_images
 from annotator.text import to_number
 from annotator.types import Camera, Frame
+from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import amount
-from annotator.types.times import LATEST_NS, too_late
 
 LOOKED_FOR = "rgb.txt and depth.txt of TUM's RGB-D format"
 RGB_LIST, DEPTH_LIST, POSES = "rgb.txt", "depth.txt", "groundtruth.txt"

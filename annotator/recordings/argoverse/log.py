@@ -34,9 +34,9 @@ from annotator.recordings.plausible import are_plausible, are_returns, is_pinhol
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rig import Scan, level_turn
 from annotator.types import Camera, Frame
+from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import ConfigError, FrameError, RecordingError
 from annotator.types.messages import amount
-from annotator.types.times import LATEST_NS, too_late
 
 LOOKED_FOR = "sensors/lidar/TIME_NS.feather and city_SE3_egovehicle.feather (a log of Argoverse 2's sensor data set)"
 SWEEPS, CAMERAS = "sensors/lidar", "sensors/cameras"

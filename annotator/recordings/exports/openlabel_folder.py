@@ -26,8 +26,8 @@ from annotator.recordings.listing import IMAGE_SUFFIXES, sorted_keys, stems
 from annotator.recordings.plausible import LARGEST_SIDE_PX, are_plausible, is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.types import Camera, Frame
+from annotator.types.checks import LATEST_NS, too_late
 from annotator.types.errors import FrameError
-from annotator.types.times import LATEST_NS, too_late
 
 LOOKED_FOR = "OpenLABEL documents with images/, clouds/ and frames.csv (an export in the format openlabel)"
 ORIGINS = "frames.csv"

@@ -23,9 +23,9 @@ from annotator.recordings.listing import sorted_keys
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side
 from annotator.types import Camera, Frame
+from annotator.types.checks import in_time
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import first_problem
-from annotator.types.times import in_time
 
 MANIFEST, LABELS = "dataset.json", "labels"
 FORMAT_NAME = "annotator-rcv"

@@ -35,9 +35,9 @@ from annotator.recordings.plausible import is_pinhole
 from annotator.recordings.recording import KeyedFrames, NotFound
 from annotator.recordings.rgbd_camera import Number, Positive, Side, pinhole
 from annotator.types import Camera, Frame
+from annotator.types.checks import LATEST_NS
 from annotator.types.errors import FrameError, RecordingError
 from annotator.types.messages import first_problem
-from annotator.types.times import LATEST_NS
 
 LOOKED_FOR = "a .r3d file of Record3D, or its content: metadata and rgbd/"
 SUFFIX, METADATA, FOLDER = ".r3d", "metadata", "rgbd/"

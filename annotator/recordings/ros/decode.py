@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from annotator.recordings.ros.bag import Channel, Topic, short_type
+from annotator.types.checks import LATEST_NS
 from annotator.types.errors import MissingExtraError
-from annotator.types.times import LATEST_NS
 
 # Enough of a message for its time.
 HEAD_BYTES = 32
