@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from annotator.frame_limits import require_pixels
 from annotator.recordings.plausible import are_plausible, is_pinhole, is_rotation
 from annotator.types import Camera
-from annotator.types.camera import DISTORTION_LENGTHS
+from annotator.types.frame import DISTORTION_LENGTHS
 
 RECTIFIED = re.compile(r"rect(?!angle)", re.IGNORECASE)
 FISHEYE = ("equidistant", "fisheye", "kannala_brandt4")
