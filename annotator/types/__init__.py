@@ -3,14 +3,19 @@
 from annotator.types.boxes import Box2D, OrientedBox
 from annotator.types.detector import Detector, DetectorKind, Image, Region
 from annotator.types.frame import NO_CORRECTION, Camera, Correction, Frame, PointCloud
-from annotator.types.label import BoxKind, Label, ReviewState, Source, Suggestion, Truth
-from annotator.types.proposal import (
+from annotator.types.label import (
+    BoxKind,
     BoxTrace,
+    Label,
     LostObject,
     Proposal,
     Quality,
+    ReviewState,
+    Source,
     StepTrace,
     StopReason,
+    Suggestion,
+    Truth,
     ViewTrace,
 )
 from annotator.types.pseudo_view import PseudoView
