@@ -1,7 +1,7 @@
 """The shared value types: frozen, checked on construction."""
 
 from annotator.types.boxes import Box2D, OrientedBox
-from annotator.types.detector import Detector, DetectorKind, Image, Region
+from annotator.types.detector import Detector, DetectorKind, Image, PseudoView, Region
 from annotator.types.frame import NO_CORRECTION, Camera, Correction, Frame, PointCloud
 from annotator.types.label import (
     BoxKind,
@@ -18,7 +18,6 @@ from annotator.types.label import (
     Truth,
     ViewTrace,
 )
-from annotator.types.pseudo_view import PseudoView
 
 __all__ = [
     "NO_CORRECTION",
