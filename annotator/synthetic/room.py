@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.synthetic.furniture import (
+from annotator.synthetic.materials import Material, Palette, Pattern, darker, wood_colour
+from annotator.synthetic.mesh import Mesh, box_mesh, joined
+from annotator.synthetic.objects import (
     FAR_Y_M,
     HALF_WIDTH_M,
     HEIGHT_M,
@@ -27,8 +29,6 @@ from annotator.synthetic.furniture import (
     table_group,
     window,
 )
-from annotator.synthetic.materials import Material, Palette, Pattern, darker, wood_colour
-from annotator.synthetic.mesh import Mesh, box_mesh, joined
 from annotator.synthetic.shading import Lights
 
 
