@@ -15,9 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.synthetic.looks import HAIR_STYLES, random_looks
 from annotator.synthetic.materials import Material, Palette, Pattern, darker, random_colour, wood_colour
-from annotator.synthetic.mesh import Mesh, box_mesh, turn_z
+from annotator.synthetic.mesh import Mesh, Parts, box_mesh, scaled, stretched, turn_z, xyz
 from annotator.synthetic.objects import grounded, random_object
-from annotator.synthetic.parts import Parts, scaled, stretched, xyz
 from annotator.synthetic.people import body_mesh
 from annotator.synthetic.pose import GESTURES, gesturing, walking
 from annotator.synthetic.shading import Lights

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from annotator.synthetic.materials import Material, Palette, Pattern, darker, random_colour
-from annotator.synthetic.mesh import Blobs, Mesh, box_mesh, joined, turn_z
-from annotator.synthetic.parts import Parts, mirrored, scaled, stretched, xyz
+from annotator.synthetic.mesh import Blobs, Mesh, Parts, box_mesh, joined, mirrored, scaled, stretched, turn_z, xyz
 
 PATTERNS = (Pattern.PLAIN, Pattern.PLAIN, Pattern.PLAIN, Pattern.STRIPES, Pattern.CHECKS, Pattern.SPOTS)
 
