@@ -17,8 +17,7 @@ from annotator.synthetic.looks import HAIR_STYLES, random_looks
 from annotator.synthetic.materials import Material, Palette, Pattern, darker, random_colour, wood_colour
 from annotator.synthetic.mesh import Mesh, Parts, box_mesh, scaled, stretched, turn_z, xyz
 from annotator.synthetic.objects import grounded, random_object
-from annotator.synthetic.people import body_mesh
-from annotator.synthetic.pose import GESTURES, gesturing, walking
+from annotator.synthetic.people import GESTURES, body_mesh, gesturing, walking
 from annotator.synthetic.shading import Lights
 
 LABEL = "object"

@@ -15,8 +15,7 @@ from annotator.synthetic.hands import hand_mesh
 from annotator.synthetic.looks import HAIR_STYLES, Looks, random_looks
 from annotator.synthetic.materials import Material, Palette
 from annotator.synthetic.mesh import Blobs, Mesh, turn_z
-from annotator.synthetic.people import armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
-from annotator.synthetic.pose import Arm, Pose
+from annotator.synthetic.people import Arm, Pose, armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
 from annotator.synthetic.room import furnished_room
 from annotator.synthetic.shading import Lights
 

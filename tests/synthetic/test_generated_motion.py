@@ -14,8 +14,7 @@ from annotator.synthetic.gestures import Reach, elbow_m, hand_moments
 from annotator.synthetic.looks import HAIR_STYLES, random_looks
 from annotator.synthetic.materials import Palette
 from annotator.synthetic.objects import HALF_WIDTH_M
-from annotator.synthetic.people import body_mesh
-from annotator.synthetic.pose import GESTURES, Pose, from_vector, gesturing, to_vector, walking
+from annotator.synthetic.people import GESTURES, Pose, body_mesh, from_vector, gesturing, to_vector, walking
 from annotator.synthetic.room import furnished_room
 
 ZONE = Zone(2.4, 4.5, 0.5, 0.3, ((-2.0, 3.0, -0.8, 4.0), (0.9, 4.2, 2.0, 5.0)))
