@@ -10,8 +10,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.synthetic.crowd import Zone, crowd_moments
-from annotator.synthetic.gestures import HandMotion, Reach, elbow_m, hand_moments
-from annotator.synthetic.hands import hand_mesh
+from annotator.synthetic.hands import HandMotion, Reach, elbow_m, hand_mesh, hand_moments
 from annotator.synthetic.looks import HAIR_STYLES, Looks, random_looks
 from annotator.synthetic.materials import Material, Palette
 from annotator.synthetic.mesh import Blobs, Mesh, turn_z

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from annotator.synthetic.crowd import PERSONAL_SPACE_M, Zone, crowd_moments
-from annotator.synthetic.gestures import Reach, elbow_m, hand_moments
+from annotator.synthetic.hands import Reach, elbow_m, hand_moments
 from annotator.synthetic.looks import HAIR_STYLES, random_looks
 from annotator.synthetic.materials import Palette
 from annotator.synthetic.objects import HALF_WIDTH_M
