@@ -13,12 +13,20 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from annotator.synthetic.looks import HAIR_STYLES, random_looks
-from annotator.synthetic.materials import Material, Palette, Pattern, darker, random_colour, wood_colour
+from annotator.synthetic.materials import (
+    HAIR_STYLES,
+    Lights,
+    Material,
+    Palette,
+    Pattern,
+    darker,
+    random_colour,
+    random_looks,
+    wood_colour,
+)
 from annotator.synthetic.mesh import Mesh, Parts, box_mesh, scaled, stretched, turn_z, xyz
 from annotator.synthetic.objects import grounded, random_object
 from annotator.synthetic.people import GESTURES, body_mesh, gesturing, walking
-from annotator.synthetic.shading import Lights
 
 LABEL = "object"
 TRIES = 30

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float32, Int16
 from scipy.spatial.transform import RigidTransform
 
-from annotator.synthetic.materials import Palette
+from annotator.synthetic.materials import Lights, Palette, shaded, tone_mapped
 from annotator.synthetic.mesh import Mesh
 from annotator.synthetic.raycast import RayScene
 from annotator.synthetic.render import surface_at
-from annotator.synthetic.shading import Lights, shaded, tone_mapped
 
 
 @dataclass(frozen=True)

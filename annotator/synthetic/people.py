@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from annotator.synthetic.looks import Looks
+from annotator.synthetic.materials import Looks
 from annotator.synthetic.mesh import Blobs, Mesh, Triple, turn_x, turn_y, turn_z
 
 # TODO-MERGED docstring of pose.py:

@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int16, UInt8
 from scipy.spatial.transform import RigidTransform
 
-from annotator.synthetic.materials import Palette
+from annotator.synthetic.materials import Lights, Palette, Surface, lamp_points, shaded, softened, tone_mapped
 from annotator.synthetic.mesh import Mesh, joined
 from annotator.synthetic.raycast import RayScene
-from annotator.synthetic.shading import Lights, Surface, lamp_points, shaded, softened, tone_mapped
 from annotator.synthetic.silhouette import silhouette
 from annotator.types import Camera
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annotator.synthetic.materials import Material, Palette, Pattern, darker, wood_colour
+from annotator.synthetic.materials import Lights, Material, Palette, Pattern, darker, wood_colour
 from annotator.synthetic.mesh import Mesh, box_mesh, joined
 from annotator.synthetic.objects import (
     FAR_Y_M,
@@ -29,7 +29,6 @@ from annotator.synthetic.objects import (
     table_group,
     window,
 )
-from annotator.synthetic.shading import Lights
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.synthetic.crowd import Zone, crowd_moments
 from annotator.synthetic.hands import HandMotion, Reach, elbow_m, hand_mesh, hand_moments
-from annotator.synthetic.looks import HAIR_STYLES, Looks, random_looks
-from annotator.synthetic.materials import Material, Palette
+from annotator.synthetic.materials import HAIR_STYLES, Lights, Looks, Material, Palette, random_looks
 from annotator.synthetic.mesh import Blobs, Mesh, turn_z
 from annotator.synthetic.people import Arm, Pose, armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
 from annotator.synthetic.room import furnished_room
-from annotator.synthetic.shading import Lights
 
 PERIOD_S = 0.1
 UPPER_ARM_M, FOREARM_M = 0.31, 0.26

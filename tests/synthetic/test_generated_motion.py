@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from annotator.synthetic.crowd import PERSONAL_SPACE_M, Zone, crowd_moments
 from annotator.synthetic.hands import Reach, elbow_m, hand_moments
-from annotator.synthetic.looks import HAIR_STYLES, random_looks
-from annotator.synthetic.materials import Palette
+from annotator.synthetic.materials import HAIR_STYLES, Palette, random_looks
 from annotator.synthetic.objects import HALF_WIDTH_M
 from annotator.synthetic.people import GESTURES, Pose, body_mesh, from_vector, gesturing, to_vector, walking
 from annotator.synthetic.room import furnished_room
