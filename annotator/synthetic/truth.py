@@ -9,8 +9,8 @@ from jaxtyping import Int16, UInt8
 from scipy.spatial.transform import RigidTransform
 
 from annotator.synthetic.mesh import Mesh
+from annotator.synthetic.render import silhouette
 from annotator.synthetic.scene import Actor
-from annotator.synthetic.silhouette import silhouette
 from annotator.types import Camera, OrientedBox
 
 # Minimum visibility of labelled objects: share of the silhouette, and pixels.

@@ -18,9 +18,8 @@ from pydantic import BaseModel, ConfigDict
 
 from annotator.geometry.oriented_box import box_corners
 from annotator.synthetic.object_motion import objects_scene
-from annotator.synthetic.render import Stage
+from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image
 from annotator.synthetic.scene import PERIOD_S, Scene, hands_scene, people_scene
-from annotator.synthetic.sensor import Sensor, colour_image, depth_image
 from annotator.synthetic.truth import TrueObject, true_objects
 from annotator.types import Camera
 from annotator.types.errors import ConfigError

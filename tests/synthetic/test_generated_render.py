@@ -14,10 +14,8 @@ from annotator.geometry.oriented_box import contains
 from annotator.synthetic.hands import GESTURES, hand_mesh, hand_pose
 from annotator.synthetic.materials import Lights, Material, Palette, Pattern
 from annotator.synthetic.mesh import Blobs, Mesh, box_mesh, joined, turn_z
-from annotator.synthetic.render import Rendering, Stage
+from annotator.synthetic.render import Rendering, Sensor, Stage, colour_image, depth_image, silhouette
 from annotator.synthetic.scene import Actor
-from annotator.synthetic.sensor import Sensor, colour_image, depth_image
-from annotator.synthetic.silhouette import silhouette
 from annotator.synthetic.truth import actor_box, true_objects
 from annotator.types import Camera
 

@@ -197,7 +197,7 @@ def open3d(_: Path) -> Iterator[Line]:
     """Checks whether open3d, which needs the system's OpenGL, can be loaded and casts rays correctly."""
     import numpy as np
 
-    from annotator.synthetic.raycast import RayScene
+    from annotator.synthetic.render import RayScene
 
     if find_spec("open3d") is None:
         remedy = f"{REINSTALL}; without it `annotator generate` and `annotator demo` do not work"
