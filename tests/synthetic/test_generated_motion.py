@@ -14,7 +14,7 @@ from annotator.synthetic.hands import Reach, elbow_m, hand_moments
 from annotator.synthetic.materials import HAIR_STYLES, Palette, random_looks
 from annotator.synthetic.objects import HALF_WIDTH_M
 from annotator.synthetic.people import GESTURES, Pose, body_mesh, from_vector, gesturing, to_vector, walking
-from annotator.synthetic.room import furnished_room
+from annotator.synthetic.scene import furnished_room
 
 ZONE = Zone(2.4, 4.5, 0.5, 0.3, ((-2.0, 3.0, -0.8, 4.0), (0.9, 4.2, 2.0, 5.0)))
 
