@@ -17,7 +17,7 @@ from annotator.synthetic.arrangements import INDOORS, Arrangement, street, with_
 from annotator.synthetic.mesh import Mesh, joined
 from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image, random_lidar, scan
 from annotator.synthetic.scene import Actor, hands_scene
-from annotator.synthetic.truth import actor_box
+from annotator.synthetic.writer import actor_box
 from annotator.types import Camera, Frame, OrientedBox, PointCloud
 
 MIN_POINTS = 20

@@ -17,7 +17,7 @@ from annotator.synthetic.arrangements import street, with_track
 from annotator.synthetic.mesh import joined
 from annotator.synthetic.render import Lidar, Sensor, Stage, colour_image, scan
 from annotator.synthetic.scene import Actor
-from annotator.synthetic.truth import actor_box
+from annotator.synthetic.writer import actor_box
 from annotator.types import Box2D, Camera, Frame, PointCloud, Truth
 from annotator.workflows.recorded.reading import load_truth
 

@@ -16,7 +16,7 @@ from annotator.synthetic.materials import Lights, Material, Palette, Pattern
 from annotator.synthetic.mesh import Blobs, Mesh, box_mesh, joined, turn_z
 from annotator.synthetic.render import Rendering, Sensor, Stage, colour_image, depth_image, silhouette
 from annotator.synthetic.scene import Actor
-from annotator.synthetic.truth import actor_box, true_objects
+from annotator.synthetic.writer import actor_box, true_objects
 from annotator.types import Camera
 
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
