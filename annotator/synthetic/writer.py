@@ -21,9 +21,8 @@ from scipy.spatial.transform import RigidTransform
 
 from annotator.geometry.oriented_box import box_corners
 from annotator.synthetic.mesh import Mesh
-from annotator.synthetic.object_motion import objects_scene
 from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image, silhouette
-from annotator.synthetic.scene import PERIOD_S, Actor, Scene, hands_scene, people_scene
+from annotator.synthetic.scene import PERIOD_S, Actor, Scene, hands_scene, objects_scene, people_scene
 from annotator.types import Camera, OrientedBox
 from annotator.types.errors import ConfigError
 
