@@ -25,8 +25,7 @@ from jaxtyping import Float, UInt8
 
 from annotator.detection.backends.export import export
 from annotator.detection.backends.network import Answer, Network
-from annotator.detection.backends.raw_network import raw_network
-from annotator.detection.backends.torch_network import TorchNetwork
+from annotator.detection.backends.torch_network import TorchNetwork, raw_network
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types.errors import DetectionError
 
