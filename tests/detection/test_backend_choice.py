@@ -15,7 +15,7 @@ import pytest
 
 from annotator.detection.backends import choose, openvino_api
 from annotator.detection.backends import export as export_module
-from annotator.detection.backends.cores import side_by_side, usable_cores
+from annotator.detection.backends.network import side_by_side, usable_cores
 from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel

@@ -7,8 +7,16 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from annotator.detection.backends.cores import Image, rejoined, side_by_side, single, usable_cores
-from annotator.detection.backends.network import Answer, Batch, NetworkFacts
+from annotator.detection.backends.network import (
+    Answer,
+    Batch,
+    Image,
+    NetworkFacts,
+    rejoined,
+    side_by_side,
+    single,
+    usable_cores,
+)
 from annotator.detection.backends.onnx_api import onnxruntime
 from annotator.detection.config import Backend
 from annotator.types.errors import DetectionError

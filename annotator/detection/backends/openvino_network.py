@@ -16,8 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from annotator.detection.backends.cores import rejoined, side_by_side, single, usable_cores
-from annotator.detection.backends.network import Answer, Batch, NetworkFacts
+from annotator.detection.backends.network import (
+    Answer,
+    Batch,
+    NetworkFacts,
+    rejoined,
+    side_by_side,
+    single,
+    usable_cores,
+)
 from annotator.detection.backends.openvino_api import openvino
 from annotator.detection.config import Backend
 from annotator.types.errors import DetectionError

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import annotator
-from annotator.detection.backends.cores import usable_cores
+from annotator.detection.backends.network import usable_cores
 from annotator.detection.ultralytics_api import cache_dir
 from annotator.files import read_text_file
 from annotator.types.messages import amount

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from annotator.detection.backends.cores import usable_cores
+from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError
 from annotator.workflows.proposing.engines.engine import Engine
 from annotator.workflows.proposing.engines.inline import InlineEngine

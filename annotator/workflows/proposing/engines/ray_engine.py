@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from annotator.detection.backends.cores import usable_cores
+from annotator.detection.backends.network import usable_cores
 from annotator.types.errors import ConfigError, MissingExtraError, WorkerError
 from annotator.types.messages import amount
 from annotator.workflows.proposing.engines.local import cuda_devices, environment
