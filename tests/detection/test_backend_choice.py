@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.detection.backends import choose, openvino_api
+from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.network import side_by_side, usable_cores
 from annotator.detection.backends.torch_network import TorchNetwork
@@ -88,7 +88,7 @@ def test_a_missing_package_is_named(
     message: str,
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    monkeypatch.setattr(openvino_api, "_load", openvino_api._load.__wrapped__)
+    monkeypatch.setattr(openvino_network, "_load", openvino_network._load.__wrapped__)
     monkeypatch.setattr(choose, "find_spec", lambda name: None if name == missing else name)
     with pytest.raises(error, match=message):
         make(tiny_model.weights, backend=backend)

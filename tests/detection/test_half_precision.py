@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from annotator.detection.backends import choose, openvino_api
+from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.export import export
@@ -33,7 +33,7 @@ SIZE_PX = 96
 def bfloat16() -> None:
     """Skips the test on processors without bfloat16."""
     pytest.importorskip("openvino")
-    if not openvino_api.computes_bfloat16():
+    if not openvino_network.computes_bfloat16():
         pytest.skip("a processor without bfloat16")
 
 
@@ -124,7 +124,7 @@ def test_fastest_uses_bfloat16_if_the_processor_supports_it(
 ) -> None:
     monkeypatch.setattr(choose.platform, "machine", lambda: "x86_64")
     monkeypatch.setattr(choose, "has_cuda", lambda: False)
-    monkeypatch.setattr(openvino_api, "computes_bfloat16", lambda: supported)
+    monkeypatch.setattr(openvino_network, "computes_bfloat16", lambda: supported)
     assert opened(tiny_model.weights, "fastest").backend == ("openvino-bf16" if supported else "openvino")
     assert opened(tiny_model.weights, "auto").backend == "openvino"
     if not supported:
@@ -156,7 +156,7 @@ def test_fastest_skips_openvino_if_it_cannot_use_the_processor(
             raise RuntimeError("Device with CPU name is not registered")
 
     monkeypatch.setattr(choose.platform, "machine", lambda: "x86_64")
-    monkeypatch.setattr(openvino_api, "openvino", lambda: SimpleNamespace(Core=Broken))
+    monkeypatch.setattr(openvino_network, "openvino", lambda: SimpleNamespace(Core=Broken))
     assert opened(tiny_model.weights, "fastest").backend == "onnxruntime"
     assert "OpenVINO cannot use the processor (Device with CPU name is not registered)" in caplog.text
 

@@ -138,8 +138,7 @@ def openers(cuda_devices: Sequence[str]) -> dict[str, Callable[[Path], Network]]
     exported = lru_cache(export)  # used for both precisions of OpenVINO
 
     def openvino_network(weights: Path, *, bfloat16: bool) -> Network:
-        from annotator.detection.backends.openvino_api import computes_bfloat16, openvino
-        from annotator.detection.backends.openvino_network import OpenVinoNetwork
+        from annotator.detection.backends.openvino_network import OpenVinoNetwork, computes_bfloat16, openvino
 
         if find_spec("openvino") is None:
             raise BackendMissingError("not installed")

@@ -50,8 +50,7 @@ def _open_and_log(weights: Path, weights_sha256: str, config: DetectorConfig, ba
 def _open(weights: Path, weights_sha256: str, config: DetectorConfig, backend: Backend) -> Network:
     # Imported here, so that only the packages of the backend in use are loaded.
     if backend in ("openvino", "openvino-bf16"):
-        from annotator.detection.backends.openvino_api import computes_bfloat16
-        from annotator.detection.backends.openvino_network import OpenVinoNetwork
+        from annotator.detection.backends.openvino_network import OpenVinoNetwork, computes_bfloat16
 
         if backend == "openvino-bf16" and not computes_bfloat16():
             if config.backend == backend:
@@ -132,7 +131,7 @@ def chosen(config: DetectorConfig) -> tuple[Backend, str]:
 def _loaded(backend: Backend, reasons: list[str]) -> Backend:
     """Loads the packages of a backend and appends the reasons; returns openvino for openvino-bf16 without bfloat16."""
     if backend in ("openvino", "openvino-bf16"):
-        from annotator.detection.backends.openvino_api import computes_bfloat16, openvino
+        from annotator.detection.backends.openvino_network import computes_bfloat16, openvino
 
         openvino()
         reasons.append("OpenVINO is the fastest on x86 processors")

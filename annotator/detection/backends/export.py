@@ -10,7 +10,7 @@ from typing import Any
 
 from annotator.detection.backends.half_precision import marked
 from annotator.detection.backends.network import ExportKind, NetworkFacts
-from annotator.detection.backends.openvino_api import openvino
+from annotator.detection.backends.openvino_network import openvino
 from annotator.detection.backends.torch_network import raw_network
 from annotator.detection.ultralytics_api import api
 from annotator.files import NETWORK_BYTES, read_file

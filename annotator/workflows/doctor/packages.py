@@ -116,8 +116,8 @@ def ultralytics(_: Path) -> Iterator[Line]:
 
 def openvino(_: Path) -> Iterator[Line]:
     """Checks whether OpenVINO can be loaded, and lists its devices."""
-    from annotator.detection.backends.openvino_api import computes_bfloat16
-    from annotator.detection.backends.openvino_api import openvino as load
+    from annotator.detection.backends.openvino_network import computes_bfloat16
+    from annotator.detection.backends.openvino_network import openvino as load
 
     if find_spec("openvino") is None:
         yield _missing_openvino()

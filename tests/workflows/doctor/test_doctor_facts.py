@@ -179,26 +179,26 @@ def test_published_weights_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 
 def test_the_choice_of_a_backend_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
-    from annotator.detection.backends import onnx_api, openvino_api
+    from annotator.detection.backends import onnx_api, openvino_network
 
     installed = {"openvino", "onnxruntime", "onnx"}
     monkeypatch.setattr(choose, "find_spec", lambda name: name if name in installed else None)
     monkeypatch.setattr(choose.platform, "machine", lambda: "x86_64")
     monkeypatch.setattr(choose, "has_cuda", lambda: False)
-    monkeypatch.setattr(openvino_api, "openvino", lambda: None)
+    monkeypatch.setattr(openvino_network, "openvino", lambda: None)
     monkeypatch.setattr(onnx_api, "onnxruntime", lambda: None)
-    monkeypatch.setattr(openvino_api, "computes_bfloat16", lambda: True)
+    monkeypatch.setattr(openvino_network, "computes_bfloat16", lambda: True)
     found = lines(packages.choices)
     assert set(found) == {"image, auto", "view, auto", "image, fastest", "view, fastest"}
     assert found["view, auto"].found.startswith("openvino (no CUDA device")
     assert found["view, fastest"].found.startswith("openvino-bf16 (")
-    monkeypatch.setattr(openvino_api, "computes_bfloat16", lambda: False)
+    monkeypatch.setattr(openvino_network, "computes_bfloat16", lambda: False)
     assert lines(packages.choices)["image, fastest"].found.startswith("openvino (")
 
     def broken() -> None:
         raise DetectionError("OpenVINO cannot be loaded")
 
-    monkeypatch.setattr(openvino_api, "openvino", broken)
+    monkeypatch.setattr(openvino_network, "openvino", broken)
     skipped = lines(packages.choices)["image, auto"].found
     assert skipped.startswith("onnxruntime (") and "OpenVINO cannot be loaded" in skipped
     installed.clear()
