@@ -140,7 +140,7 @@ def _loaded(backend: Backend, reasons: list[str]) -> Backend:
             reasons.append("this processor supports bfloat16" if has_bfloat16 else "this processor has no bfloat16")
             return backend if has_bfloat16 else "openvino"
     elif backend == "onnxruntime":
-        from annotator.detection.backends.onnx_api import onnxruntime
+        from annotator.detection.backends.onnx_network import onnxruntime
 
         onnxruntime()
         if find_spec("openvino") is None:

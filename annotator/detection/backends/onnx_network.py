@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,9 +18,31 @@ from annotator.detection.backends.network import (
     single,
     usable_cores,
 )
-from annotator.detection.backends.onnx_api import onnxruntime
 from annotator.detection.config import Backend
-from annotator.types.errors import DetectionError
+from annotator.types.errors import DetectionError, MissingExtraError
+
+# TODO-MERGED docstring of onnx_api.py:
+# The only module that imports ONNX Runtime; switches off its telemetry first.
+
+
+# Read on import. If it is not set, the official builds send telemetry and store an id and a database in the user's
+# home.
+SWITCH = "ORT_DISABLE_TELEMETRY"
+
+
+def onnxruntime() -> Any:
+    """The module `onnxruntime`, loaded on the first call.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    os.environ.setdefault(SWITCH, "1")
+    try:
+        import onnxruntime as module
+    except ImportError as error:
+        raise MissingExtraError("onnxruntime", "onnx") from error
+    return module
+
 
 ERRORS_ONLY = 3  # ONNX Runtime's log severity
 

@@ -144,7 +144,7 @@ def _missing_openvino() -> Line:
 
 def onnxruntime(_: Path) -> Iterator[Line]:
     """Checks whether ONNX Runtime can be loaded, and lists its providers."""
-    from annotator.detection.backends.onnx_api import onnxruntime as load
+    from annotator.detection.backends.onnx_network import onnxruntime as load
 
     if find_spec("onnxruntime") is None:
         yield Line(section=SECTION, name="ONNX Runtime", state=State.OK, found="not installed (extra onnx)")

@@ -179,14 +179,14 @@ def test_published_weights_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 
 def test_the_choice_of_a_backend_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
-    from annotator.detection.backends import onnx_api, openvino_network
+    from annotator.detection.backends import onnx_network, openvino_network
 
     installed = {"openvino", "onnxruntime", "onnx"}
     monkeypatch.setattr(choose, "find_spec", lambda name: name if name in installed else None)
     monkeypatch.setattr(choose.platform, "machine", lambda: "x86_64")
     monkeypatch.setattr(choose, "has_cuda", lambda: False)
     monkeypatch.setattr(openvino_network, "openvino", lambda: None)
-    monkeypatch.setattr(onnx_api, "onnxruntime", lambda: None)
+    monkeypatch.setattr(onnx_network, "onnxruntime", lambda: None)
     monkeypatch.setattr(openvino_network, "computes_bfloat16", lambda: True)
     found = lines(packages.choices)
     assert set(found) == {"image, auto", "view, auto", "image, fastest", "view, fastest"}
