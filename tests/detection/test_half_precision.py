@@ -15,8 +15,7 @@ import pytest
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
-from annotator.detection.backends.export import export
-from annotator.detection.backends.half_precision import marked
+from annotator.detection.backends.export import export, marked
 from annotator.detection.backends.network import Network
 from annotator.detection.backends.openvino_network import OpenVinoNetwork
 from annotator.detection.config import Backend, DetectorConfig
