@@ -30,8 +30,8 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from annotator.detection.base_detector import base_weights
 from annotator.detection.config import Backend
+from annotator.detection.pretrained import base_weights
 from annotator.detection.trained import read_trained
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import contains

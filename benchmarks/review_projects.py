@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from annotator.detection.base_detector import NAME
+from annotator.detection.pretrained import NAME
 from annotator.project import (
     BoxRotation,
     NewLabel,

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from annotator.detection.base_detector import base_weights
+from annotator.detection.pretrained import base_weights
 from annotator.types.errors import ConfigError
 from benchmarks import workbench_browser, workbench_edits, workbench_sheet
 from benchmarks.keystrokes import M

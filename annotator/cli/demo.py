@@ -19,7 +19,7 @@ from annotator.cli.progress import progress_bar
 from annotator.demo.first_drag import FirstDragPlan, FirstDragResult, run_first_drag
 from annotator.demo.stages import PROJECT, Progress
 from annotator.demo.trained import TrainedPlan, TrainedResult, run_trained
-from annotator.detection.base_detector import has_base
+from annotator.detection.pretrained import has_base
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount
 

@@ -20,7 +20,7 @@ from annotator.demo.stages import (
     new_project,
     require_free,
 )
-from annotator.detection.base_detector import has_base
+from annotator.detection.pretrained import has_base
 from annotator.project import StoredFrame
 from annotator.rcv.config import RcvConfig
 from annotator.types.errors import ConfigError, DetectionError, StaleRevisionError, TrackTakenError

@@ -9,10 +9,38 @@ from pathlib import Path
 from typing import Any
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.network_file import DETECTING_LAYERS
+from annotator.detection.network_file import DETECTING_LAYERS, write_network
 from annotator.detection.ultralytics_api import api, cache_dir
 from annotator.detection.weights import load_weights
 from annotator.types.errors import ConfigError, DetectionError
+
+# TODO-MERGED docstring of base_detector.py:
+# The base detector: a view detector that measures the object of a crop, whatever its class.
+#
+# It takes the place of a project's own view detector until that is trained. docs/base_detector.md describes its training;
+# `scripts/train_base.py --install` puts another one into the package.
+
+
+FOLDER = Path(__file__).parent / "base"
+NAME = "base detector"
+TITLE = f"{NAME}, not trained on this project's classes"
+
+
+def base_weights() -> Path:
+    """The weights file of the base detector; `read_trained` of its folder gives its facts.
+
+    Raises:
+        DetectionError: this installation has none.
+    """
+    weights = FOLDER / "detector.safetensors"
+    if not weights.is_file():
+        raise DetectionError(f"{weights}: the base detector is missing; install annotator again")
+    return weights
+
+
+def has_base() -> bool:
+    """True if this installation has the base detector."""
+    return (FOLDER / "detector.safetensors").is_file()
 
 
 @dataclass(frozen=True)
@@ -160,3 +188,52 @@ def within(timeout_s: float, work: Callable[[], Any]) -> Any:
     if not outcome[0]:
         raise outcome[1]
     return outcome[1]
+
+
+# TODO-MERGED docstring of seeded_network.py:
+# A network with weights generated from a seed, which any machine can create without training or download.
+
+
+# Factor on the random weights of the last layers. Without it, they would predict distances of hundreds of pixels, and
+# all scores would be 0 or 1.
+LAST_LAYER_GAIN = 0.1
+BRANCHES = ("cv2", "cv3", "one2one_cv2", "one2one_cv3")
+PICTURES = (8, 3, 64, 64)
+
+
+def write_seeded_network(
+    path: Path, name: str = "yolo11n", *, classes: int = 3, end2end: bool = False, seed: int = 0
+) -> None:
+    """Writes a file of random weights that give scores around 0.5, so that the outputs of backends can be compared.
+
+    The weights are the same on every machine up to rounding, since torch draws them from the seed on the CPU. The
+    state of torch's random number generator is restored afterwards.
+
+    Args:
+        path: the file to write; its folder is created if missing.
+        name: name of a detection model of ultralytics.
+        classes: number of classes.
+        end2end: whether the network predicts each object once; only some models support this.
+        seed: seed of the weights.
+
+    Raises:
+        DetectionError: the packages cannot be loaded.
+    """
+    torch = api().torch
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        model = api().DetectionModel(f"{name}.yaml", nc=classes, verbose=False)
+        model.end2end = end2end
+        with torch.no_grad():
+            for branch in BRANCHES:
+                for layers in getattr(model.model[-1], branch, None) or ():
+                    layers[-1].weight.mul_(LAST_LAYER_GAIN)
+                    if "cv3" in branch:
+                        layers[-1].bias.zero_()  # otherwise all scores would be nearly 0
+            for module in model.modules():
+                if isinstance(module, torch.nn.BatchNorm2d):
+                    module.momentum = 1.0
+            # One pass in training mode sets the statistics of batch normalisation, as training would.
+            model.train()(torch.rand(PICTURES))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_network(path, model)

@@ -14,7 +14,7 @@ from annotator.demo import first_drag
 from annotator.demo.first_drag import FirstDragPlan, run_first_drag
 from annotator.demo.reviewing import GOOD_IOU, SAME_IOU, Reviewed, SimulatedOperator
 from annotator.demo.stages import add_recording, generate, new_project
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.detection.nearest_cluster import NearestCluster
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED, NewLabel, Project, WriteContext, open_project
@@ -170,7 +170,7 @@ def test_existing_folders_are_not_overwritten(tmp_path: Path, there: str) -> Non
 def test_without_a_base_detector_the_error_names_the_other_demo(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "none")
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "none")
     with pytest.raises(DetectionError, match="--train"):
         run_first_drag(tmp_path, FirstDragPlan(preset="hands", frames=4), lambda *_: None)
     assert not list(tmp_path.iterdir())

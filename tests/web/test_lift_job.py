@@ -12,8 +12,8 @@ import pytest
 from drawing import Scene
 from room_api import ROOM
 
-from annotator.detection import base_detector
-from annotator.detection.base_detector import TITLE
+from annotator.detection import pretrained
+from annotator.detection.pretrained import TITLE
 from annotator.project import WriteContext
 from annotator.project.event_types import ImageBoxesSet
 from annotator.rcv.config import AGNOSTIC_LABELS
@@ -48,7 +48,7 @@ class AnyClass:
 
 @pytest.fixture
 def base(knowing: Callable[..., Detectors]) -> ReadyDetector:
-    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, base_detector.NAME)
+    return ReadyDetector(AnyClass(knowing("people").view), BoxKind.BOX, Lock(), True, pretrained.NAME)
 
 
 def test_the_job_proposes_3d_boxes_and_says_what_measured_them(
@@ -87,7 +87,7 @@ def test_the_project_and_its_statistics_name_the_base_detector_until_it_has_its_
     assert named() == (None, None)
     (tmp_path / "base").mkdir()
     (tmp_path / "base" / "detector.safetensors").write_bytes(b"weights")
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "base")
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "base")
     assert named() == (TITLE, TITLE)
     project = live.context.project("room")
     weights = project.path / "models" / "own.pt"

@@ -13,8 +13,8 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from annotator.detection.backends.choose import chosen
-from annotator.detection.base_detector import TITLE, base_weights, has_base
 from annotator.detection.config import Backend, DetectorConfig
+from annotator.detection.pretrained import TITLE, base_weights, has_base
 from annotator.detection.trained import read_trained
 from annotator.types import DetectorKind
 from annotator.types.errors import AnnotatorError, DeviceError, MissingExtraError

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.detection.config import Augmentation, TrainingConfig
 from annotator.detection.dataset import GENERATED, TrainingSample, write_dataset
 from annotator.detection.held_out import is_held_out
@@ -150,7 +150,7 @@ def install_base(folder: Path, target: Path | None = None) -> BaseManifest:
         model=trained.config.model,
         image_size_px=trained.image_size_px,
     )
-    target = target or base_detector.FOLDER
+    target = target or pretrained.FOLDER
     target.mkdir(parents=True, exist_ok=True)
     write_atomic(target / trained.weights.name, content)
     trained.write(target)

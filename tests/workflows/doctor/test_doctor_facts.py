@@ -15,7 +15,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from annotator import __version__
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.detection import ultralytics_api as facts
 from annotator.detection.backends import choose
 from annotator.types.errors import DetectionError
@@ -208,14 +208,14 @@ def test_the_choice_of_a_backend_is_explained(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_base_detector_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     assert "a project needs a view detector of its own" in lines(packages.base_detector)["base detector"].found
     (tmp_path / "detector.safetensors").write_bytes(b"weights")
     broken = lines(packages.base_detector)["base detector"]
     assert broken.state is State.FAILED and "model.json" in broken.found
     monkeypatch.setattr(packages, "read_trained", lambda _: None)
     found = lines(packages.base_detector)["base detector"]
-    assert found.state is State.OK and found.found.endswith(base_detector.TITLE)
+    assert found.state is State.OK and found.found.endswith(pretrained.TITLE)
 
 
 def test_a_choice_that_cannot_be_loaded_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from annotator.detection.backends import agreement
 from annotator.detection.backends.agreement import Agreements
 from annotator.detection.backends.network import Answer, Batch
 from annotator.detection.backends.torch_network import TorchNetwork
-from annotator.detection.seeded_network import write_seeded_network
+from annotator.detection.pretrained import write_seeded_network
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.types.errors import DetectionError
 from annotator.workflows.doctor import State, self_test
@@ -123,11 +123,11 @@ def test_the_backends_of_this_machine_agree(tmp_path: Path) -> None:
 
 
 def test_without_the_detectors_package_backends_are_not_tested(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from annotator.detection import seeded_network
+    from annotator.detection import pretrained
 
     def missing() -> None:
         raise DetectionError("no ultralytics")
 
-    monkeypatch.setattr(seeded_network, "api", missing)
+    monkeypatch.setattr(pretrained, "api", missing)
     (line,) = self_test.backends(tmp_path)
     assert (line.state, line.found) == (State.WARNING, "not tested (no ultralytics)")

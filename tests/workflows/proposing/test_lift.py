@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from annotator.cli.main import main
-from annotator.detection import base_detector
-from annotator.detection.base_detector import TITLE
+from annotator.detection import pretrained
+from annotator.detection.pretrained import TITLE
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
 from annotator.project import NewLabel, Project, WriteContext
@@ -193,7 +193,7 @@ def test_only_frames_without_3d_boxes_are_lifted_if_asked(people: Project, base:
 def test_without_a_view_detector_and_a_base_detector_the_error_says_what_to_do(
     people: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path)
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path)
     with pytest.raises(DetectionError, match="has no view detector yet; run `annotator train"):
         require_view(people)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from view_detectors import HELD_OUT
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind
@@ -23,7 +23,7 @@ def labelled(people: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
 
     The folder of the base detector is the test's own, and empty.
     """
-    monkeypatch.setattr(base_detector, "FOLDER", tmp_path / "base")
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "base")
     recording = people.recordings.all()[0].id
     monkeypatch.setattr(held_out, "is_held_out", {f"{recording}/{key}" for key in HELD_OUT}.__contains__)
     import_own_labels(people, recording)

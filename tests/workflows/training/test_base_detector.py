@@ -90,7 +90,7 @@ def test_the_script_trains_and_installs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     script = runpy.run_path(str(ROOT / "scripts" / "train_base.py"))
-    monkeypatch.setattr("annotator.detection.base_detector.FOLDER", tmp_path / "package")
+    monkeypatch.setattr("annotator.detection.pretrained.FOLDER", tmp_path / "package")
     script["run"](tmp_path / "work", frames=2, draws=1, pictures=32, size=32, install=True)
     printed = capsys.readouterr().out
     assert "detector.safetensors: map50=" in printed

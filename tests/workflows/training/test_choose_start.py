@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from view_detectors import CONFIG, HELD_OUT, PLAN, Fixed, held, install_base, register, write_model
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import BoxKind, DetectorKind
@@ -37,7 +37,7 @@ def test_a_training_starts_from_the_best_detector_on_held_out_frames(labelled: P
 def test_a_training_takes_the_view_size_of_the_detector_that_it_starts_from(
     labelled: Project, ious: dict[str, float]
 ) -> None:
-    write_model(base_detector.FOLDER, size_px=96)
+    write_model(pretrained.FOLDER, size_px=96)
     ious["base detector"] = 0.5
     start = choose_start(labelled, held(labelled), CONFIG)
     assert (start.model, start.view_px(CONFIG)) == (base_model(), 96)

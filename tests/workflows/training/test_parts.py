@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from view_detectors import CONFIG, PLAN, install_base, register
 
-from annotator.detection import base_detector
+from annotator.detection import pretrained
 from annotator.detection.manifest import read_manifest
 from annotator.detection.network_file import NetworkDescription, build, write_network
 from annotator.detection.progress import TrainingProgress
@@ -35,7 +35,7 @@ def test_parts_double_and_none_is_too_short() -> None:
 def test_a_round_continues_the_base_detector_for_the_time_it_is_given(labelled: Project) -> None:
     install_base()
     network = build(NetworkDescription(architecture="yolo11n", labels=AGNOSTIC))
-    write_network(base_detector.FOLDER / "detector.safetensors", network)
+    write_network(pretrained.FOLDER / "detector.safetensors", network)
     plan = replace(PLAN, view=CONFIG.model_copy(update={"epochs": None}), minutes=0.2)
     begin = time.monotonic()
     (trained,) = train(labelled, plan, roles=(DetectorKind.VIEW,))
