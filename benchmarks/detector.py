@@ -23,9 +23,8 @@ import tyro
 from rich.console import Console
 
 from annotator.detection.config import Backend, DetectorConfig, TrainingConfig
-from annotator.detection.dataset import TrainingSample, write_dataset
+from annotator.detection.dataset import TrainingSample, tiled, write_dataset
 from annotator.detection.progress import TrainingProgress
-from annotator.detection.tiles import tiled
 from annotator.detection.training import train_detector
 from annotator.detection.yolo import YoloDetector
 from annotator.rcv.config import RcvConfig, ViewConfig

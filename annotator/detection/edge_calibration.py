@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from annotator.detection.config import DetectorConfig
-from annotator.detection.dataset import TrainingSample
+from annotator.detection.dataset import DatasetManifest, TrainingSample
 from annotator.detection.edge_errors import SPREAD_ITSELF, Refused, fit_edge_errors
-from annotator.detection.manifest import DatasetManifest
 from annotator.detection.trained import TrainedModel
 from annotator.detection.yolo import YoloDetector
 from annotator.files import read_text_file

@@ -7,8 +7,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.config import TrainingConfig
+from annotator.detection.dataset import Split
 from annotator.detection.edge_errors import EdgeErrors
-from annotator.detection.manifest import Split
 from annotator.files import read_file, write_atomic
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FormatError

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from annotator.detection.checkpoint import BEST, LAST, read_checkpoint, write_checkpoint
-from annotator.detection.manifest import DatasetManifest
+from annotator.detection.dataset import DatasetManifest
 from annotator.detection.muon import MuonSgd
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights

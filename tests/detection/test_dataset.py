@@ -13,9 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.dataset import GENERATED, TrainingSample, write_dataset, yolo_line
-from annotator.detection.held_out import is_held_out
-from annotator.detection.manifest import read_manifest
+from annotator.detection.dataset import GENERATED, TrainingSample, is_held_out, read_manifest, write_dataset, yolo_line
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 

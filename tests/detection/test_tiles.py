@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.dataset import TrainingSample
-from annotator.detection.tiles import tiled
+from annotator.detection.dataset import TrainingSample, tiled
 from annotator.types import Box2D
 
 SIZE_PX = 64

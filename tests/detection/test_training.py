@@ -260,7 +260,7 @@ def test_boxes_rotate_with_their_image(turns: int) -> None:
 
 def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Path) -> None:
     """With all augmentations at once, each label must be the box around the coloured pixels of the augmented image."""
-    from annotator.detection.manifest import read_manifest
+    from annotator.detection.dataset import read_manifest
     from annotator.detection.trainer import TrainerHooks, make_trainer
     from annotator.detection.ultralytics_api import pick_device
 

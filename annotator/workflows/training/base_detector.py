@@ -15,9 +15,15 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.detection import pretrained
 from annotator.detection.config import Augmentation, TrainingConfig
-from annotator.detection.dataset import GENERATED, TrainingSample, write_dataset
-from annotator.detection.held_out import is_held_out
-from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest, read_manifest
+from annotator.detection.dataset import (
+    GENERATED,
+    MANIFEST_NAME,
+    DatasetManifest,
+    TrainingSample,
+    is_held_out,
+    read_manifest,
+    write_dataset,
+)
 from annotator.detection.progress import Report
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.detection.training import train_detector

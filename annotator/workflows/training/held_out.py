@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.detection.held_out import is_held_out
+from annotator.detection.dataset import is_held_out
 from annotator.detection.trained import read_trained
 from annotator.files import read_file, write_atomic
 from annotator.geometry.iou import iou_3d

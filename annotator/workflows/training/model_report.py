@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from annotator.detection.dataset import GENERATED
-from annotator.detection.manifest import MANIFEST_NAME, read_manifest
+from annotator.detection.dataset import GENERATED, MANIFEST_NAME, read_manifest
 from annotator.files import DOCUMENT_BYTES, open_text_file
 from annotator.project import StoredModel
 from annotator.types.errors import FormatError

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.manifest import read_manifest
+from annotator.detection.dataset import read_manifest
 from annotator.detection.pretrained import has_base
 from annotator.detection.progress import TrainingStoppedError
 from annotator.detection.trained import read_trained

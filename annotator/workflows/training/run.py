@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.dataset import TrainingSample, write_dataset
-from annotator.detection.manifest import MANIFEST_NAME, DatasetManifest
+from annotator.detection.dataset import MANIFEST_NAME, DatasetManifest, TrainingSample, write_dataset
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.detection.trained import RUN_NAME, TrainedModel, read_run
 from annotator.detection.training import train_detector

@@ -9,11 +9,9 @@ from functools import partial
 from itertools import accumulate
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.dataset import TrainingSample
-from annotator.detection.manifest import DatasetManifest
+from annotator.detection.dataset import DatasetManifest, TrainingSample, tiled
 from annotator.detection.pretrained import check_start
 from annotator.detection.progress import TrainingProgress, TrainingStoppedError
-from annotator.detection.tiles import tiled
 from annotator.detection.trained import MODEL_NAME, TrainedModel
 from annotator.project import Project, StoredModel
 from annotator.rcv.config import RcvConfig

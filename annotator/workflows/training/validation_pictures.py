@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from annotator.detection.manifest import DatasetManifest
+from annotator.detection.dataset import DatasetManifest
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, Detector
 from annotator.types.errors import DetectionError

@@ -11,7 +11,7 @@ import pytest
 from view_detectors import HELD_OUT, PLAN, WHOLE, Fixed, held, install_base, write_model
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.manifest import read_manifest
+from annotator.detection.dataset import read_manifest
 from annotator.detection.progress import TrainingStoppedError
 from annotator.detection.trained import TrainedModel
 from annotator.project import Project

@@ -10,7 +10,7 @@ import pytest
 from view_detectors import CONFIG, PLAN, install_base, register
 
 from annotator.detection import pretrained
-from annotator.detection.manifest import read_manifest
+from annotator.detection.dataset import read_manifest
 from annotator.detection.network_file import NetworkDescription, build, write_network
 from annotator.detection.progress import TrainingProgress
 from annotator.detection.trained import read_trained

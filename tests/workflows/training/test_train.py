@@ -11,7 +11,7 @@ import pytest
 from view_detectors import Fixed, trained_model
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.manifest import read_manifest
+from annotator.detection.dataset import read_manifest
 from annotator.detection.progress import TrainingProgress
 from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Project, WriteContext

@@ -9,7 +9,7 @@ from typing import Any
 
 from annotator.detection import pretrained
 from annotator.detection.config import TrainingConfig
-from annotator.detection.manifest import DatasetManifest, ManifestEntry
+from annotator.detection.dataset import DatasetManifest, ManifestEntry
 from annotator.detection.trained import TrainedModel, TrainingMetrics
 from annotator.project import Project, StoredModel
 from annotator.types import Box2D, BoxKind, DetectorKind, Image
