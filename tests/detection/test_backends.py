@@ -16,10 +16,9 @@ from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.edge_errors import EdgeErrors
-from annotator.detection.selection import candidates
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
-from annotator.detection.yolo import YoloDetector
+from annotator.detection.yolo import YoloDetector, candidates
 from annotator.types import Box2D
 
 pytestmark = pytest.mark.slow

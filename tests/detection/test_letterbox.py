@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.detection.letterbox import GREY, SQUARE_UP_TO_PX, fill_batch, place, to_pictures
+from annotator.detection.yolo import GREY, SQUARE_UP_TO_PX, fill_batch, place, to_pictures
 
 
 @given(height=st.integers(1, 700), width=st.integers(1, 700), side=st.sampled_from([64, 224, 320]))

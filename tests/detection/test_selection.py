@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from annotator.detection.selection import MAX_CANDIDATES, candidates
+from annotator.detection.yolo import MAX_CANDIDATES, candidates
 
 
 def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.suppression import suppress
+from annotator.detection.yolo import suppress
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:
