@@ -15,7 +15,7 @@ from annotator.demo.first_drag import FirstDragPlan, run_first_drag
 from annotator.demo.reviewing import GOOD_IOU, SAME_IOU, Reviewed, SimulatedOperator
 from annotator.demo.stages import add_recording, generate, new_project
 from annotator.detection import pretrained
-from annotator.detection.nearest_cluster import NearestCluster
+from annotator.detection.perfect import NearestCluster
 from annotator.formats.rcv import read_rcv
 from annotator.project import REVIEWED, NewLabel, Project, WriteContext, open_project
 from annotator.project.event_types import LabelDeleted, LabelProposed
