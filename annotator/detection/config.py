@@ -82,7 +82,7 @@ class TrainingConfig(BaseModel):
     )
 
     optimizer: Annotated[Literal["MuonSgd", "AdamW", "SGD"], BeforeValidator(_current_name)] = Field(
-        "MuonSgd", description="MuonSgd: `annotator/detection/muon.py`; the others are torch's"
+        "MuonSgd", description="MuonSgd: `annotator/detection/trainer.py`; the others are torch's"
     )
     learning_rate: float = Field(0.01, gt=0, description="peak learning rate; use about 0.002 with AdamW")
     final_learning_rate: float = Field(0.01, gt=0, le=1, description="final learning rate, share of the peak")

@@ -12,7 +12,7 @@ from annotator.detection.ultralytics_api import api
 @pytest.mark.parametrize("shape", [(8, 8), (4, 30), (30, 4), (1, 9)])
 def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -> None:
     torch = api().torch
-    from annotator.detection.muon import orthogonalised
+    from annotator.detection.trainer import orthogonalised
 
     rng = np.random.default_rng(0)
     u, _, v = np.linalg.svd(rng.normal(size=(3, *shape)), full_matrices=False)
@@ -31,7 +31,7 @@ def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -
 
 def test_the_optimiser_solves_a_least_squares_problem() -> None:
     torch = api().torch
-    from annotator.detection.muon import MuonSgd
+    from annotator.detection.trainer import MuonSgd
 
     torch.manual_seed(0)
     goal, inputs = torch.randn(6, 5), torch.randn(64, 5)
@@ -55,7 +55,7 @@ def test_the_optimiser_solves_a_least_squares_problem() -> None:
 
 def test_the_state_of_the_optimiser_can_be_saved_and_restored() -> None:
     torch = api().torch
-    from annotator.detection.muon import MuonSgd
+    from annotator.detection.trainer import MuonSgd
 
     def make() -> tuple[object, object]:
         torch.manual_seed(1)
