@@ -24,8 +24,7 @@ from rich.console import Console
 
 from annotator.detection.config import Backend, DetectorConfig, TrainingConfig
 from annotator.detection.dataset import TrainingSample, tiled, write_dataset
-from annotator.detection.progress import TrainingProgress
-from annotator.detection.training import train_detector
+from annotator.detection.training import TrainingProgress, train_detector
 from annotator.detection.yolo import YoloDetector
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.rcv.teach import TaughtObject, TaughtView, teach_views

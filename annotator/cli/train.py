@@ -15,7 +15,7 @@ from annotator.cli.output import print_line
 from annotator.cli.progress import progress_bar
 from annotator.cli.projects import open_named
 from annotator.detection.config import MOST_MINUTES, TrainingConfig
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError
 from annotator.types.messages import amount

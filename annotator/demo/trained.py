@@ -15,7 +15,7 @@ from annotator.demo.stages import (
     new_project,
     require_free,
 )
-from annotator.detection.progress import TrainingProgress
+from annotator.detection.training import TrainingProgress
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import active_detectors
 from annotator.workflows.evaluating.demo_scores import Scores, score_project

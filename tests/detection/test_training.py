@@ -14,9 +14,8 @@ import pytest
 
 from annotator.detection.config import Augmentation, TrainingConfig, default_augmentation
 from annotator.detection.dataset import TrainingSample, write_dataset
-from annotator.detection.progress import Watch
 from annotator.detection.trained import RunRecord, TrainedModel, read_trained
-from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector, trainer_settings
+from annotator.detection.training import TrainingProgress, TrainingStoppedError, Watch, train_detector, trainer_settings
 from annotator.detection.ultralytics_api import api
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError

@@ -24,9 +24,8 @@ from annotator.detection.dataset import (
     read_manifest,
     write_dataset,
 )
-from annotator.detection.progress import Report
 from annotator.detection.trained import TrainedModel, read_trained
-from annotator.detection.training import train_detector
+from annotator.detection.training import Report, train_detector
 from annotator.files import NETWORK_BYTES, read_file, write_atomic
 from annotator.formats.json_file import read_model
 from annotator.rcv.config import AGNOSTIC_LABELS, Orientation, RcvConfig, ViewConfig

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import read_manifest
 from annotator.detection.pretrained import has_base
-from annotator.detection.progress import TrainingStoppedError
 from annotator.detection.trained import read_trained
+from annotator.detection.training import TrainingStoppedError
 from annotator.project import REVIEWED, Project, StoredModel
 from annotator.types import DetectorKind
 from annotator.types.errors import DetectionError, FormatError

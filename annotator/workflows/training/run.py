@@ -10,9 +10,8 @@ from pathlib import Path
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import MANIFEST_NAME, DatasetManifest, TrainingSample, write_dataset
-from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.detection.trained import RUN_NAME, TrainedModel, read_run
-from annotator.detection.training import train_detector
+from annotator.detection.training import TrainingProgress, TrainingStoppedError, train_detector
 from annotator.project import Project, StoredFrame, StoredModel
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FormatError, FrameError

@@ -11,8 +11,8 @@ from itertools import accumulate
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import DatasetManifest, TrainingSample, tiled
 from annotator.detection.pretrained import check_start
-from annotator.detection.progress import TrainingProgress, TrainingStoppedError
 from annotator.detection.trained import MODEL_NAME, TrainedModel
+from annotator.detection.training import TrainingProgress, TrainingStoppedError
 from annotator.project import Project, StoredModel
 from annotator.rcv.config import RcvConfig
 from annotator.types import DetectorKind

@@ -12,8 +12,8 @@ from view_detectors import HELD_OUT, PLAN, WHOLE, Fixed, held, install_base, wri
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import read_manifest
-from annotator.detection.progress import TrainingStoppedError
 from annotator.detection.trained import TrainedModel
+from annotator.detection.training import TrainingStoppedError
 from annotator.project import Project
 from annotator.rcv.config import RcvConfig
 from annotator.types import Box2D, BoxKind, Detector, DetectorKind, Frame, Image

@@ -8,8 +8,8 @@ import pytest
 from view_detectors import PLAN, Fixed, held, register
 
 from annotator.detection.dataset import TrainingSample
-from annotator.detection.progress import TrainingStoppedError
 from annotator.detection.trained import RunRecord
+from annotator.detection.training import TrainingStoppedError
 from annotator.project import Project
 from annotator.types import DetectorKind
 from annotator.workflows.detectors import Detectors, own_model

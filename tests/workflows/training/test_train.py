@@ -12,8 +12,8 @@ from view_detectors import Fixed, trained_model
 
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import read_manifest
-from annotator.detection.progress import TrainingProgress
 from annotator.detection.trained import TrainedModel, TrainingMetrics
+from annotator.detection.training import TrainingProgress
 from annotator.project import Project, WriteContext
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import Box2D, BoxKind, DetectorKind
