@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+import numpy as np
+from jaxtyping import Float, Float64
+from pydantic import BaseModel, ConfigDict, Field
 
-from annotator.detection.edge_errors import EdgeErrors
 from annotator.types import DetectorKind
 
 # What runs a trained network. docs/detector_backends.md explains how `auto` and `fastest` choose.
@@ -17,6 +18,30 @@ Backend = Literal["auto", "fastest", "torch", "openvino", "openvino-bf16", "onnx
 PICTURES_A_SECOND = 60
 # Longest training, minutes: one day.
 MOST_MINUTES = 1440
+
+
+class EdgeErrors(BaseModel):
+    """Expected absolute error of an edge: `factor * spread ** exponent`, both in pixels at the network's input size.
+
+    Attributes:
+        least_px, most_px: spreads outside this range count as its ends, pixels.
+        edges: number of edges that the map was fitted to.
+        gain: mean log-likelihood of the errors under this map (Laplace), minus that under one constant error.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    factor: float = Field(gt=0)
+    exponent: float = Field(gt=0)
+    least_px: float = Field(gt=0)
+    most_px: float = Field(gt=0)
+    edges: int = Field(0, ge=0)
+    gain: float = 0.0
+
+    def of(self, spread_px: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+        """The expected absolute error of edges with these spreads, pixels."""
+        within = np.clip(spread_px.astype(np.float64), self.least_px, self.most_px)
+        return np.asarray(self.factor * within**self.exponent)
 
 
 class Augmentation(BaseModel):
@@ -51,11 +76,6 @@ def default_augmentation(role: DetectorKind, free_rotation: bool) -> Augmentatio
     return Augmentation(flip_horizontal=0.5, flip_vertical=0.5 if free_rotation else 0.0, quarter_turns=free_rotation)
 
 
-def _current_name(optimizer: Any) -> Any:
-    """The current name of a stored optimiser; before version 0.2, MuonSgd was stored as "MuSGD"."""
-    return "MuonSgd" if optimizer == "MuSGD" else optimizer
-
-
 class TrainingConfig(BaseModel):
     """Settings of a training run; docs/detector_training.md explains the defaults."""
 
@@ -81,7 +101,7 @@ class TrainingConfig(BaseModel):
         None, ge=1, description="epochs between validations; None: about 12 validations per run"
     )
 
-    optimizer: Annotated[Literal["MuonSgd", "AdamW", "SGD"], BeforeValidator(_current_name)] = Field(
+    optimizer: Literal["MuonSgd", "AdamW", "SGD"] = Field(
         "MuonSgd", description="MuonSgd: `annotator/detection/trainer.py`; the others are torch's"
     )
     learning_rate: float = Field(0.01, gt=0, description="peak learning rate; use about 0.002 with AdamW")

@@ -74,8 +74,7 @@ class DatasetManifest(BaseModel):
         entries: all images.
     """
 
-    # Older manifests also have the seed and the share of a random split.
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: Literal[1] = 1
     sha256: str

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float64
-from pydantic import BaseModel, ConfigDict, Field
+
+from annotator.detection.config import EdgeErrors
 
 # A fit needs at least this many edges, and must explain the errors better than one constant by this log-likelihood.
 MIN_EDGES, MIN_GAIN = 200, 0.02
@@ -23,30 +24,6 @@ MOST_ERRORS = 6.0
 LEAST_PX = 0.01
 # Newton's steps of a fit, and fits, each with the outliers of the last one.
 STEPS, FITS = 50, 4
-
-
-class EdgeErrors(BaseModel):
-    """Expected absolute error of an edge: `factor * spread ** exponent`, both in pixels at the network's input size.
-
-    Attributes:
-        least_px, most_px: spreads outside this range count as its ends, pixels.
-        edges: number of edges that the map was fitted to.
-        gain: mean log-likelihood of the errors under this map (Laplace), minus that under one constant error.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    factor: float = Field(gt=0)
-    exponent: float = Field(gt=0)
-    least_px: float = Field(gt=0)
-    most_px: float = Field(gt=0)
-    edges: int = Field(0, ge=0)
-    gain: float = 0.0
-
-    def of(self, spread_px: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """The expected absolute error of edges with these spreads, pixels."""
-        within = np.clip(spread_px.astype(np.float64), self.least_px, self.most_px)
-        return np.asarray(self.factor * within**self.exponent)
 
 
 # Gives out the spreads as they are.

@@ -50,8 +50,8 @@ class TrainedModel(BaseModel):
         note: what it started from, in words.
         dataset_sha256: hash of the training set's manifest.
         config: the training settings.
-        edge_errors: expected errors of its edges, by class; empty for image detectors and older models, and where the
-            network does not tell them.
+        edge_errors: expected errors of its edges, by class; empty for image detectors, and where the network does
+            not tell them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -19,7 +19,6 @@ from collections.abc import Callable
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
-from annotator.detection.backends.export_cache import MOST_KEPT, forget_oldest
 from annotator.detection.network_file import (
     DESCRIPTION,
     DETECTING_LAYERS,
@@ -29,7 +28,7 @@ from annotator.detection.network_file import (
     read_network,
     write_tensors,
 )
-from annotator.detection.ultralytics_api import api, cache_dir
+from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
 from annotator.files import NETWORK_BYTES, open_archive, read_file
 from annotator.types.errors import DetectionError
 
@@ -104,7 +103,7 @@ def _converted(path: Path, remedy: str) -> Any:
     try:
         copy.parent.mkdir(parents=True, exist_ok=True)
         write_tensors(copy, {name: value.clone() for name, value in model.state_dict().items()}, facts)
-        forget_oldest(copy.parent, MOST_KEPT)
+        forget_oldest(copy.parent)
     except OSError as error:
         LOG.warning("%s: cannot be kept as a network file, so it is converted each time: %s", path, error)
     return model

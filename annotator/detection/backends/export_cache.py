@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -16,15 +15,12 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.backends.network import ExportKind, NetworkFacts
-from annotator.detection.ultralytics_api import cache_dir
+from annotator.detection.ultralytics_api import cache_dir, forget_oldest
 from annotator.files import NETWORK_BYTES, new_folder, read_file
 from annotator.types.errors import FormatError
 
-LOG = logging.getLogger("annotator.detectors")
 
 RECORD, LOCK = "export.json", "exports.lock"
-# Number of exports kept, some 10 to 20 MB each for a nano model.
-MOST_KEPT = 32
 # Increase when the export code changes its output for the same weights and packages.
 REVISIONS: Mapping[ExportKind, int] = {"openvino": 3, "onnxruntime": 2}
 # An export is repeated when the version of one of these packages changes.
@@ -110,14 +106,7 @@ def keep_export(kind: ExportKind, key: str, export: Export) -> None:
         if _read(folder, key) is None:  # else another process was faster
             LOG.warning("an export for %s cannot be stored, so it is repeated each time: %s", kind, error)
         return
-    forget_oldest(folder.parent, MOST_KEPT)
-
-
-def forget_oldest(folder: Path, kept: int) -> None:
-    """Removes the least recently used entries of a cache folder, except the `kept` newest; the others may be in use."""
-    with suppress(OSError):  # another process may do the same
-        for old in sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime_ns)[:-kept]:
-            shutil.rmtree(old) if old.is_dir() else old.unlink()
+    forget_oldest(folder.parent)
 
 
 def _place(kind: ExportKind, key: str) -> Path:
