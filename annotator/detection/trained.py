@@ -6,9 +6,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from annotator.detection.config import TrainingConfig
+from annotator.detection.config import EdgeErrors, TrainingConfig
 from annotator.detection.dataset import Split
-from annotator.detection.edge_errors import EdgeErrors
 from annotator.files import read_file, write_atomic
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import FormatError

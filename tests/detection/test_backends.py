@@ -14,8 +14,7 @@ import pytest
 from annotator.detection.backends import openvino_network
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.network import Network
-from annotator.detection.config import Backend, DetectorConfig
-from annotator.detection.edge_errors import EdgeErrors
+from annotator.detection.config import Backend, DetectorConfig, EdgeErrors
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector, candidates

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from annotator.detection.config import EdgeErrors
 from annotator.detection.dataset import read_manifest
 from annotator.detection.edge_calibration import with_edge_errors
-from annotator.detection.edge_errors import EdgeErrors, Refused, fit_edge_errors
+from annotator.detection.edge_errors import Refused, fit_edge_errors
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.workflows.detectors import load_detector
 from tests.detection.test_backends import PlainImage

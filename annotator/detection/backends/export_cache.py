@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -18,7 +17,6 @@ from annotator.detection.backends.network import ExportKind, NetworkFacts
 from annotator.detection.ultralytics_api import cache_dir, forget_oldest
 from annotator.files import NETWORK_BYTES, new_folder, read_file
 from annotator.types.errors import FormatError
-
 
 RECORD, LOCK = "export.json", "exports.lock"
 # Increase when the export code changes its output for the same weights and packages.
