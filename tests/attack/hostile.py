@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from annotator.cli.main import main
-from annotator.detection.backends.export_cache import export_key
+from annotator.detection.backends.export import export_key
 from annotator.detection.backends.network import ExportKind
 from annotator.detection.config import TrainingConfig
 from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.detection.backends import choose, export_cache
+from annotator.detection.backends import choose, export
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
-from annotator.detection.backends.export_cache import Export, export_key, find_export, keep_export
+from annotator.detection.backends.export import Export, export_key, find_export, keep_export
 from annotator.detection.backends.network import ExportKind, Network, NetworkFacts
 from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
@@ -84,7 +84,7 @@ def test_an_export_is_reused_unless_damaged_or_stale(
             assert "exporting again" in caplog.text
             assert (folder / name).read_bytes() == stored[name]
     answer("other weights")
-    monkeypatch.setattr(export_cache, "REVISIONS", {"onnxruntime": export_cache.REVISIONS["onnxruntime"] + 1})
+    monkeypatch.setattr(export, "REVISIONS", {"onnxruntime": export.REVISIONS["onnxruntime"] + 1})
     answer()
     assert len(exports) == expected + 2
     assert not [path for path in exports_folder(tmp_path).iterdir() if path.name.startswith(".")]
@@ -108,7 +108,7 @@ def test_without_a_writable_cache_an_export_is_repeated(
         # Permissions of folders do not apply to the superuser, so the refusal is simulated.
         raise FormatError(out, "cannot be requested (Permission denied)")
 
-    monkeypatch.setattr(export_cache, "new_folder", refuse)
+    monkeypatch.setattr(export, "new_folder", refuse)
     for _ in range(2):
         opened(own_weights)
     assert len(exports) == 2
@@ -117,7 +117,7 @@ def test_without_a_writable_cache_an_export_is_repeated(
 
 def test_the_least_recently_used_exports_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(export_cache, "MOST_KEPT", 2)
+    monkeypatch.setattr(export, "MOST_KEPT", 2)
     export = Export(NetworkFacts(labels=("cat",), stride=32, end2end=False, edge_spread=False), {"network.onnx": b""})
     for number, key in enumerate("abc"):
         keep_export("onnxruntime", key, export)

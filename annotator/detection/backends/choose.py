@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from annotator.detection.backends.export_cache import Export, export_key, find_export, keep_export, one_at_a_time
+from annotator.detection.backends.export import Export, export_key, find_export, keep_export, one_at_a_time
 from annotator.detection.backends.network import ExportKind, Network
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.types.errors import AnnotatorError, ConfigError, DetectionError, MissingExtraError
