@@ -10,8 +10,7 @@ import pytest
 
 from annotator.detection.config import EdgeErrors
 from annotator.detection.dataset import read_manifest
-from annotator.detection.edge_calibration import with_edge_errors
-from annotator.detection.edge_errors import Refused, fit_edge_errors
+from annotator.detection.edge_errors import Refused, fit_edge_errors, with_edge_errors
 from annotator.detection.trained import TrainedModel, read_trained
 from annotator.workflows.detectors import load_detector
 from tests.detection.test_backends import PlainImage
@@ -61,7 +60,7 @@ def test_a_training_stores_the_errors_and_the_detector_tells_them(
         return EdgeErrors(factor=1.0, exponent=1.0, least_px=0.01, most_px=90.0, edges=len(spread_px))
 
     # the set is too small for a fit of its own
-    monkeypatch.setattr("annotator.detection.edge_calibration.fit_edge_errors", fit)
+    monkeypatch.setattr("annotator.detection.edge_errors.fit_edge_errors", fit)
     weights = tmp_path / "detector.safetensors"
     weights.write_bytes(tiny_model.weights.read_bytes())
     plain = tiny_model.model_copy(update={"weights": weights, "edge_errors": {}})
