@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from annotator.detection.checkpoint import BEST, LAST, read_checkpoint, write_checkpoint
 from annotator.detection.dataset import DatasetManifest
+from annotator.detection.trained import BEST, LAST, read_checkpoint, write_checkpoint
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 

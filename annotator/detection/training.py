@@ -13,13 +13,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from annotator.detection.checkpoint import BEST, LAST, epochs_done, read_weights
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import DatasetManifest, read_manifest
 from annotator.detection.edge_errors import with_edge_errors
 from annotator.detection.network_file import write_network
 from annotator.detection.pretrained import StartingPoint, check_model_name, check_weights, find_starting_point
-from annotator.detection.trained import RunRecord, TrainedModel, TrainingMetrics, read_run, read_trained
+from annotator.detection.trained import (
+    BEST,
+    LAST,
+    RunRecord,
+    TrainedModel,
+    TrainingMetrics,
+    epochs_done,
+    read_run,
+    read_trained,
+    read_weights,
+)
 from annotator.detection.ultralytics_api import api, pick_device
 from annotator.files import DOCUMENT_BYTES, open_text_file, read_text_file
 from annotator.types import DetectorKind

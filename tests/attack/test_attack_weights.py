@@ -23,7 +23,6 @@ from hostile import NUMPY_CACHE, PICKLES, Called, Touch, safetensors, sent_proje
 from live_server import running
 
 from annotator.cli.main import main
-from annotator.detection.checkpoint import LAST, STATE, read_checkpoint
 from annotator.detection.config import DetectorConfig, TrainingConfig
 from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.network_file import (
@@ -34,6 +33,7 @@ from annotator.detection.network_file import (
     write_network,
     write_tensors,
 )
+from annotator.detection.trained import LAST, STATE, read_checkpoint
 from annotator.detection.training import train_detector
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
