@@ -7,9 +7,10 @@ that the box intersects, one slice.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.types import OrientedBox
@@ -82,3 +83,29 @@ class PointIndex:
 def _cell(along_m: Float32[np.ndarray, "n"], low_m: np.float32, cells_per_m: np.float32) -> UInt8[np.ndarray, "n"]:
     """Numbers of the cells along one axis. They are monotonic in float32, too, so a query misses no point."""
     return ((along_m - low_m) * cells_per_m).clip(0, SIDE - 1).astype(np.uint8)
+
+
+# TODO-MERGED docstring of thinning.py:
+# Thinning of clouds to a maximum number of points.
+
+
+# Arbitrary, but fixed, so that a frame is always drawn with the same points.
+SEED = 20231
+
+
+def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
+    """Indices of the points to keep, ascending; None = all.
+
+    The cloud is divided into `most` runs of equal length, and one random point of each is kept. Consecutive points of a
+    scan or an image are neighbours, so the cloud is thinned evenly. The time does not depend on the cloud's size.
+    """
+    if n_points <= most:
+        return None
+    edges = np.arange(most + 1, dtype=np.int64) * n_points // most
+    return edges[:-1] + (_positions(most) * np.diff(edges)).astype(np.int64)
+
+
+@lru_cache(maxsize=8)
+def _positions(most: int) -> Float64[np.ndarray, "m"]:
+    """The position of each kept point within its run, 0..1."""
+    return np.random.default_rng(SEED).random(most)
