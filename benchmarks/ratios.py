@@ -24,9 +24,9 @@ import numpy as np
 import tyro
 
 from annotator.detection.config import Backend, DetectorConfig
-from annotator.detection.network_file import NetworkDescription, build, write_network
 from annotator.detection.perfect import PerfectDetector
 from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import NetworkDescription, build, write_network
 from annotator.detection.yolo import YoloDetector
 from annotator.geometry.oriented_box import box_corners
 from annotator.project.config import BoxRotation

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from annotator.detection.config import TrainingConfig
-from annotator.detection.network_file import DETECTING_LAYERS, write_network
 from annotator.detection.ultralytics_api import api, cache_dir
-from annotator.detection.weights import load_weights
+from annotator.detection.weights import DETECTING_LAYERS, load_weights, write_network
 from annotator.types.errors import ConfigError, DetectionError
 
 # TODO-MERGED docstring of base_detector.py:

@@ -9,15 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from annotator.detection.config import EdgeErrors, TrainingConfig
 from annotator.detection.dataset import Split
-from annotator.detection.network_file import (
-    DESCRIPTION,
-    describe,
-    filled,
-    half,
-    read_facts,
-    read_tensors,
-    write_tensors,
-)
+from annotator.detection.weights import DESCRIPTION, describe, filled, half, read_facts, read_tensors, write_tensors
 from annotator.files import read_file, write_atomic
 from annotator.types import BoxKind, DetectorKind
 from annotator.types.errors import DetectionError, FormatError

@@ -16,7 +16,6 @@ from typing import Any
 from annotator.detection.config import TrainingConfig
 from annotator.detection.dataset import DatasetManifest, read_manifest
 from annotator.detection.edge_errors import with_edge_errors
-from annotator.detection.network_file import write_network
 from annotator.detection.pretrained import StartingPoint, check_model_name, check_weights, find_starting_point
 from annotator.detection.trained import (
     BEST,
@@ -30,6 +29,7 @@ from annotator.detection.trained import (
     read_weights,
 )
 from annotator.detection.ultralytics_api import api, pick_device
+from annotator.detection.weights import write_network
 from annotator.files import DOCUMENT_BYTES, open_text_file, read_text_file
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError

@@ -117,7 +117,7 @@ def test_without_a_writable_cache_an_export_is_repeated(
 
 def test_the_least_recently_used_exports_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(export, "MOST_KEPT", 2)
+    monkeypatch.setattr(ultralytics_api, "MOST_KEPT", 2)
     export = Export(NetworkFacts(labels=("cat",), stride=32, end2end=False, edge_spread=False), {"network.onnx": b""})
     for number, key in enumerate("abc"):
         keep_export("onnxruntime", key, export)

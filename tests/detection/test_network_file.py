@@ -15,18 +15,18 @@ import pytest
 from time_limit import time_limit
 
 from annotator.detection import weights
-from annotator.detection.network_file import (
+from annotator.detection.ultralytics_api import api
+from annotator.detection.weights import (
     DESCRIPTION,
     NetworkDescription,
     build,
     describe,
     is_network_file,
+    load_weights,
     read_tensors,
     write_network,
     write_tensors,
 )
-from annotator.detection.ultralytics_api import api
-from annotator.detection.weights import load_weights
 from annotator.types.errors import DetectionError
 
 

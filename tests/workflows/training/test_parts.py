@@ -11,9 +11,9 @@ from view_detectors import CONFIG, PLAN, install_base, register
 
 from annotator.detection import pretrained
 from annotator.detection.dataset import read_manifest
-from annotator.detection.network_file import NetworkDescription, build, write_network
 from annotator.detection.trained import read_trained
 from annotator.detection.training import TrainingProgress
+from annotator.detection.weights import NetworkDescription, build, write_network
 from annotator.project import Project
 from annotator.types import BoxKind, DetectorKind
 from annotator.workflows.detectors import AGNOSTIC, UsedModel, own_model
