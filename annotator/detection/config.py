@@ -1,4 +1,4 @@
-"""Settings for training and running a detector."""
+"""Settings for training and running a detector, and the expected errors of its edges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes labelled images as a YOLO training set.
+"""Labelled images as a YOLO training set: tiles, the held-out frames, the folder and its manifest.
 
 The folder holds `images/{train,val}`, `labels/{train,val}` (one text file per image, `class cx cy w h` as shares of the
 image size; an empty file marks a background image), `data.yaml` and `manifest.json`.
@@ -26,10 +26,6 @@ from annotator.geometry.outline import clip_to_image, shares_of
 from annotator.image_bytes import read_image
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
-
-# TODO-MERGED docstring of manifest.py:
-# The manifest of a training set, written beside its images.
-
 
 MANIFEST_NAME = "manifest.json"
 Split = Literal["train", "val"]
@@ -101,10 +97,6 @@ def read_manifest(folder: Path) -> DatasetManifest:
         raise FormatError(path, "no such file; this folder is not a training set written by annotator") from error
     except (OSError, ValidationError) as error:
         raise FormatError(path, f"not a training set manifest ({error}); write the training set again") from error
-
-
-# TODO-MERGED docstring of held_out.py:
-# The fixed fifth of the frames that never trains a detector and decides between detectors.
 
 
 SHARE = 0.2
@@ -336,12 +328,11 @@ def _data_yaml(classes: Sequence[str], measured_on: Split) -> str:
     return f"train: images/train\nval: images/{measured_on}\nnames:\n{names}"
 
 
-# TODO-MERGED docstring of tiles.py:
 # Cuts images into tiles of the training size, if the detector will see them at a larger size.
 #
 # Objects in such an image are small: at the training size, they would cover one or two pixels. Tiles show them at the
-# size at which the detector will see them. Each image gives one tile around each object and one at a random place.
-# An object that is larger than a tile gets a larger tile, which is scaled down.
+# size at which the detector will see them. Each image gives one tile around each object and one at a random place. An
+# object that is larger than a tile gets a larger tile, which is scaled down.
 
 
 # An object is labelled on a tile if at least this share of its box lies on it.

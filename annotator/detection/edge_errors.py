@@ -1,7 +1,7 @@
 """The expected error of a detected edge, from the spread that the network predicts for it.
 
-The spread (`backends/edge_spread.py`) is the width of a distribution, not an error. How large an error goes with it is
-fitted on images that the network was not trained on.
+The spread (`backends/torch_network.py`) is the width of a distribution, not an error. How large an error goes with it
+is fitted on the validation images of a detector's training.
 """
 
 from __future__ import annotations
@@ -90,16 +90,12 @@ def _most_likely(rows: Float64[np.ndarray, "n 2"], size: Float64[np.ndarray, "n"
     return unknowns
 
 
-# TODO-MERGED docstring of edge_calibration.py:
-# Fits the expected errors of a trained detector's edges on the validation images of its training.
-
-
 LOG = logging.getLogger("annotator.detectors")
 
 # Images that are read and run at once.
 AT_ONCE = 512
 # A detection belongs to a label with at least this IoU. Of several, the one with the highest
-# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/cross_view.choose`).
+# score * (IoU + STRANGER_WEIGHT) is taken, as in the recursion (`rcv/measure.choose`).
 MIN_IOU, STRANGER_WEIGHT = 0.1, 0.1
 # Edges this close to the image's border are left out: what lies beyond it cannot be seen, pixels.
 BORDER_PX = 1.0

@@ -1,4 +1,8 @@
-"""A detector that returns ground-truth boxes, exact or with noise, to measure the method without detector errors."""
+"""Detectors that need no training.
+
+`PerfectDetector` returns ground-truth boxes, exact or with noise, to measure the method without detector errors. The
+other one returns the box around the nearest cluster of points on a pseudo-view.
+"""
 
 from __future__ import annotations
 
@@ -231,10 +235,6 @@ def _noisy_box(
     if (high - low < MIN_SIDE_PX).any():
         return None
     return Box2D(label, float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-
-
-# TODO-MERGED docstring of nearest_cluster.py:
-# A pseudo-view detector that needs no training: it returns the box around the nearest cluster of points.
 
 
 class NearestCluster:

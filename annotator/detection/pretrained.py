@@ -1,4 +1,4 @@
-"""Finds pretrained weights to start from; without them, training starts from random weights."""
+"""Networks that exist before a training: the base detector, published weights to start from, seeded random ones."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from annotator.detection.ultralytics_api import api, cache_dir
 from annotator.detection.weights import DETECTING_LAYERS, load_weights, write_network
 from annotator.types.errors import ConfigError, DetectionError
 
-# TODO-MERGED docstring of base_detector.py:
 # The base detector: a view detector that measures the object of a crop, whatever its class.
 #
-# It takes the place of a project's own view detector until that is trained. docs/base_detector.md describes its training;
-# `scripts/train_base.py --install` puts another one into the package.
+# It takes the place of a project's own view detector until that is trained. docs/base_detector.md describes its
+# training; `scripts/train_base.py --install` puts another one into the package.
 
 
 FOLDER = Path(__file__).parent / "base"
@@ -187,10 +186,6 @@ def within(timeout_s: float, work: Callable[[], Any]) -> Any:
     if not outcome[0]:
         raise outcome[1]
     return outcome[1]
-
-
-# TODO-MERGED docstring of seeded_network.py:
-# A network with weights generated from a seed, which any machine can create without training or download.
 
 
 # Factor on the random weights of the last layers. Without it, they would predict distances of hundreds of pixels, and

@@ -1,4 +1,4 @@
-"""Files of a training run: `run.json` from its start, `model.json` when it is finished."""
+"""Files of a training run: `run.json` from its start, checkpoints, and `model.json` when it is finished."""
 
 from __future__ import annotations
 
@@ -132,10 +132,6 @@ def read_run(folder: Path) -> RunRecord | None:
         return RunRecord.model_validate_json(read_file(path))
     except (OSError, ValidationError) as error:
         raise FormatError(path, f"not a training run ({error}); remove the folder and train again") from error
-
-
-# TODO-MERGED docstring of checkpoint.py:
-# Checkpoints of a training run: the averaged weights, the optimiser's state, and what resuming needs.
 
 
 LAST, BEST = "last.safetensors", "best.safetensors"

@@ -25,14 +25,13 @@ from annotator.detection.trained import BEST, LAST, read_checkpoint, write_check
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 
-# TODO-MERGED docstring of muon.py:
 # Muon with SGD, the most accurate optimiser on small training sets, fast enough for a CPU.
 #
-# Muon (K. Jordan et al., "Muon: an optimizer for hidden layers in neural networks", 2024) replaces each weight matrix's
-# momentum by approximately the nearest semi-orthogonal matrix, found by Newton-Schulz iteration. Ultralytics trains
-# YOLO26 with a mix of Muon and SGD. Its version computes in bfloat16 and pads matrices to batches, which suits GPUs; on a
-# CPU it takes nearly as long as the rest of a training step. This version computes in float32 and batches equal shapes
-# only.
+# Muon (K. Jordan et al., "Muon: an optimizer for hidden layers in neural networks", 2024) replaces each weight
+# matrix's momentum by approximately the nearest semi-orthogonal matrix, found by Newton-Schulz iteration. Ultralytics
+# trains YOLO26 with a mix of Muon and SGD. Its version computes in bfloat16 and pads matrices to batches, which suits
+# GPUs; on a CPU it takes nearly as long as the rest of a training step. This version computes in float32 and batches
+# equal shapes only.
 #
 # This module imports torch; import it only to train.
 

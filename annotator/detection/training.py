@@ -34,9 +34,6 @@ from annotator.files import DOCUMENT_BYTES, open_text_file, read_text_file
 from annotator.types import DetectorKind
 from annotator.types.errors import ConfigError, DetectionError
 
-# TODO-MERGED docstring of progress.py:
-# Progress of a training run, and the request to stop it.
-
 
 @dataclass(frozen=True)
 class TrainingProgress:

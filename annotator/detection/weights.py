@@ -1,10 +1,13 @@
 """The one door for weights: network files, and the pickles that ultralytics writes, of which nothing is run.
 
+A network file has tensors and the name of an architecture, in the safetensors format. Reading it runs no code from it:
+the architecture is one of ultralytics' own, built by its name, and every tensor must fit it.
+
 A pickle is a program that names functions and calls them. Ultralytics' own "safe loading" still calls the constructors
 of all layers, with the file's arguments: they allocate any amount of memory, read files and download. Here every name
 becomes an inert object that only keeps what it is given. The class names, the name of the architecture and the tensors
-are taken from there; the network is built anew from its name, and every tensor must fit. The result is kept in the
-user's cache as a network file, so each pickle is read once.
+are taken from there, and the network is built as that of a network file. The result is kept in the user's cache as a
+network file, so each pickle is read once.
 """
 
 from __future__ import annotations
@@ -25,13 +28,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
 from annotator.files import NETWORK_BYTES, check_file, open_archive, open_file, read_file, write_atomic
 from annotator.types.errors import DetectionError
-
-# TODO-MERGED docstring of network_file.py:
-# Files of networks: tensors and the name of an architecture, in the safetensors format.
-#
-# Reading such a file runs no code from it. The architecture is one of ultralytics' own, built by its name, and every
-# tensor must fit it.
-
 
 FORMAT = "annotator network 1"
 # Key of the description in the file's metadata, which holds strings only.

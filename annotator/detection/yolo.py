@@ -24,10 +24,6 @@ from annotator.files import NETWORK_BYTES, read_file
 from annotator.types import Box2D, Image, PseudoView, Region
 from annotator.types.errors import DetectionError
 
-# TODO-MERGED docstring of letterbox.py:
-# Combines images of any size into batches for a network, and maps boxes back to the images.
-
-
 # Grey of the border. Networks are trained with it, and pseudo-views have it as background.
 GREY = 114
 # Canvases up to this size are square: wider borders take less time than several canvas sizes.
@@ -114,7 +110,6 @@ def to_pictures(
     return np.clip((boxes - border) * scale, 0, size) - 0.5
 
 
-# TODO-MERGED docstring of suppression.py:
 # Non-maximum suppression of 2D boxes, for a whole batch at once.
 #
 # torchvision also has this function, but takes as long to load as torch itself.
@@ -159,10 +154,6 @@ def _ious(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "n 4"]) -> Float[np.
     shared = np.prod(np.clip(high - low, 0, None), axis=1)
     union = np.prod(a[:, 2:] - a[:, :2], axis=1) + np.prod(b[:, 2:] - b[:, :2], axis=1) - shared
     return shared / np.maximum(union, 1e-12)
-
-
-# TODO-MERGED docstring of selection.py:
-# Decodes the raw output of a network into candidate boxes, for a whole batch at once and for every backend.
 
 
 # Only the candidates with the highest scores of an image enter non-maximum suppression.

@@ -7,7 +7,7 @@
 The second form is a turned box, by its four corners, or a polygon; it is read as the rectangle around these. The
 third form has keypoints, which are not read; all rows of a dataset together show it (`are_keypoints`). The class is an
 index into the dataset's `names`, from 0. Centre, width, height and corners are fractions of the image size,
-measured from the image's corner (see `geometry/image_shares.py`). An empty file means an image without objects. A sixth
+measured from the image's corner (see `geometry/outline.py`). An empty file means an image without objects. A sixth
 field is the score of a detection. Source: Ultralytics' documentation, overviews of datasets for "object detection",
 "oriented bounding box" and "instance segmentation", and the checks in its `data/utils.py`.
 """

@@ -1,4 +1,4 @@
-"""Exact 3D IoU of oriented boxes (compiled: `kernels.slab_volumes`).
+"""Exact 3D IoU of oriented boxes (compiled: `kernels`).
 
 Two boxes are six slabs (pairs of parallel planes). Each edge of the intersection lies on the line where planes of
 two slabs meet, between the points where this line enters and leaves the four other slabs. 15 pairs of slabs with 4
@@ -128,10 +128,6 @@ def _stacked(
         np.array([box.rotation for box in boxes]).reshape(-1, 3, 3),
         np.array([box.size_m for box in boxes]).reshape(-1, 3),
     )
-
-
-# TODO-MERGED docstring of nms.py:
-# Non-maximum suppression of oriented boxes.
 
 
 def nms_3d(

@@ -1,4 +1,4 @@
-"""Compiled loops of the geometry. Import these modules inside functions: they load numba."""
+"""Compiled loops of the geometry. Import this module inside functions: it loads numba."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
 
 from annotator.compiled import compiled
-
-# TODO-MERGED docstring of points_in_box.py:
-# The test of points against a box.
 
 
 @compiled
@@ -45,10 +42,6 @@ def points_in_box(
     return inside
 
 
-# TODO-MERGED docstring of depth_points.py:
-# The points of a depth image, and their colours.
-
-
 @compiled
 def depth_points(
     depth: Float32[np.ndarray, "p"], x: Float32[np.ndarray, "p"], y: Float32[np.ndarray, "p"]
@@ -82,10 +75,6 @@ def colors_at(rgb: UInt8[np.ndarray, "p 3"], index: Int32[np.ndarray, "n"]) -> U
         i = index[k]
         colors[k, 0], colors[k, 1], colors[k, 2] = rgb[i, 0], rgb[i, 1], rgb[i, 2]
     return colors
-
-
-# TODO-MERGED docstring of slab_volumes.py:
-# The intersection volume of two boxes, pair by pair; `geometry.iou` explains the method.
 
 
 # Each face of the box with the longer diagonal is moved outwards by this share of that diagonal.

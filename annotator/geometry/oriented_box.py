@@ -1,4 +1,4 @@
-"""Oriented boxes: corners, points inside, the box around points, and a canonical order of axes."""
+"""Oriented boxes: corners, points inside, boxes around points, upright boxes, and a canonical order of axes."""
 
 from __future__ import annotations
 
@@ -152,10 +152,6 @@ def same_box(a: OrientedBox, b: OrientedBox) -> bool:
     )
 
 
-# TODO-MERGED docstring of nearest_upright.py:
-# The upright box nearest to a tilted box, for formats without pitch and roll.
-
-
 def nearest_upright(box: OrientedBox, up: Float[np.ndarray, "3"]) -> tuple[OrientedBox, float]:
     """The nearest box with the same centre and sides and a vertical z axis, and the angle between both, radians.
 
@@ -210,10 +206,6 @@ def _made_upright(
     return OrientedBox.from_parts(box.center_m, turn @ R, size_m), tilt
 
 
-# TODO-MERGED docstring of tightest_box.py:
-# The box of least volume around points.
-
-
 # The rotations of a grid that are refined, by turns of `FIRST_TURN_RAD` that are halved down to `LAST_TURN_RAD`.
 STARTS = 8
 FIRST_TURN_RAD, LAST_TURN_RAD = float(np.deg2rad(8)), 1e-3
@@ -265,10 +257,6 @@ def _hull(xyz_m: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "h 3"]:
         return xyz_m
 
 
-# TODO-MERGED docstring of correction.py:
-# Frames with a corrected calibration: the cloud moved relative to the image, or shown with another image.
-
-
 def corrected(frame: Frame, correction: Correction) -> Frame:
     """The frame with its cloud turned and shifted; what the cloud knows (normals, up, labels of its files) moves along.
 
@@ -318,10 +306,6 @@ def _coloured(frame: Frame) -> Frame:
     colours = cloud.rgb.copy()
     colours[seen] = frame.rgb[v, u]
     return replace(frame, cloud=replace(cloud, rgb=colours))
-
-
-# TODO-MERGED docstring of common_axis.py:
-# The axis that many boxes share, about which they turn: of upright boxes, the vertical.
 
 
 # Steps in which an axis moves to the mean of the boxes' nearest axes.

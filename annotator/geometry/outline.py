@@ -1,9 +1,12 @@
-"""The 2D box of an oriented box, or of a set of points, on a camera image.
+"""2D boxes and outlines on a camera image: of an oriented box, a set of points, and the edges of a wire frame.
 
 Each face of the box is a convex polygon. In 3D, it is clipped to the half-spaces in front of the camera and within its
 field of view (Sutherland and Hodgman, 1974). The rest is projected and clipped to the image. So a box that extends
 behind the camera or beyond the image border gets the 2D box of its visible part. The hole that clipping leaves in the
 near plane does not matter: a ray that enters the box through this hole leaves it through a face.
+
+An edge of a wire frame is clipped likewise (Liang and Barsky, 1984). On a distorted image it is divided into several
+pieces, because straight edges are curved there.
 """
 
 from __future__ import annotations
@@ -181,13 +184,6 @@ def _border_px(camera: Camera) -> Float64[np.ndarray, "n 2"]:
     return np.concatenate([np.column_stack(side) for side in sides])
 
 
-# TODO-MERGED docstring of edges.py:
-# The projected edges of 3D boxes: the wire frames that are drawn over a camera image.
-#
-# An edge is clipped to the half-spaces in front of the camera and within its field of view (Liang and Barsky, 1984). The
-# rest is projected. On a distorted image, it is divided into several pieces, because straight edges are curved there.
-
-
 # Pieces per edge on a distorted image.
 PIECES_DISTORTED = 8
 
@@ -271,12 +267,11 @@ def _finite(pieces: Float64[np.ndarray, "k 2 2"]) -> Float64[np.ndarray, "m 2 2"
     return pieces[np.isfinite(pieces).all(axis=(1, 2))]
 
 
-# TODO-MERGED docstring of image_shares.py:
 # 2D boxes as shares of the image size, as in YOLO's label files, and boxes clipped to the image.
 #
-# The shares are centre x and y, width and height, divided by the image's width and height (Ultralytics' documentation,
-# "object detection datasets"). They are measured from the image's corner, whereas pixels are measured from the centre of
-# the first pixel: the two differ by half a pixel.
+# The shares are centre x and y, width and height, divided by the image's width and height (Ultralytics'
+# documentation, "object detection datasets"). They are measured from the image's corner, whereas pixels are measured
+# from the centre of the first pixel: the two differ by half a pixel.
 
 
 def clip_to_image(box: Box2D, width_px: int, height_px: int, min_side_px: float = 0.0) -> Box2D | None:
@@ -299,10 +294,6 @@ def edges_of(shares: Float[np.ndarray, "4"], width_px: int, height_px: int) -> F
     """The inverse of `shares_of`: x_min, y_min, x_max, y_max, pixels."""
     centre, half, size = shares[:2], shares[2:] / 2, np.array([width_px, height_px], np.float64)
     return np.concatenate([(centre - half) * size, (centre + half) * size]) - 0.5
-
-
-# TODO-MERGED docstring of rectangles.py:
-# Intersection areas of rectangles in a plane, for many pairs at once.
 
 
 # Pairs per pass, which bounds the memory.

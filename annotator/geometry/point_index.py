@@ -1,4 +1,4 @@
-"""An index of a large cloud, for fast queries of the points in a box.
+"""Thinning of clouds, and an index of a large cloud for fast queries of the points in a box.
 
 The points are sorted by the cells of a grid along the two axes of largest spread. A query reads, of each row of cells
 that the box intersects, one slice.
@@ -83,10 +83,6 @@ class PointIndex:
 def _cell(along_m: Float32[np.ndarray, "n"], low_m: np.float32, cells_per_m: np.float32) -> UInt8[np.ndarray, "n"]:
     """Numbers of the cells along one axis. They are monotonic in float32, too, so a query misses no point."""
     return ((along_m - low_m) * cells_per_m).clip(0, SIDE - 1).astype(np.uint8)
-
-
-# TODO-MERGED docstring of thinning.py:
-# Thinning of clouds to a maximum number of points.
 
 
 # Arbitrary, but fixed, so that a frame is always drawn with the same points.

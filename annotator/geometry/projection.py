@@ -1,4 +1,4 @@
-"""Projection from metres to pixels and back, with OpenCV's camera model.
+"""Projection from metres to pixels and back, with OpenCV's camera model; depth images and frustums.
 
 Pixels are continuous and the centre of the first pixel is (0, 0), as in `cv2.projectPoints`.
 """
@@ -160,10 +160,6 @@ def _ray_columns(key: CameraKey) -> tuple[Float32[np.ndarray, "n"], Float32[np.n
     return rays[:, 0].copy(), rays[:, 1].copy()
 
 
-# TODO-MERGED docstring of depth_values.py:
-# Depth images as sensors and programs store them, in metres: one rule for what is no measurement.
-
-
 # The highest numbers of 16 bits and of half precision: saturated, or "no data". Other types hold converted ones.
 SATURATED = (65504, 65535)
 
@@ -189,10 +185,6 @@ def in_metres(values: np.ndarray, units_per_m: float) -> Float32[np.ndarray, "h 
         depth_m = np.divide(values, np.float32(units_per_m), dtype=np.float32, casting="unsafe")
     depth_m[~measured(values)] = 0
     return np.asarray(depth_m)
-
-
-# TODO-MERGED docstring of frustum.py:
-# The points of a cloud in the frustum of a 2D box.
 
 
 def in_frustum(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], box: Box2D) -> Bool[np.ndarray, "n"]:

@@ -84,11 +84,10 @@ def level_pose(up: Float[np.ndarray, "3"] | None) -> RigidTransform:
     return RigidTransform.from_rotation(Rotation.from_matrix(np.stack([x, y, z])))
 
 
-# TODO-MERGED docstring of quaternion_order.py:
 # Whether a set of quaternions is in the order that its format has: w first, or w last.
 #
-# What stands upright, such as boxes and vehicles, does so in one order only, unless it is turned by half a circle or not
-# at all. One quaternion seldom shows the order, but all of a set together do.
+# What stands upright, such as boxes and vehicles, does so in one order only, unless it is turned by half a circle or
+# not at all. One quaternion seldom shows the order, but all of a set together do.
 
 
 # What is upright in a level frame; least cosine of its tilt: slopes, and drives over bumps.

@@ -231,10 +231,6 @@ def find_axes(
     return FoundAxes(camera_axes(up), Strategy.CAMERA, tuple(failed))
 
 
-# TODO-MERGED docstring of normals.py:
-# Normals for the projection axes, estimated once per frame.
-
-
 def needs_normals(config: RcvConfig) -> bool:
     """True if the recursion uses normals with these settings."""
     return config.strategy is Strategy.NORMALS or (

@@ -14,12 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from annotator.types import BoxKind
 
-# TODO-MERGED docstring of sizes.py:
 # Typical sizes of classes: of those in the settings, and of well-known ones by name.
 #
-# Sources of the means: KITTI (Geiger et al., CVPR 2012) and nuScenes (Caesar et al., CVPR 2020) for traffic; SUN RGB-D's
-# furniture as averaged for VoteNet (Qi et al., ICCV 2019); for hands, relaxed and as fists, common anthropometry. Spreads
-# are rough.
+# Sources of the means: KITTI (Geiger et al., CVPR 2012) and nuScenes (Caesar et al., CVPR 2020) for traffic; SUN
+# RGB-D's furniture as averaged for VoteNet (Qi et al., ICCV 2019); for hands, relaxed and as fists, common
+# anthropometry. Spreads are rough.
 
 
 Side = Annotated[float, Field(gt=0)]

@@ -22,7 +22,7 @@ from annotator.types import BoxKind, Camera, Frame, LostObject, OrientedBox, Pro
 
 # Margin within which points of the image box's middle count as inside a rival, share of its mean side.
 MIDDLE_MARGIN = 0.03
-# How many times each rival's box is changed, and how much (`typical_size/placement.changed`).
+# How many times each rival's box is changed, and how much (`typical_size.changed`).
 CHANGES, CHANGE_SCALE = 20, 0.5
 # How much the IoU with the box of another object of the frame lowers a candidate's score.
 OVERLAP_WEIGHT = 2.0

@@ -1,6 +1,6 @@
-"""Robust least-squares sizes of a box, and their costs, for each of many rotations.
+"""Compiled loops of the box fit: costs of many rotations, refinement of a box, and counts of points in boxes.
 
-Every inner loop runs along the rotations and writes one array, so that it vectorises.
+In the loops over rotations, every inner loop runs along the rotations and writes one array, so that it vectorises.
 """
 
 from __future__ import annotations
@@ -99,11 +99,10 @@ def _solve(sums: np.ndarray, least: float, sizes: np.ndarray) -> None:
         sizes[2, j] = max((cz * bx + dz * by + ez * bz) * inverse, least)
 
 
-# TODO-MERGED docstring of refinement.py:
 # Damped Gauss-Newton steps that fit a box to the ends of intervals, one equation per end.
 #
-# A low end lies at `d.c - r` and a high end at `d.c + r`, with direction d, centre c and the box's half-extent
-# `r = sum_i s_i / 2 |d.r_i|` along d, with sizes s and axes r_i (`reach` in the code). Functions that call each other are
+# A low end lies at `d.c - r` and a high end at `d.c + r`, with direction d, centre c and the box's half-extent `r =
+# sum_i s_i / 2 |d.r_i|` along d, with sizes s and axes r_i (`reach` in the code). Functions that call each other are
 # in one file, because numba's cache only checks the file of the outermost function for changes.
 
 
@@ -346,10 +345,6 @@ def _copy(box: Box, place: Box) -> None:
             place[1][i, j] = box[1][i, j]
 
 
-# TODO-MERGED docstring of box_evidence.py:
-# How 3D boxes agree with the points of a frustum, and their outlines on the image: loops over boxes and points.
-
-
 # Corners nearer than this are moved to it before they are projected, metres.
 NEAR_M = 0.05
 
@@ -448,10 +443,6 @@ def point_evidence(
         result[k, 1] = hits / max(hits + behind, 1)
         result[k, 2] = hits_middle / max(open_middle, 1)
     return result
-
-
-# TODO-MERGED docstring of spans.py:
-# Counts of points between pairs of planes.
 
 
 @compiled

@@ -3,8 +3,8 @@
 A view measures the interval of the object along the directions d of its plane. For a box with centre c, axes r_i and
 sizes s_i that interval is `d.c -/+ sum_i s_i / 2 |d.r_i|`. A few directions over-determine the 7 unknowns of an upright
 box and the 9 of a free one. The middles of the intervals fix the centre, their lengths the sizes and the rotation. So
-rotations are searched on a grid by the lengths alone (`rotation_search`), and the best ones are refined on all ends by
-robust, damped Gauss-Newton steps (`kernels.refinement`).
+rotations are searched on a grid by the lengths alone (`rotations`), and the best ones are refined on all ends by
+robust, damped Gauss-Newton steps (`fit_kernels`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,6 @@ from jaxtyping import Float64
 
 from annotator.rcv.config import FitConfig
 from annotator.rcv.rotations import cheapest_distinct, free_grid, grid_neighbours, rotation_costs, yaw_grid
-
-# TODO-MERGED docstring of fit_uncertainty.py:
-# How uncertain a fitted box is: the IoU that it is expected to lose to the errors of its measured edges.
-
 
 # Mean absolute value of a Gaussian variable, in its standard deviations.
 MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))

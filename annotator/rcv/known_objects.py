@@ -1,8 +1,9 @@
-"""The 2D boxes of known 3D boxes on a frame's image and pseudo-views (RCV paper, section III.A and Fig. 5).
+"""The labelling procedure of the paper, and the 2D boxes of known 3D boxes (RCV paper, section III.A, Fig. 5 and 6).
 
-Each object goes through the two steps of manual labelling (`annotator.rcv.known_objects`), with its projected 3D box in
-place of each drawn box. Unlike manually labelled views, these have boxes for all visible objects: a frustum
-often contains neighbours, which would otherwise be unlabelled background in training.
+The procedure is: image box -> two views -> two more views -> the object. Operators in the browser and the simulated
+operator of the benchmarks follow the same steps: five 2D boxes per object. A known object goes through them with its
+projected 3D box in place of each drawn box. Unlike manually labelled views, its views have boxes for all visible
+objects: a frustum often contains neighbours, which would otherwise be unlabelled background in training.
 """
 
 from __future__ import annotations
@@ -23,12 +24,6 @@ from annotator.rcv.pseudo_view import frustum_views, render_pairs
 from annotator.rcv.recursion import cut_cloud, held_direction, shown_box
 from annotator.rcv.teach import is_shown, project_box
 from annotator.types import Box2D, Frame, PseudoView, Truth
-
-# TODO-MERGED docstring of operator.py:
-# The paper's labelling procedure (Fig. 6): image box -> two views -> two more views -> the object.
-#
-# Operators in the browser and the simulated operator of the benchmarks follow the same steps: five 2D boxes per object.
-
 
 LABELLED_STEPS = 2
 

@@ -1,4 +1,7 @@
-"""The box of a step from the detections on its views: from a pair, the consensus of all, or the tightest pair."""
+"""The box of a step from the detections on its views: from a pair, the consensus of all, or the tightest pair.
+
+Cross-View: a front and a side box that agree on their shared axis give one 3D box (RCV paper, section II.C).
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,6 @@ from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.interval_fit import BoxFit, Intervals, fit_box
 from annotator.types import Box2D, OrientedBox, PointCloud, PseudoView, StepTrace
-
-# TODO-MERGED docstring of cross_view.py:
-# Cross-View: a front and a side box that agree on their shared axis give one 3D box (RCV paper, section II.C).
-
 
 # The expected error of an edge is divided by the square root of its detection's score, or of this if it is larger.
 LEAST_SCORE = 0.05

@@ -14,11 +14,10 @@ from annotator.geometry.transforms import unit
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import PointCloud, PseudoView
 
-# TODO-MERGED docstring of drawing.py:
 # Rendering of points: each is drawn as a square that closes gaps; a pixel shows the nearest point.
 #
-# One integer key per point holds its depth and its index. The minimum key over the points of a pixel gives the nearest
-# point; the minimum over a neighbourhood draws points as squares.
+# One integer key per point holds its depth and its index. The minimum key over the points of a pixel gives the
+# nearest point; the minimum over a neighbourhood draws points as squares.
 
 
 # The padding grey of letterboxing, so that the detector does not see the view's border.
@@ -242,10 +241,6 @@ def pair_windows(
         low, high = np.minimum(low, corners.min(axis=2)), np.maximum(high, corners.max(axis=2))
     front_and_side = np.array([[0, 1], [2, 1]])
     return fit_windows(low[:, front_and_side].reshape(-1, 2), high[:, front_and_side].reshape(-1, 2), config)
-
-
-# TODO-MERGED docstring of frustum_views.py:
-# The views of an object's first step: front and side view of all points in its image box's frustum.
 
 
 def frustum_views(

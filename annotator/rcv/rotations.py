@@ -1,8 +1,11 @@
-"""The rotation search of the box fit: a grid of rotations, and the cost of each from the intervals' lengths.
+"""Sets of rotations: the grid of the box fit's search with its costs, and the axis hypotheses of a consensus step.
 
 Half the length of an interval along d is `sum_i s_i / 2 |d.r_i|`: linear in the sizes s_i for a known rotation with
 axes r_i, and independent of the centre. Each rotation is therefore a least-squares problem with three unknowns, solved
-in closed form. The best quarter is solved again with intervals weighted by their residuals (`kernels.rotation_search`).
+in closed form. The best quarter is solved again with intervals weighted by their residuals (`fit_kernels.size_costs`).
+
+The hypotheses are first spread widely, then close to the last fit. *Axes* are a (3, 3) matrix with rows a1, a2, a3, as
+in `axes`.
 """
 
 from __future__ import annotations
@@ -169,12 +172,6 @@ def _read_only(values: np.ndarray) -> np.ndarray:
     """The same array, made read-only because the cache shares it."""
     values.flags.writeable = False
     return values
-
-
-# TODO-MERGED docstring of hypotheses.py:
-# The axis hypotheses of a consensus step: first spread widely, then close to the last fit.
-#
-# *Axes* are a (3, 3) matrix with rows a1, a2, a3, as in `axes`.
 
 
 # Rivals share the hypotheses of a wide step, but each has at least this number, or all.

@@ -1,11 +1,14 @@
-"""What an object starts from that a class-agnostic view detector measures.
+"""What an object starts from: its box in an earlier frame, or what a class-agnostic view detector needs.
 
-A detector that was not trained on the project's objects often fails in the view of a whole frustum. So an object starts
-from rivals: boxes of its class's typical size, placed anywhere in the frustum, or else crops along the depth. Both take
-several times as long as one start.
+**Warm starts.** The first steps of a recursion find an object's position and rotation. An earlier box gives both
+approximately, so the object starts with views close to that box's axes, on the points around it. After the first step,
+the result is checked: it must lie within the points that were used, be similar to the start box in size and rotation,
+and agree with the image box. Otherwise the start box is dropped, and the object is processed without it.
 
-A trained detector looks at the whole frustum first, if the class has a typical size. If what it sees agrees with the
-image box, boxes are placed around that only.
+**Class-agnostic detectors.** A detector that was not trained on the project's objects often fails in the view of a
+whole frustum. So an object starts from rivals: boxes of its class's typical size, placed anywhere in the frustum, or
+else crops along the depth. Both take several times as long as one start. A trained detector looks at the whole frustum
+first, if the class has a typical size. If what it sees agrees with the image box, boxes are placed around that only.
 """
 
 from __future__ import annotations
@@ -123,15 +126,6 @@ def _placed(state: ObjectState, facts: FrustumFacts, count: int, config: RcvConf
         if len(cloud) >= config.min_points:
             started.append(replace(state, cloud=cloud, box=box, axes=box.rotation.T))
     return started or [state]
-
-
-# TODO-MERGED docstring of warm_start.py:
-# Warm starts: an object starts from its box in an earlier frame.
-#
-# The first steps of a recursion find an object's position and rotation. An earlier box gives both approximately, so the
-# object starts with views close to that box's axes, on the points around it. After the first step, the result is checked:
-# it must lie within the points that were used, be similar to the start box in size and rotation, and agree with the image
-# box. Otherwise the start box is dropped, and the object is processed without it.
 
 
 WARM_START = "warm start"

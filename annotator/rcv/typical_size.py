@@ -1,4 +1,13 @@
-"""Objects of a class with a typical size: where a box of about this size may be, and which is best."""
+"""Objects of a class with a typical size: where a box of about this size may be, and which is best.
+
+**Places.** An object of typical size needs no first look of a detector: how large it appears tells its distance, and
+the points tell where its surface is. Rotations come from a grid, sizes from samples around the typical one, depths from
+points. The best candidates are then moved, turned and resized at random, in two rounds.
+
+**Evidence.** The points of a frustum, the image box, the typical size and the views give each candidate a score, a
+weighted sum of six terms (`Evidence.score`). The result is not the candidate with the highest score, but the one with
+the highest expected IoU (`best_expected`).
+"""
 
 from __future__ import annotations
 
@@ -17,13 +26,6 @@ from annotator.rcv.first_look import Outline, in_middle
 from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.rotations import free_grid, rotation_matrices, yaw_grid
 from annotator.types import Box2D, Camera, OrientedBox
-
-# TODO-MERGED docstring of evidence.py:
-# What the points of a frustum, the image box, the typical size and the views say about candidates of a 3D box.
-#
-# Each candidate gets a score, a weighted sum of six terms (`Evidence.score`). The result is not the candidate with the
-# highest score, but the one with the highest expected IoU (`best_expected`).
-
 
 # Number of points of a frustum that are used.
 POINTS = 300
@@ -206,14 +208,6 @@ def _normalised(camera: Camera, ends_px: tuple[float, float, float, float]) -> F
     u, v = (left + right) / 2, (top + bottom) / 2
     xy = undistort_px(camera, np.array([(left, v), (right, v), (u, top), (u, bottom)]))
     return np.array([xy[0, 0], xy[1, 0], xy[2, 1], xy[3, 1]])
-
-
-# TODO-MERGED docstring of placement.py:
-# Places of a box of a typical size: candidates around the points in the frustum of an image box.
-#
-# An object of typical size needs no first look of a detector: how large it appears tells its distance, and the points
-# tell where its surface is. Rotations come from a grid, sizes from samples around the typical one, depths from points.
-# The best candidates are then moved, turned and resized at random, in two rounds.
 
 
 # Percentiles of the depths in the middle of the image box at which the object's surface may be.

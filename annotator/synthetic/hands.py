@@ -1,7 +1,10 @@
-"""An articulated hand as blobs.
+"""An articulated hand as blobs, and its motion: smooth translation, free rotation and changing gestures.
 
 Hand axes: origin at the wrist, x along the fingers, y towards the thumb, z out of the back of the hand. The left hand
 is the mirror image in y.
+
+Each arm extends from a shoulder to a moving wrist. The elbow follows from the lengths of two bones and a swivel angle.
+The hand bends and rolls relative to the forearm, so that all its sides become visible.
 """
 
 from __future__ import annotations
@@ -138,13 +141,6 @@ def _thumb(blobs: Blobs, pose: HandPose, skin: int, nail: int) -> None:
 def _nail(blobs: Blobs, tip: np.ndarray, turn: np.ndarray, radius: float, nail: int) -> None:
     at = tip + turn @ np.array([-0.001, 0.0, 0.62 * radius])
     blobs.ball(at, (0.0062, 0.62 * radius, 0.0034), nail, axes=turn)
-
-
-# TODO-MERGED docstring of gestures.py:
-# Simulation of hands in front of the camera: smooth translation, free rotation and changing gestures.
-#
-# Each arm extends from a shoulder to a moving wrist. The elbow follows from the lengths of two bones and a swivel angle.
-# The hand bends and rolls relative to the forearm, so that all its sides become visible.
 
 
 STEP_S = 1 / 60

@@ -1,4 +1,4 @@
-"""Colours and patterns of surfaces: a palette, and the albedo of many points at once."""
+"""Appearance of surfaces and people: colours, patterns and clothes; shading by a lamp with soft shadows."""
 
 from __future__ import annotations
 
@@ -160,10 +160,6 @@ def _noise_volume() -> Float32[np.ndarray, "s s s"]:
     return (volume / volume.std()).astype(np.float32)
 
 
-# TODO-MERGED docstring of looks.py:
-# The appearance of a person: proportions, clothes, hair, skin.
-
-
 # From light to dark; a person's tone is interpolated between two neighbours.
 SKIN_TONES: tuple[Colour, ...] = ((0.88, 0.71, 0.61), (0.85, 0.66, 0.53), (0.67, 0.48, 0.36), (0.42, 0.29, 0.22))
 HAIR_STYLES = ("short", "long", "bald", "cap", "bun")
@@ -228,10 +224,6 @@ def random_looks(palette: Palette, random: np.random.Generator, hair_style: str)
         dark=palette.add(Material((0.1, 0.08, 0.08), gloss=0.4)),
         bag=palette.add(Material(random_colour(random, 0.7, 0.5), grain=0.15)),
     )
-
-
-# TODO-MERGED docstring of shading.py:
-# Shading of surfaces: a lamp with soft shadows, ambient light, fill light from the camera, and highlights.
 
 
 SKY = np.array([0.92, 0.96, 1.0], np.float32)

@@ -235,10 +235,6 @@ def _blob_axes(axis: np.ndarray, side: np.ndarray | None) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-# TODO-MERGED docstring of parts.py:
-# A builder of meshes from slabs, rods, balls, rings and shells, in any orientation.
-
-
 IDENTITY = np.eye(3)
 # Straight pieces of a ring or of the wall of a tube.
 PIECES = 14

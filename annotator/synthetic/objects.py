@@ -1,4 +1,4 @@
-"""Procedural objects: symmetric, jointed, hollow, thin, bent and very long ones, with random proportions.
+"""Procedural objects (symmetric, jointed, hollow, thin, bent, very long), and a room's furniture.
 
 Each family imitates a kind of construction, not a class: legs under a plate, parts on a long body with wheels, a chain
 of joints, a vessel. All objects have x forward, y to the left, z up, and their lowest point at z = 0 before they are
@@ -373,10 +373,6 @@ FAMILIES: dict[str, Callable[[Colours, np.random.Generator], Mesh]] = {
 }
 _WEIGHTS = np.array([0.7, 1, 1.4, 1.6, 1.4, 1, 0.8, 1, 0.8, 0.7, 0.6, 1])
 SHARES = _WEIGHTS / _WEIGHTS.sum()
-
-
-# TODO-MERGED docstring of furniture.py:
-# The furniture of the room, each piece with its footprint on the floor.
 
 
 HALF_WIDTH_M = 3.1

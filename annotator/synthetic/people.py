@@ -1,4 +1,4 @@
-"""A person's body as blobs, from looks and a pose.
+"""A person's body as blobs, from looks and a pose: joint angles, radians.
 
 Body axes: x forward, y left, z up, origin on the floor below the hips. The body is shifted vertically so that its
 lowest point is on the floor.
@@ -12,9 +12,6 @@ import numpy as np
 
 from annotator.synthetic.materials import Looks
 from annotator.synthetic.mesh import Blobs, Mesh, Triple, turn_x, turn_y, turn_z
-
-# TODO-MERGED docstring of pose.py:
-# Joint angles of a person: standing, walking, gesturing. Radians.
 
 
 @dataclass(frozen=True)

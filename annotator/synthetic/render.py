@@ -1,4 +1,4 @@
-"""Rendering with an ideal camera: colour, depth and object ids."""
+"""Ray casting: an ideal camera, a colour and depth camera with noise, and a LiDAR beside a camera."""
 
 from __future__ import annotations
 
@@ -13,10 +13,6 @@ from annotator.geometry.projection import project
 from annotator.synthetic.materials import Lights, Palette, Surface, lamp_points, shaded, softened, tone_mapped
 from annotator.synthetic.mesh import Mesh, joined
 from annotator.types import Camera
-
-# TODO-MERGED docstring of raycast.py:
-# Ray casting against triangles; the only module that uses open3d.
-
 
 # Shadow rays start slightly off their surface and end slightly before the lamp.
 SHADOW_NEAR = 2e-3
@@ -65,10 +61,6 @@ class RayScene:
 
     def _rays(self, origins: np.ndarray, directions: np.ndarray) -> Any:
         return self._tensor(np.concatenate([origins, directions], axis=1))
-
-
-# TODO-MERGED docstring of silhouette.py:
-# The silhouette of a mesh of convex parts on the image.
 
 
 def silhouette(
@@ -254,10 +246,6 @@ def _blend(values: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.n
     return blended
 
 
-# TODO-MERGED docstring of lidar.py:
-# Simulation of a spinning LiDAR that measures the part of a scene that a camera sees.
-
-
 @dataclass(frozen=True)
 class Lidar:
     """A spinning LiDAR.
@@ -350,12 +338,11 @@ def scan(
     )
 
 
-# TODO-MERGED docstring of sensor.py:
 # Simulation of a colour camera and a depth camera, from an ideal image.
 #
 # The depth noise grows with the square of the distance, as for triangulating cameras (see Nguyen, Izadi, Lovell,
-# "Modeling Kinect Sensor Noise", 3DIMPVT 2012). Depth is missing at grazing angles, along depth
-# edges and in random pixels, and is rounded to whole millimetres.
+# "Modeling Kinect Sensor Noise", 3DIMPVT 2012). Depth is missing at grazing angles, along depth edges and in random
+# pixels, and is rounded to whole millimetres.
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Generated scenes, and two presets: people in a room, and the hands of a person in front of the camera."""
+"""Generated scenes, and their presets: people in a furnished room, the hands of a person, and moving objects.
+
+World frame of the room: z up, origin on the floor at the camera's end, y into the room. The side of the table, the
+colours and the books on the shelf depend on the seed.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +46,6 @@ from annotator.synthetic.objects import (
     window,
 )
 from annotator.synthetic.people import Arm, Pose, armless_body, body_mesh, posed_arm, shoulder, sleeved_arm
-
-# TODO-MERGED docstring of room.py:
-# The furnished room, which is static.
-#
-# World frame: z up, origin on the floor at the camera's end of the room, y into the room. The side of the table, the
-# colours and the books on the shelf depend on the seed.
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,10 +246,6 @@ def _camera_pose(place: np.ndarray, pitch: float, roll: float) -> RigidTransform
 
 def _paler(colour: tuple[float, float, float]) -> tuple[float, float, float]:
     return (colour[0] * 0.7 + 0.3, colour[1] * 0.7 + 0.25, colour[2] * 0.7 + 0.25)
-
-
-# TODO-MERGED docstring of object_motion.py:
-# The preset `objects`: an arrangement of procedural objects, of which some turn or slide slowly.
 
 
 # Objects have an axis within this angle of the vertical, so that upright boxes fit them.

@@ -1,4 +1,4 @@
-"""Generated recordings on disk: an RGB-D folder for `rgbd_folder`, with the ground truth in a separate folder.
+"""Generated recordings on disk: an RGB-D folder for `rgbd_folder`; the exact truth in a separate folder.
 
 color/KEY.jpg  depth/KEY.png  camera_intrinsic.json  gravity.json    as from a camera
 generated.json                                                       the parameters of the generator
@@ -25,10 +25,6 @@ from annotator.synthetic.render import Sensor, Stage, colour_image, depth_image,
 from annotator.synthetic.scene import PERIOD_S, Actor, Scene, hands_scene, objects_scene, people_scene
 from annotator.types import Camera, OrientedBox
 from annotator.types.errors import ConfigError
-
-# TODO-MERGED docstring of truth.py:
-# The exact ground truth of a generated frame: boxes, masks and visibility.
-
 
 # Minimum visibility of labelled objects: share of the silhouette, and pixels.
 LEAST_VISIBLE = 0.1

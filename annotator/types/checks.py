@@ -1,4 +1,4 @@
-"""Checks of shape, dtype and finiteness that the value types run on construction."""
+"""Checks of values: shapes of arrays, and times, which are whole nanoseconds in 64 bits as in the database."""
 
 from __future__ import annotations
 
@@ -25,10 +25,6 @@ def as_array(name: str, value: Any, dtype: type[np.generic], shape: tuple[int | 
         array = array.view()
         array.flags.writeable = False
     return array
-
-
-# TODO-MERGED docstring of times.py:
-# Times are whole nanoseconds in 64 bits, the largest integer of the database.
 
 
 # In the year 2262.

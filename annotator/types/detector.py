@@ -1,4 +1,4 @@
-"""The interface of 2D detectors that Recursive Cross-View uses."""
+"""The interface of 2D detectors that Recursive Cross-View uses, and the pseudo-views that they see."""
 
 from __future__ import annotations
 
@@ -71,10 +71,6 @@ class Detector(Protocol):
 
     def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
         """One list of boxes per image, in the order given; best score first, in pixels of that image."""
-
-
-# TODO-MERGED docstring of pseudo_view.py:
-# A pseudo-view: an orthographic image of a point cloud.
 
 
 @dataclass(frozen=True, eq=False)

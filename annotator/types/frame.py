@@ -1,4 +1,4 @@
-"""One moment of a recording: a camera image and the point cloud that belongs to it."""
+"""One moment of a recording: a camera, its image, and the point cloud that belongs to it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,6 @@ from jaxtyping import Float32, Float64, Int32, UInt8
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.types.checks import as_array
-
-# TODO-MERGED docstring of camera.py:
-# A pinhole camera with OpenCV's distortion model.
-
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 
@@ -58,10 +54,6 @@ class Camera:
     def is_ideal(self) -> bool:
         """True if the camera has no distortion."""
         return not any(self.distortion)
-
-
-# TODO-MERGED docstring of point_cloud.py:
-# A point cloud in the camera frame.
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +152,6 @@ class Frame:
         if self.up is not None:
             up = as_array("up", self.up, np.float64, (3,))
             object.__setattr__(self, "up", up / np.linalg.norm(up))
-
-
-# TODO-MERGED docstring of correction.py:
-# A correction of a recording's calibration: where its clouds lie relative to its images, in space and time.
 
 
 MOST_TURN_RAD, MOST_SHIFT_M, MOST_OFFSET_S = np.pi, 1e4, 3600.0

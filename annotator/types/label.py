@@ -1,4 +1,4 @@
-"""3D labels of a frame, from people, automatic passes and files."""
+"""3D labels of a frame, from people, automatic passes and files; proposals and their traces."""
 
 from __future__ import annotations
 
@@ -145,10 +145,6 @@ class Truth:
     box_kind: BoxKind = BoxKind.BOX
     attributes: Mapping[str, AttributeValue] = field(default_factory=dict)
     said: tuple[Said, ...] = ()
-
-
-# TODO-MERGED docstring of proposal.py:
-# Proposals of Recursive Cross-View, and the trace of their recursions.
 
 
 Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]

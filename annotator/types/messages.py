@@ -1,4 +1,4 @@
-"""Numbers of things in messages for people."""
+"""Words for people: numbers of things, names like an unknown one, and pydantic's errors."""
 
 from __future__ import annotations
 
@@ -32,10 +32,6 @@ def duration(hours: float) -> str:
     return "under 1 minute" if minutes == 0 and hours > 0 else amount(minutes, "minute")
 
 
-# TODO-MERGED docstring of names.py:
-# What to write in place of a name that is not known.
-
-
 # Names that a message lists.
 MOST_LISTED = 12
 
@@ -66,10 +62,6 @@ def nearest(name: str, known: Collection[str]) -> str | None:
 def folded(name: str) -> str:
     """A name without what spellings differ in: case, spaces, `-` and `_`."""
     return "".join(c for c in name.casefold() if c not in " -_")
-
-
-# TODO-MERGED docstring of validation.py:
-# What pydantic says about a value from a file, in words that name nothing of the program.
 
 
 # Kinds of errors whose message names a class of the program.

@@ -12,19 +12,17 @@ from annotator.workflows.warm_up import warm_up
 # In a process of its own, because other tests call compiled functions, too. Functions called from Python have
 # signatures; private ones are called only by these.
 COMPILED = """
-import json, pkgutil
+import json
 from importlib import import_module
-from annotator.geometry import kernels as of_geometry
-from annotator.rcv import kernels as of_rcv
+from annotator.workflows.doctor.packages import KERNELS
 from annotator.workflows.warm_up import warm_up
 
 warm_up()
 compiled = {}
-for package in (of_geometry, of_rcv):
-    for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
-        for name, value in vars(import_module(module.name)).items():
-            if hasattr(value, "signatures") and not name.startswith("_"):
-                compiled[name] = [str(getattr(types[0], "dtype", "")) for types in value.signatures]
+for module in KERNELS:
+    for name, value in vars(import_module(module)).items():
+        if hasattr(value, "signatures") and not name.startswith("_"):
+            compiled[name] = [str(getattr(types[0], "dtype", "")) for types in value.signatures]
 print(json.dumps(compiled))
 """
 

@@ -1,4 +1,7 @@
-"""Exports a trained network to the file formats of other runtimes. The export needs torch; running it does not."""
+"""Exports a trained network to the file formats of other runtimes, once: the results are kept in the user's cache.
+
+The export needs torch; running it does not.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +29,11 @@ from annotator.detection.ultralytics_api import api, cache_dir, forget_oldest
 from annotator.files import NETWORK_BYTES, new_folder, read_file
 from annotator.types.errors import DetectionError, FormatError
 
-# TODO-MERGED docstring of half_precision.py:
 # Keeps parts of the detection head in single precision while OpenVINO computes the network in bfloat16.
 #
-# OpenVINO keeps the layers after the last convolutions in single precision, and also layers that are marked as precise.
-# The changes made here reduce the error of box edges to a third and that of scores to two thirds, at almost no cost in
-# time (docs/detector_backends.md).
+# OpenVINO keeps the layers after the last convolutions in single precision, and also layers that are marked as
+# precise. The changes made here reduce the error of box edges to a third and that of scores to two thirds, at almost
+# no cost in time (docs/detector_backends.md).
 
 
 LOG = logging.getLogger("annotator.detectors")
@@ -145,10 +147,6 @@ _WRITERS: dict[ExportKind, Callable[[Any, Any, Path], None]] = {
     "openvino": _write_openvino,
     "onnxruntime": _write_onnx,
 }
-
-
-# TODO-MERGED docstring of export_cache.py:
-# Cache of exported networks in the user's cache folder: each trained model is converted once.
 
 
 RECORD, LOCK = "export.json", "exports.lock"

@@ -1,4 +1,8 @@
-"""The interface that every backend implements."""
+"""The interface that every backend implements, and how images are distributed over the cores of the CPU.
+
+Each image is computed alone, or in a batch if that gives exactly the same bits. So the output for an image does not
+depend on the other images, and a runtime needs few input shapes per canvas size.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ class NetworkFacts(BaseModel):
         labels: class names, in the order of the class numbers.
         stride: height and width of images must be multiples of this, pixels.
         end2end: whether the network predicts each object once, so that no non-maximum suppression is needed.
-        edge_spread: whether its last four rows are the spread of each edge (`edge_spread.py`), pixels.
+        edge_spread: whether its last four rows are the spread of each edge (`torch_network.py`), pixels.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -65,13 +69,6 @@ class Network(Protocol):
         Raises:
             DetectionError: the backend fails, for example because it is out of memory.
         """
-
-
-# TODO-MERGED docstring of cores.py:
-# Distributes images over the cores of the CPU.
-#
-# Each image is computed alone, or in a batch if that gives exactly the same bits. So the output for an image does not
-# depend on the other images, and a runtime needs few input shapes per canvas size.
 
 
 Image = UInt8[np.ndarray, "1 _ _ 3"]

@@ -1,4 +1,4 @@
-"""A network on ONNX Runtime, for machines without OpenVINO."""
+"""A network on ONNX Runtime, for machines without OpenVINO. Only this module imports it; its telemetry is off."""
 
 from __future__ import annotations
 
@@ -20,10 +20,6 @@ from annotator.detection.backends.network import (
 )
 from annotator.detection.config import Backend
 from annotator.types.errors import DetectionError, MissingExtraError
-
-# TODO-MERGED docstring of onnx_api.py:
-# The only module that imports ONNX Runtime; switches off its telemetry first.
-
 
 # Read on import. If it is not set, the official builds send telemetry and store an id and a database in the user's
 # home.

@@ -1,4 +1,4 @@
-"""A network on OpenVINO, the fastest backend on x86 processors.
+"""A network on OpenVINO, the fastest backend on x86 processors. Only this module imports it; its telemetry is off.
 
 The network is compiled for each canvas size on first use, for single images and for batches. Compiled once with
 dynamic sizes, it takes about 1.5 times as long per image (docs/detector_backends.md), and a detector uses few sizes.
@@ -29,10 +29,6 @@ from annotator.detection.backends.network import (
 )
 from annotator.detection.config import Backend
 from annotator.types.errors import DetectionError
-
-# TODO-MERGED docstring of openvino_api.py:
-# The only module that imports OpenVINO; switches off its telemetry first.
-
 
 # OpenVINO imports this package when it loads. The package sends telemetry and stores an id in the user's home. OpenVINO
 # works without it.

@@ -16,7 +16,6 @@ from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.types.errors import DetectionError
 
-# TODO-MERGED docstring of edge_spread.py:
 # Makes a detection head give out how uncertain each edge is.
 #
 # A head with distribution focal loss (YOLOv8, 11 and others, not 26) predicts a distribution of the distance from an
@@ -55,11 +54,10 @@ def give_edge_spread(head: Any) -> bool:
     return True
 
 
-# TODO-MERGED docstring of raw_network.py:
 # The part of a YOLO that all backends run: pixels in, raw prediction out.
 #
-# The input is uint8, so that the conversion to floats is part of the graph. The graph ends before ultralytics' selection
-# of boxes, because a graph without the selection is smaller and accepts any size.
+# The input is uint8, so that the conversion to floats is part of the graph. The graph ends before ultralytics'
+# selection of boxes, because a graph without the selection is smaller and accepts any size.
 
 
 def raw_network(weights: Path, device: Any) -> tuple[Any, NetworkFacts]:

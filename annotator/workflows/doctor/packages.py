@@ -10,7 +10,6 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from importlib.util import find_spec
 from pathlib import Path
-from pkgutil import iter_modules
 
 from annotator.detection.backends.choose import chosen
 from annotator.detection.config import Backend, DetectorConfig
@@ -47,7 +46,7 @@ SYSTEM_LIBRARIES = {
     "libgomp.so.1": "libgomp1",
 }
 LIBRARY = re.compile(r"lib[\w.+-]*?\.so[\w.]*")
-KERNELS = ("annotator.geometry.kernels", "annotator.rcv.kernels")
+KERNELS = ("annotator.geometry.kernels", "annotator.rcv.drawing_kernels", "annotator.rcv.fit_kernels")
 
 
 def required(_: Path) -> Iterator[Line]:
@@ -163,11 +162,7 @@ def numba(_: Path) -> Iterator[Line]:
     from annotator.compiled import cached_code, is_compiled
 
     try:
-        modules = [
-            import_module(f"{package}.{submodule.name}")
-            for package in KERNELS
-            for submodule in iter_modules(import_module(package).__path__)
-        ]
+        modules = [import_module(name) for name in KERNELS]
     except (ImportError, OSError) as error:
         yield _broken("numba", "numba", error, State.FAILED)
         return

@@ -58,7 +58,7 @@ def redrawn(
 
 
 def _cut(frustum: PointCloud, steps: Steps, size_px: SizePx, config: RcvConfig) -> PointCloud:
-    """The points in the boxes of the first step, as in `rcv.operator.next_views`; all if these boxes are gone."""
+    """The points in the boxes of the first step, as in `rcv.known_objects.next_views`; all if these boxes are gone."""
     pair = front_and_side(steps.get(0, ()))
     if pair is None:
         return frustum
