@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from annotator.formats.units import Angles
-from annotator.geometry.point_index import PointIndex
+from annotator.geometry.oriented_box import contains
 from annotator.types import OrientedBox
 from annotator.types.errors import AnnotatorError, UnitError, UnitKind
 from annotator.types.messages import amount
@@ -78,10 +78,9 @@ class BoxSet:
             empty: those of them without points.
         """
         self._boxes += boxes
-        if empty:
-            index = PointIndex.of(xyz_m)
-            for axis in MIRRORED:
-                self._mirrored[axis] += sum(index.count(mirrored(box, axis)) >= LEAST_POINTS for box in empty)
+        for axis in MIRRORED:
+            counts = (np.count_nonzero(contains(mirrored(box, axis), xyz_m)) for box in empty)
+            self._mirrored[axis] += sum(count >= LEAST_POINTS for count in counts)
 
     def report(self, findings: Findings, path: Path) -> None:
         """Adds what the boxes show to `findings`; `path` is the dataset."""

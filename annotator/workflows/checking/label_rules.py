@@ -9,9 +9,8 @@ import numpy as np
 
 from annotator.formats.kitti.box_rows import NEAR_M, derived_box, observation_angle
 from annotator.formats.kitti.label_files import KittiLabel, label_box
-from annotator.geometry.oriented_box import box_corners
+from annotator.geometry.oriented_box import box_corners, contains
 from annotator.geometry.outline import box_on_image
-from annotator.geometry.point_index import PointIndex
 from annotator.types import Frame
 from annotator.workflows.checking.box_rules import LEAST_POINTS, OVERLAP_IOU, few_points_message, overlaps, size_message
 from annotator.workflows.checking.label_files import FoundLabel
@@ -110,7 +109,6 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
     """Checks the boxes against the image and the cloud."""
     # if the cloud has points behind the camera, boxes outside the image are valid
     all_around = bool((frame.cloud.xyz_m[:, 2] <= 0).any())
-    index = PointIndex.of(frame.cloud.xyz_m) if labels else None
     for number, entry in enumerate(labels):
         truth = entry.truth
         if not all_around:
@@ -120,7 +118,7 @@ def rules_in_frame(frame: Frame, labels: Sequence[FoundLabel]) -> Iterator[Breac
             if box_on_image(frame.camera, truth.box, truth.label, LEAST_SEEN_PX) is None:
                 yield BOX_OUTSIDE_IMAGE, number, f"this {truth.label} is outside the image"
                 continue
-        count = 0 if index is None else index.count(truth.box)
+        count = int(np.count_nonzero(contains(truth.box, frame.cloud.xyz_m)))
         if count < LEAST_POINTS:
             yield EMPTY_BOX if count == 0 else SPARSE_BOX, number, few_points_message(truth.label, count)
         if entry.row is not None:

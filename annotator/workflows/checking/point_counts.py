@@ -7,10 +7,11 @@ import threading
 import time
 from collections.abc import Sequence
 
+import numpy as np
 from pydantic import RootModel, ValidationError
 
 from annotator.files import TABLE_BYTES, read_file, write_atomic
-from annotator.geometry.point_index import PointIndex
+from annotator.geometry.oriented_box import contains
 from annotator.project import Project, StoredFrame
 from annotator.types import OrientedBox
 from annotator.types.errors import FrameError, RecordingError
@@ -77,13 +78,13 @@ class PointCounts:
     def _count(self, frame: StoredFrame, boxes: dict[str, OrientedBox]) -> bool:
         begin = time.perf_counter()
         try:
-            index = PointIndex.of(self._source.read(frame).cloud.xyz_m)
+            xyz_m = self._source.read(frame).cloud.xyz_m
         except (FrameError, RecordingError) as error:
             self.unreadable.append(f"{frame.key}: {error}")
             return False
         finally:
             self._spent_s += time.perf_counter() - begin
-        counts = {key: index.count(box) for key, box in boxes.items()}
+        counts = {key: int(np.count_nonzero(contains(box, xyz_m))) for key, box in boxes.items()}
         self._cached |= counts
         self._new |= counts
         return True

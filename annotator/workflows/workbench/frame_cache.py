@@ -224,7 +224,7 @@ class FrameCache:
         # set first, so that a frame with a broken neighbour is prepared only once
         opened.is_prepared = True
         try:
-            _ = opened.jpeg, opened.index, opened.with_normals
+            _ = opened.jpeg, opened.with_normals
             previous_id, next_id = neighbours(project, request.stored)
             for neighbour_id in (next_id, previous_id):
                 if not self._is_current(request, operator):
@@ -240,6 +240,6 @@ class FrameCache:
 
     def _prepare_neighbour(self, project: Project, frame_id: int) -> None:
         opened = self._open(project, project.frames.get(frame_id))
-        _ = opened.jpeg, opened.index
+        _ = opened.jpeg
         for label in project.labels.of_frame(frame_id):
             opened.points_in(label.box)

@@ -1,4 +1,4 @@
-"""An open frame with its cached results: JPEG, point index, normals, views, their pictures, and detections."""
+"""An open frame with its cached results: JPEG, normals, views, their pictures, and detections."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int64
 
 from annotator.geometry.normals import normals_from_depth
-from annotator.geometry.point_index import PointIndex
+from annotator.geometry.oriented_box import contains
 from annotator.geometry.projection import in_frustum
 from annotator.project.overview import FramePage
 from annotator.project.views import png
@@ -23,8 +23,8 @@ JPEG_QUALITY = 92
 # Cached frustums, views, pictures and found boxes of one frame: enough to go back and forth between a few objects.
 MAX_RESULTS = 80
 
-# Position, color, pixel and normal of a point, and its position and number in the index.
-BYTES_A_POINT = 12 + 3 + 4 + 12 + 12 + 8
+# Position, color, pixel and normal of a point.
+BYTES_A_POINT = 12 + 3 + 4 + 12
 
 T = TypeVar("T")
 Views = tuple[PseudoView, PseudoView]
@@ -66,7 +66,6 @@ class OpenFrame:
         self.is_prepared = False
         self.page: FramePage | None = None
         self._jpeg = _Once(lambda: _jpeg(frame))
-        self._index = _Once(lambda: PointIndex.of(frame.cloud.xyz_m))
         self._with_normals = _Once(lambda: _with_normals(frame))
         self._counts: dict[bytes, int] = {}
         self._lock = threading.Lock()
@@ -75,7 +74,7 @@ class OpenFrame:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory that the frame takes with its index and its normals, roughly."""
+        """Memory that the frame takes with its normals, roughly."""
         frame = self.frame
         depth_bytes = 0 if frame.depth_m is None else frame.depth_m.nbytes
         return frame.rgb.nbytes + depth_bytes + BYTES_A_POINT * len(frame.cloud)
@@ -86,21 +85,20 @@ class OpenFrame:
         return self._jpeg.get()
 
     @property
-    def index(self) -> PointIndex:
-        """The cloud, indexed for queries of single boxes."""
-        return self._index.get()
-
-    @property
     def with_normals(self) -> Frame:
         """The frame with normals from its depth image; unchanged if it has normals already or no depth image."""
         return self._with_normals.get()
+
+    def inside(self, box: OrientedBox) -> Int64[np.ndarray, "m"]:
+        """Returns the indices of the points in a box."""
+        return np.flatnonzero(contains(box, self.frame.cloud.xyz_m))
 
     def points_in(self, box: OrientedBox) -> int:
         """Returns the number of points in a box; counted once for each box."""
         key = box.pose.tobytes() + box.size_m.tobytes()
         count = self._counts.get(key)
         if count is None:
-            count = self._counts[key] = self.index.count(box)
+            count = self._counts[key] = int(np.count_nonzero(contains(box, self.frame.cloud.xyz_m)))
         return count
 
     def frustum(self, box: Box2D) -> Bool[np.ndarray, "n"]:

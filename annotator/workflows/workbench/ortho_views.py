@@ -61,7 +61,7 @@ def ortho_views(opened: OpenFrame, box: OrientedBox, size_px: int) -> list[Ortho
     Args:
         size_px: side length of each (square) view, pixels.
     """
-    return views_of_points(opened.frame.cloud, opened.index.inside(shown_volume(box)), box, size_px)
+    return views_of_points(opened.frame.cloud, opened.inside(shown_volume(box)), box, size_px)
 
 
 def shown_volume(box: OrientedBox) -> OrientedBox:

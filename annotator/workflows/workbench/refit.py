@@ -247,7 +247,7 @@ def _why_no_detector(detector: Detector | None, label: str, config: RcvConfig, p
 def _recurse(
     opened: OpenFrame, box: OrientedBox, label: str, config: RcvConfig, detector: Detector
 ) -> ObjectState | None:
-    inside = opened.index.inside(OrientedBox(box.pose, box.size_m * SEARCH_FACTOR))
+    inside = opened.inside(OrientedBox(box.pose, box.size_m * SEARCH_FACTOR))
     cloud = opened.with_normals.cloud.select(np.sort(inside))
     if len(cloud) < config.min_points:
         return None
@@ -273,7 +273,7 @@ def _state_of(opened: OpenFrame, box: OrientedBox, label: str, cloud: PointCloud
 
 
 def _from_points(opened: OpenFrame, box: OrientedBox, config: RcvConfig, reason: str) -> Refit:
-    xyz_m = opened.frame.cloud.xyz_m[opened.index.inside(box)]
+    xyz_m = opened.frame.cloud.xyz_m[opened.inside(box)]
     if len(xyz_m) < config.min_points:
         note = f"{reason}, and the box is unchanged: it contains too few points ({len(xyz_m)})"
         return _result(opened, box, None, POINTS, note)

@@ -41,7 +41,7 @@ def suggested_boxes(
     if box is None or None not in drawn:
         return None, None
     if kind is BoxKind.SILHOUETTE:
-        points = opened.frame.cloud.xyz_m[opened.index.inside(box)].astype(np.float64)
+        points = opened.frame.cloud.xyz_m[opened.inside(box)].astype(np.float64)
     else:
         points = box_corners(box)
     if len(points) == 0:

@@ -10,12 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from live_server import wait_until
 
-from annotator.geometry.point_index import PointIndex
 from annotator.project import Project, create_project
 from annotator.recordings import open_recording
 from annotator.recordings.rgbd_folder import RgbdFolder
@@ -23,7 +21,7 @@ from annotator.types import Frame
 from annotator.types.errors import FrameError, NotFoundError
 from annotator.workflows.add_recordings import register_recording
 from annotator.workflows.frame_source import FrameSource
-from annotator.workflows.workbench import frame_cache
+from annotator.workflows.workbench import frame_cache, open_frame
 from annotator.workflows.workbench.frame_cache import PAUSE_S, FrameCache
 from annotator.workflows.workbench.open_frame import OpenFrame
 
@@ -86,19 +84,19 @@ def test_more_frames_are_cached_as_long_as_memory_allows(project: Project, reads
 
 def test_a_frame_does_not_wait_for_the_results_of_another(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     slow, fast = (OpenFrame(FrameSource(project).read(project.frames.get(frame))) for frame in (1, 2))
-    began, ends, make_index = threading.Event(), threading.Event(), PointIndex.of
+    began, ends, jpeg = threading.Event(), threading.Event(), open_frame._jpeg
 
-    def held_up(xyz_m: Any) -> PointIndex:
-        if xyz_m is slow.frame.cloud.xyz_m:
+    def held_up(frame: Frame) -> bytes:
+        if frame is slow.frame:
             began.set()
             assert ends.wait(30)
-        return make_index(xyz_m)
+        return jpeg(frame)
 
-    monkeypatch.setattr(PointIndex, "of", held_up)
+    monkeypatch.setattr(open_frame, "_jpeg", held_up)
     with ThreadPoolExecutor(3) as pool:
-        first, second = pool.submit(lambda: slow.index), pool.submit(lambda: slow.index)
+        first, second = pool.submit(lambda: slow.jpeg), pool.submit(lambda: slow.jpeg)
         assert began.wait(30)
-        assert pool.submit(lambda: fast.index).result(30) is fast.index
+        assert pool.submit(lambda: fast.jpeg).result(30) is fast.jpeg
         ends.set()
         assert first.result(30) is second.result(30), "computed once"
 
