@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 
 from annotator.geometry.distortion import distort, undistort
 from annotator.types import Box2D, Camera
@@ -208,3 +208,29 @@ def in_frustums(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], boxes: Sequence
     u, v = project(camera, xyz_m).T
     # comparisons with NaN are false, so points that cannot be projected are outside
     return [(u >= box.x_min) & (u <= box.x_max) & (v >= box.y_min) & (v <= box.y_max) for box in boxes]
+
+
+# TODO-MERGED docstring of point_index.py:
+# Thinning of clouds to a maximum number of points.
+
+
+# Arbitrary, but fixed, so that a frame is always drawn with the same points.
+SEED = 20231
+
+
+def thin(n_points: int, most: int) -> Int64[np.ndarray, "m"] | None:
+    """Indices of the points to keep, ascending; None = all.
+
+    The cloud is divided into `most` runs of equal length, and one random point of each is kept. Consecutive points of a
+    scan or an image are neighbours, so the cloud is thinned evenly. The time does not depend on the cloud's size.
+    """
+    if n_points <= most:
+        return None
+    edges = np.arange(most + 1, dtype=np.int64) * n_points // most
+    return edges[:-1] + (_positions(most) * np.diff(edges)).astype(np.int64)
+
+
+@lru_cache(maxsize=8)
+def _positions(most: int) -> Float64[np.ndarray, "m"]:
+    """The position of each kept point within its run, 0..1."""
+    return np.random.default_rng(SEED).random(most)

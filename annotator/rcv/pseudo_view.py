@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64, UInt8, UInt32
 
-from annotator.geometry.point_index import thin
+from annotator.geometry.projection import thin
 from annotator.geometry.transforms import unit
 from annotator.rcv.config import RcvConfig, ViewConfig
 from annotator.types import PointCloud, PseudoView

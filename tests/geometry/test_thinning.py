@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annotator.geometry.point_index import thin
+from annotator.geometry.projection import thin
 
 
 @given(st.integers(0, 5000), st.integers(1, 1000))

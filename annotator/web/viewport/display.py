@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
-from annotator.geometry.point_index import thin
+from annotator.geometry.projection import thin
 from annotator.types import Frame, PointCloud
 from annotator.web.viewport.content import InitialCamera, PointColor
 

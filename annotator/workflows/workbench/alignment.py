@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float32
 
-from annotator.geometry.point_index import thin
+from annotator.geometry.projection import thin
 from annotator.project import Project, StoredRecording
 from annotator.project.adjusting.adjustment import Up
 from annotator.recordings.clouds.virtual_image import has_virtual_image

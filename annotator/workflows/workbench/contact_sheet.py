@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from annotator.geometry.oriented_box import contains
-from annotator.geometry.point_index import thin
+from annotator.geometry.projection import thin
 from annotator.project import Effort, FramePart, Project, Receipt, WriteContext
 from annotator.project.event_types import LabelAccepted
 from annotator.types import Frame, OrientedBox, ReviewState

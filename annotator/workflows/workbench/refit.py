@@ -24,8 +24,7 @@ from jaxtyping import Float64
 
 from annotator.geometry.oriented_box import aligned_box, canonical_box
 from annotator.geometry.outline import NEAR_M, box_on_image, visible_edges
-from annotator.geometry.point_index import thin
-from annotator.geometry.projection import in_frustum
+from annotator.geometry.projection import in_frustum, thin
 from annotator.rcv.axes import with_axes_like
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.first_look import expected_outline, image_planes
