@@ -1,4 +1,4 @@
-"""Projection from metres to pixels and back, with OpenCV's camera model; depth images and frustums.
+"""Projection from metres to pixels and back, with OpenCV's camera model; depth images, frustums and thinning of clouds.
 
 Pixels are continuous and the centre of the first pixel is (0, 0), as in `cv2.projectPoints`.
 """
@@ -208,10 +208,6 @@ def in_frustums(camera: Camera, xyz_m: Float[np.ndarray, "n 3"], boxes: Sequence
     u, v = project(camera, xyz_m).T
     # comparisons with NaN are false, so points that cannot be projected are outside
     return [(u >= box.x_min) & (u <= box.x_max) & (v >= box.y_min) & (v <= box.y_max) for box in boxes]
-
-
-# TODO-MERGED docstring of point_index.py:
-# Thinning of clouds to a maximum number of points.
 
 
 # Arbitrary, but fixed, so that a frame is always drawn with the same points.
