@@ -194,18 +194,6 @@ def test_images_run_alone_if_batches_change_the_output(
     np.testing.assert_array_equal(network.predict(many)[0], references)
 
 
-def test_the_number_of_compiled_sizes_is_bounded(
-    random_weights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(openvino_network, "MAX_COMPILED", 2)
-    network = opened(random_weights["yolo11n"], "openvino", threads=1)
-    assert isinstance(network, openvino_network.OpenVinoNetwork)
-    first = network.predict(batches())
-    assert len(network._compiled) == 2
-    for answer, again in zip(first, network.predict(batches()), strict=True):
-        np.testing.assert_array_equal(answer, again)
-
-
 @pytest.mark.shared
 def test_boxes_on_real_pseudo_views_agree_with_torch(shared: Path, random_weights: dict[str, Path]) -> None:
     from annotator.rcv.config import RcvConfig, ViewConfig

@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.dataset import GENERATED, TrainingSample, is_held_out, read_manifest, write_dataset, yolo_line
+from annotator.detection.dataset import TrainingSample, is_held_out, read_manifest, write_dataset, yolo_line
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 
@@ -31,29 +31,6 @@ def sample(group: str, boxes: Sequence[Box2D] = (BOX,), seed: int = 0, origin: s
 def test_yolo_coordinates_start_half_a_pixel_before_the_first_pixel_centre() -> None:
     assert yolo_line(Box2D("a", -0.5, -0.5, 31.5, 23.5), 32, 24, 3) == "3 0.5000000 0.5000000 1.0000000 1.0000000"
     assert yolo_line(Box2D("a", -0.5, -0.5, 7.5, 5.5), 32, 24, 0) == "0 0.1250000 0.1250000 0.2500000 0.2500000"
-
-
-@given(
-    edges=st.tuples(*[st.floats(-50, 90)] * 4),
-    size=st.tuples(st.integers(8, 60), st.integers(8, 60)),
-)
-def test_a_label_line_gives_the_clipped_box_back(
-    edges: tuple[float, float, float, float], size: tuple[int, int]
-) -> None:
-    x_min, x_max = sorted(edges[:2])
-    y_min, y_max = sorted(edges[2:])
-    if x_max - x_min < 1e-3 or y_max - y_min < 1e-3:
-        return
-    width, height = size
-    line = yolo_line(Box2D("a", x_min, y_min, x_max, y_max), width, height, 0)
-    want = np.clip([x_min, y_min, x_max, y_max], -0.5, np.array([width, height] * 2) - 0.5)
-    if (want[2:] - want[:2] < 1).any():
-        assert line is None
-        return
-    assert line is not None
-    cx, cy, w, h = (float(word) for word in line.split()[1:])
-    got = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2]) * np.array([width, height] * 2) - 0.5
-    np.testing.assert_allclose(got, want, atol=2e-5)
 
 
 def test_files_are_in_the_yolo_layout(tmp_path: Path) -> None:
@@ -102,15 +79,6 @@ def test_about_a_fifth_is_held_out_whatever_else_there_is() -> None:
     assert 0.17 < len(held) / len(keys) < 0.23
     assert held & set(keys[:100]) == {key for key in keys[:100] if is_held_out(key)}
     assert {key for key in keys if is_held_out(key, 0.05)} < held
-
-
-def test_generated_frames_alone_are_no_training_set_of_a_project(tmp_path: Path) -> None:
-    generated = [sample(f"snapshot/{number}", origin=GENERATED) for number in range(3)]
-    own = [sample("1/000013")]
-    with pytest.raises(DetectionError, match=r"\(000013\) are among the fifth of the frames that is kept"):
-        write_dataset(tmp_path / "set", own + generated, ["hand"], "1/000013".__eq__)
-    # the base detector learns from nothing else
-    assert write_dataset(tmp_path / "set", generated, ["hand"], "snapshot/1".__eq__).images == {"train": 2, "val": 1}
 
 
 def test_without_held_out_groups_the_training_images_validate(tmp_path: Path) -> None:

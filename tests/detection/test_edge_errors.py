@@ -78,19 +78,3 @@ def test_a_training_stores_the_errors_and_the_detector_tells_them(
     bgr = cv2.imread(str(tiny_dataset / images[0].image))
     boxes = load_detector(weights, "torch").detect([PlainImage(np.ascontiguousarray(bgr[..., ::-1]))])[0]
     assert boxes and all(min(box.edge_sigma_px or (0.0,)) > 0 for box in boxes)
-
-
-@pytest.mark.slow
-def test_a_detector_measured_on_its_training_images_gets_no_expected_errors(
-    tiny_model: TrainedModel, tiny_dataset: Path
-) -> None:
-    manifest = read_manifest(tiny_dataset).model_copy(update={"measured_on": "train"})
-    plain = tiny_model.model_copy(update={"edge_errors": {}})
-    assert with_edge_errors(plain, tiny_dataset, manifest, "cpu") == plain
-
-
-def test_a_model_of_an_older_version_has_no_expected_errors(tmp_path: Path, tiny_model: TrainedModel) -> None:
-    stored = tiny_model.model_copy(update={"weights": Path(tiny_model.weights.name)})
-    text = stored.model_dump_json(exclude={"edge_errors"})
-    (tmp_path / "model.json").write_text(text, encoding="utf-8")
-    assert read_trained(tmp_path).edge_errors == {}

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annotator.detection.backends import choose, export
+from annotator.detection import ultralytics_api
+from annotator.detection.backends import choose
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.export import Export, export_key, find_export, keep_export
@@ -24,13 +25,11 @@ from annotator.detection.config import DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.types.errors import FormatError
 
-pytestmark = pytest.mark.slow
-
 EXPORT_ONCE = lru_cache(export_module.export)
 PICTURE = np.random.default_rng(0).integers(0, 256, (1, 64, 96, 3), np.uint8)
 
 
-def opened(weights: Path, digest: str = "digest") -> Network:
+def opened_onnx(weights: Path, digest: str = "digest") -> Network:
     config = DetectorConfig(image_size_px=96, device="cpu", backend="onnxruntime", threads=1)
     return open_network(weights, digest, config)
 
@@ -62,7 +61,7 @@ def test_an_export_is_reused_unless_damaged_or_stale(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def answer(digest: str = "a") -> np.ndarray:
-        return opened(own_weights, digest).predict([PICTURE])[0]
+        return opened_onnx(own_weights, digest).predict([PICTURE])[0]
 
     first = answer()
     np.testing.assert_array_equal(answer(), first)
@@ -84,7 +83,7 @@ def test_an_export_is_reused_unless_damaged_or_stale(
             assert "exporting again" in caplog.text
             assert (folder / name).read_bytes() == stored[name]
     answer("other weights")
-    monkeypatch.setattr(export, "REVISIONS", {"onnxruntime": export.REVISIONS["onnxruntime"] + 1})
+    monkeypatch.setattr(export_module, "REVISIONS", {"onnxruntime": export_module.REVISIONS["onnxruntime"] + 1})
     answer()
     assert len(exports) == expected + 2
     assert not [path for path in exports_folder(tmp_path).iterdir() if path.name.startswith(".")]
@@ -92,11 +91,11 @@ def test_an_export_is_reused_unless_damaged_or_stale(
 
 def test_an_export_beside_the_weights_is_never_used(own_weights: Path, exports: list[str], tmp_path: Path) -> None:
     """In a project that somebody else sent, it could be any network, and read other files."""
-    opened(own_weights)
+    opened_onnx(own_weights)
     (kept,) = exports_folder(tmp_path).iterdir()
     sent = own_weights.parent / f"{own_weights.stem}-onnxruntime-{kept.name.partition('-')[2][:12]}"
     shutil.move(kept, sent)
-    opened(own_weights)
+    opened_onnx(own_weights)
     assert len(exports) == 2
     assert {path.name for path in own_weights.parent.iterdir()} == {own_weights.name, sent.name}
 
@@ -108,9 +107,9 @@ def test_without_a_writable_cache_an_export_is_repeated(
         # Permissions of folders do not apply to the superuser, so the refusal is simulated.
         raise FormatError(out, "cannot be requested (Permission denied)")
 
-    monkeypatch.setattr(export, "new_folder", refuse)
+    monkeypatch.setattr(export_module, "new_folder", refuse)
     for _ in range(2):
-        opened(own_weights)
+        opened_onnx(own_weights)
     assert len(exports) == 2
     assert "Permission denied" in caplog.text
 
@@ -143,13 +142,13 @@ def test_only_one_of_several_workers_exports(
 
     monkeypatch.setattr(choose, "find_export", looked_at_once)
     with ThreadPoolExecutor(3) as pool:
-        list(pool.map(opened, [own_weights] * 3))
+        list(pool.map(opened_onnx, [own_weights] * 3))
     assert exports == ["onnxruntime"]
 
 
 def test_two_processes_may_export_at_once(own_weights: Path, exports: list[str], tmp_path: Path) -> None:
     """The second process finds the export of the first one when it stores its own, and does not replace it."""
-    opened(own_weights)
+    opened_onnx(own_weights)
     (folder,) = exports_folder(tmp_path).iterdir()
     before = (folder / "export.json").stat().st_ino
     key = export_key("onnxruntime", "digest")

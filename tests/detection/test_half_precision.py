@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,15 +14,13 @@ import pytest
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
-from annotator.detection.backends.export import export, marked
+from annotator.detection.backends.export import export
 from annotator.detection.backends.network import Network
 from annotator.detection.backends.openvino_network import OpenVinoNetwork
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.types.errors import ConfigError
 from tests.detection.test_backends import batches, untrained
-
-pytestmark = pytest.mark.slow
 
 SIZE_PX = 96
 
@@ -79,13 +76,6 @@ def test_only_convolutions_of_the_detection_head_are_marked(tmp_path: Path, name
         assert (layer in precise) == expected, place
     # at each of three scales: the last convolution of the edges, and at least three of the classes
     assert 12 <= len(precise) < len(convolutions) - 30
-
-
-def test_a_missing_detection_head_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    _, parts = export(untrained(tmp_path / "yolo11n" / "detector.pt", "yolo11n"), "openvino")
-    assert not caplog.records
-    assert marked(parts["network.xml"], 99) == parts["network.xml"]
-    assert "the detection head was not found" in caplog.text
 
 
 @pytest.mark.usefixtures("bfloat16")
@@ -145,25 +135,3 @@ def test_fastest_skips_backends_that_cannot_run_the_network(
     assert opened(own_weights, "fastest").backend == "torch"
     assert len(tried) == 2
     assert "unknown operation" in caplog.text
-
-
-def test_fastest_skips_openvino_if_it_cannot_use_the_processor(
-    tiny_model: TrainedModel, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    class Broken:
-        def get_property(self, *_: object) -> None:
-            raise RuntimeError("Device with CPU name is not registered")
-
-    monkeypatch.setattr(choose.platform, "machine", lambda: "x86_64")
-    monkeypatch.setattr(openvino_network, "openvino", lambda: SimpleNamespace(Core=Broken))
-    assert opened(tiny_model.weights, "fastest").backend == "onnxruntime"
-    assert "OpenVINO cannot use the processor (Device with CPU name is not registered)" in caplog.text
-
-
-def test_fastest_without_openvino_uses_the_next_backend(
-    tiny_model: TrainedModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(choose, "find_spec", lambda name: None if name == "openvino" else name)
-    assert opened(tiny_model.weights, "fastest").backend == "onnxruntime"
-    monkeypatch.setattr(choose, "has_cuda", lambda: True)
-    assert choose._choices(DetectorConfig(image_size_px=SIZE_PX, backend="fastest")) == ("torch",)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import pickle
 import struct
 import zipfile
 from pathlib import Path
@@ -98,14 +96,3 @@ def test_a_storage_is_read_once_for_all_formats(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(DetectionError):  # it is not a yolo11n
         load_weights(path, "cpu")
     assert read.count("a/data/0") == 1
-
-
-def test_the_programs_of_these_tests_are_pickles() -> None:
-    class Reader(pickle._Unpickler):  # type: ignore[name-defined, misc]
-        def find_class(self, module: str, name: str) -> type:
-            return type(name, (), {"__init__": lambda *_: None, "__setstate__": lambda *_: None})
-
-        def persistent_load(self, pid: object) -> object:
-            return pid
-
-    assert "model" in Reader(io.BytesIO(network(w=tensor(text("0"))))).load()

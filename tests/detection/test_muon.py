@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from annotator.detection.config import TrainingConfig
 from annotator.detection.ultralytics_api import api
 
 
@@ -78,7 +77,3 @@ def test_the_state_of_the_optimiser_can_be_saved_and_restored() -> None:
     after.load_state_dict(before.state_dict())  # type: ignore[attr-defined]
     steps(second, after, range(3, 6))
     assert torch.allclose(straight, second)
-
-
-def test_stored_settings_with_the_old_name_are_read():
-    assert TrainingConfig.model_validate({"optimizer": "MuSGD"}).optimizer == "MuonSgd"

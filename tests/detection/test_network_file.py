@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import pickle
-import struct
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -21,7 +20,6 @@ from annotator.detection.weights import (
     NetworkDescription,
     build,
     describe,
-    is_network_file,
     load_weights,
     read_tensors,
     write_network,
@@ -216,10 +214,3 @@ def test_no_description_in_the_working_folder_is_read(tmp_path: Path, monkeypatc
     monkeypatch.chdir(tmp_path)
     assert len(build(NetworkDescription(architecture="yolo11n", labels=("cat",))).model) == 24
     assert not trap.exists()
-
-
-def test_files_are_told_apart_by_their_content(file: Path, tmp_path: Path) -> None:
-    assert is_network_file(file)
-    for content in (b"", b"PK\x03\x04 a zip archive", struct.pack("<Q", 10**9) + b"{"):
-        (tmp_path / "other").write_bytes(content)
-        assert not is_network_file(tmp_path / "other")

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from annotator.detection.perfect import PerfectDetector, Scene
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import NEAR_M, box_on_image
-from annotator.types import BoxKind, Camera, Detector, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
+from annotator.types import BoxKind, Camera, Frame, OrientedBox, PointCloud, PseudoView, Region, Truth
 from annotator.types.errors import DetectionError
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
@@ -44,12 +44,6 @@ def make_view(xyz: np.ndarray, size: tuple[int, int] = (120, 90), scale: float =
 
 NEAR = Truth("Car", make_box((0.0, 0.1, 3.0), (1.0, 0.6, 0.4)))
 FAR = Truth("Van", make_box((1.0, -0.3, 5.0), (0.8, 0.8, 0.8), 1.1))
-
-
-def test_the_perfect_detector_is_a_detector() -> None:
-    detector = PerfectDetector.for_frame(make_frame([NEAR, FAR], [50, 30]), [NEAR, FAR])
-    assert isinstance(detector, Detector)
-    assert detector.labels == ("Car", "Van")
 
 
 def test_view_box_spans_the_projected_corners() -> None:
@@ -89,13 +83,6 @@ def test_objects_with_too_few_drawn_points_are_not_detected(drawn: int, found: i
     assert len(PerfectDetector.for_frame(frame, [NEAR]).detect([view])[0]) == found
 
 
-def test_objects_with_too_few_points_are_not_detected() -> None:
-    frame = make_frame([NEAR, FAR], [50, 6])
-    view = make_view(frame.cloud.xyz_m, (300, 300))
-    detector = PerfectDetector.for_frame(frame, [NEAR, FAR], min_points=7)
-    assert [[b.label for b in boxes] for boxes in detector.detect([frame, view])] == [["Car"], ["Car"]]
-
-
 @pytest.mark.parametrize("camera", [CAMERA, DISTORTED])
 def test_the_image_box_contains_only_the_visible_part(camera: Camera) -> None:
     wall = Truth("wall", make_box((1.0, 0.2, 1.0), (0.2, 0.4, 4.0)))
@@ -119,13 +106,6 @@ def test_boxes_on_a_region_are_those_of_the_image_shifted_and_clipped() -> None:
     assert detector.detect([corner]) == [[]]
 
 
-def test_objects_outside_the_image_are_not_detected() -> None:
-    behind = Truth("a", make_box((0.0, 0.0, -3.0), (1.0, 1.0, 1.0)))
-    beside = Truth("b", make_box((9.0, 0.0, 3.0), (1.0, 1.0, 1.0)))
-    frame = make_frame([behind, beside], [50, 50])
-    assert PerfectDetector.for_frame(frame, [behind, beside]).detect([frame]) == [[]]
-
-
 def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
     frame = make_frame([NEAR], [200])
     views = [make_view(frame.cloud.xyz_m, (300, 200), 0.02 + 0.0001 * i) for i in range(300)]
@@ -139,15 +119,6 @@ def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
     other = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=4)
     assert other.detect(views[:1]) != noisy[:1]
     assert again.fingerprint != other.fingerprint
-
-
-def test_image_jitter_is_a_share_of_the_box() -> None:
-    frames = [make_frame([NEAR], [20], key=f"{i:06d}") for i in range(300)]
-    exact = PerfectDetector([Scene.of(f, [NEAR]) for f in frames]).detect(frames)
-    noisy = PerfectDetector([Scene.of(f, [NEAR]) for f in frames], jitter=0.05).detect(frames)
-    error = np.array([np.subtract(b[0].xyxy, a[0].xyxy) for a, b in zip(exact, noisy, strict=True)])
-    width, height = exact[0][0].width_px, exact[0][0].height_px
-    np.testing.assert_allclose(error.std(axis=0), 0.05 * np.array([width, height] * 2), rtol=0.15)
 
 
 def test_views_of_several_frames_in_one_batch_are_matched_to_their_frames() -> None:

@@ -77,20 +77,6 @@ def test_boxes_scale_with_the_rounded_size_of_the_image() -> None:
     assert around.boxes[0].y_max == pytest.approx(52.5)
 
 
-def test_a_drawn_image_is_scaled_to_its_size_in_detection() -> None:
-    box = Box2D("a", 99.5, 19.5, 107.5, 39.5)
-    sample = TrainingSample(picture(80, 448, box), (box,), "g", "drawn", look_px=224)
-    shown = next(tiled([sample], SIZE_PX)).boxes[0]
-    assert (shown.x_max - shown.x_min, shown.y_max - shown.y_min) == (4, 10)
-
-
-def test_an_object_larger_than_a_tile_gets_a_larger_tile() -> None:
-    box = Box2D("a", 49.5, 9.5, 149.5, 59.5)
-    shown, *_ = tiled([TrainingSample(picture(80, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)
-    assert max(shown.load().shape) == 115
-    assert shown.boxes[0].x_min >= -0.5 and shown.boxes[0].x_max <= 114.5
-
-
 def test_a_cut_neighbour_is_labelled_only_if_enough_is_visible() -> None:
     boxes = (Box2D("a", 100.0, 10.0, 110.0, 20.0), Box2D("b", 0.0, 0.0, 5.0, 5.0))
     sample = TrainingSample(picture(30, 224), boxes, "g", "drawn", ("first", "second"), look_px=224)
@@ -99,9 +85,3 @@ def test_a_cut_neighbour_is_labelled_only_if_enough_is_visible() -> None:
     assert ([box.label for box in second.boxes], second.label_uids) == (["b"], ("second",))
     some = TrainingSample(picture(30, 224), boxes, "g", "drawn", ("first",), look_px=224)
     assert [tile.label_uids for tile in tiled([some], SIZE_PX)][:2] == [("first",), ()]
-
-
-def test_tiles_are_deterministic() -> None:
-    box = Box2D("a", 100.0, 10.0, 110.0, 20.0)
-    twice = [list(tiled([TrainingSample(picture(30, 224), (box,), "g", "drawn", look_px=224)], SIZE_PX)) for _ in "ab"]
-    assert [tile.boxes for tile in twice[0]] == [tile.boxes for tile in twice[1]]

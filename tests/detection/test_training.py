@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 from annotator.detection.config import Augmentation, TrainingConfig, default_augmentation
-from annotator.detection.dataset import TrainingSample, write_dataset
 from annotator.detection.trained import RunRecord, TrainedModel, read_trained
 from annotator.detection.training import TrainingProgress, TrainingStoppedError, Watch, train_detector, trainer_settings
 from annotator.detection.ultralytics_api import api
@@ -59,16 +57,6 @@ def test_a_finished_run_is_not_repeated_and_can_be_moved(
     again = train_detector(tiny_dataset, folder, quick_config, lambda _: pytest.fail("trained again"))
     assert again.weights == folder / "detector.safetensors"
     assert again.metrics == tiny_model.metrics
-
-
-@pytest.mark.slow
-def test_a_run_without_its_weights_is_not_finished(
-    tiny_model: TrainedModel, tiny_dataset: Path, quick_config: TrainingConfig, tmp_path: Path
-) -> None:
-    for name in ("model.json", "run.json"):
-        (tmp_path / name).write_bytes((tiny_model.weights.parent / name).read_bytes())
-    with pytest.raises(TrainingStoppedError):
-        train_detector(tiny_dataset, tmp_path, quick_config, stop=lambda: True)
 
 
 def test_damaged_initial_weights_are_reported_before_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
@@ -201,15 +189,6 @@ def test_the_same_seed_gives_the_same_detector(tiny_dataset: Path, tmp_path: Pat
         losses.append({key: float(value) for key, value in row.items() if key.startswith("train/")})
     assert losses[0]
     assert losses[0] == pytest.approx(losses[1], rel=1e-3)
-
-
-@pytest.mark.slow
-def test_training_on_one_image_and_class(tmp_path: Path, scene: Callable[..., Any]) -> None:
-    one = scene(3)
-    write_dataset(tmp_path / "set", [TrainingSample(one.rgb, one.boxes, "1", "drawn")], ["blue"])
-    config = SHORT.model_copy(update={"epochs": 1, "free_rotation": True})
-    trained = train_detector(tmp_path / "set", tmp_path / "run", config)
-    assert trained.metrics.measured_on == "train"
 
 
 def test_unusable_arguments_are_errors(tiny_dataset: Path, tmp_path: Path) -> None:

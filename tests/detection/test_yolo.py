@@ -16,7 +16,7 @@ from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
-from annotator.types import Detector, PseudoView, Region
+from annotator.types import PseudoView, Region
 from annotator.types.errors import DetectionError
 
 pytestmark = pytest.mark.slow
@@ -38,11 +38,6 @@ def make(weights: Path, **settings: Any) -> YoloDetector:
 @pytest.fixture(scope="module")
 def detector(tiny_model: TrainedModel) -> YoloDetector:
     return make(tiny_model.weights)
-
-
-def test_a_trained_model_is_a_detector(detector: YoloDetector) -> None:
-    assert isinstance(detector, Detector)
-    assert detector.labels == ("blue", "red")
 
 
 def test_the_trained_objects_are_found_and_classified(detector: YoloDetector, scene: Callable[..., Any]) -> None:
@@ -164,16 +159,6 @@ def test_the_fingerprint_depends_on_weights_and_settings(
         fingerprint(backend="onnxruntime", threads=1) == detector.fingerprint
     )  # a batch may be continued on another backend
     assert len({fingerprint(), fingerprint(size=128), fingerprint(confidence=0.2), fingerprint(iou=0.5)}) == 4
-
-
-@pytest.mark.parametrize("name", ["o'neil", "a [1]", "100%", " "])
-def test_the_folder_of_the_weights_may_contain_special_characters(
-    detector: YoloDetector, tiny_model: TrainedModel, tmp_path: Path, name: str
-) -> None:
-    path = tmp_path / name / "yolov5n.pt"
-    path.parent.mkdir()
-    path.write_bytes(tiny_model.weights.read_bytes())
-    assert make(path, backend="torch").fingerprint == detector.fingerprint
 
 
 @pytest.mark.parametrize("settings", [{"confidence": 1.5}, {"iou": -0.1}, {"image_size_px": 8}])

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import corrected, with_image
 from annotator.geometry.projection import project, unproject_depth
-from annotator.types import NO_CORRECTION, Camera, Correction, Frame, PointCloud
+from annotator.types import Camera, Correction, Frame, PointCloud
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 TURN = Correction((0.02, -0.03, 0.01), (0.05, -0.02, 0.1))
@@ -24,11 +24,6 @@ def frame() -> Frame:
     rgb = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
     cloud = PointCloud(xyz, rgb.reshape(-1, 3)[pixel], pixel_index=pixel)
     return Frame("0", 0, CAMERA, rgb, cloud, depth, np.array([0.0, -1.0, 0.0]))
-
-
-def test_without_turn_and_shift_the_frame_is_the_same(frame: Frame):
-    assert corrected(frame, NO_CORRECTION) is frame
-    assert corrected(frame, Correction(time_offset_s=0.5)) is frame
 
 
 def test_points_normals_and_up_move_with_the_cloud(frame: Frame):
@@ -82,8 +77,3 @@ def test_another_image_colours_the_cloud_in_its_place(frame: Frame):
     assert (shown.cloud.rgb == 255 - frame.cloud.rgb).all()
     assert (shown.cloud.xyz_m == frame.cloud.xyz_m).all()
     assert shown.depth_m is not None
-
-
-def test_a_cloud_without_colours_stays_without(frame: Frame):
-    bare = replace(frame, cloud=PointCloud(frame.cloud.xyz_m), depth_m=None)
-    assert corrected(bare, TURN).cloud.rgb is None

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.oriented_box import EDGES, box_corners
-from annotator.geometry.outline import PIECES_DISTORTED, box_on_image, cut_segments, heading_px, visible_edges
+from annotator.geometry.outline import PIECES_DISTORTED, box_on_image, heading_px, visible_edges
 from annotator.geometry.projection import project
 from annotator.types import Camera, OrientedBox
 
@@ -55,20 +55,6 @@ def test_edges_are_curved_on_a_distorted_image() -> None:
     assert len(pieces) == 12 * PIECES_DISTORTED
     ends = pieces.reshape(12, PIECES_DISTORTED, 2, 2)
     assert np.allclose(ends[:, :-1, 1], ends[:, 1:, 0]), "the pieces of an edge are connected"
-
-
-def test_a_segment_is_cut_to_the_part_inside_all_planes() -> None:
-    rng = np.random.default_rng(4)
-    ends = rng.normal(size=(200, 2, 3))
-    planes = np.column_stack([rng.normal(size=(5, 3)), np.full(5, -0.4)])
-    cut, seen = cut_segments(ends, planes)
-    share = np.linspace(0, 1, 401)[:, None, None]
-    along = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
-    kept = (along @ planes[:, :3].T >= planes[:, 3]).all(axis=2)
-    assert (kept.any(axis=0) <= seen).all()
-    for n in np.flatnonzero(kept.sum(axis=0) > 1):
-        points = along[kept[:, n], n]
-        assert np.allclose(cut[n], points[[0, -1]], atol=0.02)
 
 
 @pytest.mark.parametrize(

@@ -26,15 +26,6 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(Rotation.from_matrix(a.T @ b).magnitude())
 
 
-@given(st.floats(-3.1, 3.1))
-def test_an_upright_box_is_unchanged(yaw: float) -> None:
-    box = OrientedBox.from_parts(CENTER, upright(yaw), SIZE)
-    found, tilt = nearest_upright(box, UP)
-    assert tilt < 1e-7
-    np.testing.assert_allclose(found.rotation, box.rotation, atol=1e-7)
-    np.testing.assert_array_equal(found.size_m, SIZE)
-
-
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.7))
 @settings(max_examples=40)
 def test_no_other_upright_rotation_is_nearer(seed: int, lean: float) -> None:

@@ -8,8 +8,7 @@ import pytest
 from geometry_strategies import boxes, cameras
 from hypothesis import given, settings
 
-from annotator.geometry.oriented_box import CORNER_SIGNS
-from annotator.geometry.outline import FACES, NEAR_M, box_on_image, cut_polygon, points_on_image
+from annotator.geometry.outline import NEAR_M, box_on_image, points_on_image
 from annotator.types import Camera, OrientedBox
 
 CAMERA = Camera(200, 160, 150.0, 150.0, 99.5, 79.5)
@@ -34,14 +33,6 @@ def surface_px(camera: Camera, box: OrientedBox, steps: int = 41) -> np.ndarray:
         return np.empty((0, 2))
     px = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))[0][:, 0]
     return px[((px >= -0.5) & (px <= [camera.width_px - 0.5, camera.height_px - 0.5])).all(axis=1)]
-
-
-def test_faces_are_the_six_faces() -> None:
-    for face in FACES:
-        corners = CORNER_SIGNS[face]
-        assert (np.ptp(corners, axis=0) == 0).sum() == 1
-        assert (np.abs(corners - np.roll(corners, 1, axis=0)).sum(axis=1) == 2).all()  # neighbours share an edge
-    assert len({frozenset(face.tolist()) for face in FACES}) == 6
 
 
 @settings(max_examples=60, deadline=None)
@@ -87,23 +78,6 @@ def test_a_box_that_extends_behind_the_camera_has_the_2d_box_of_its_visible_part
     assert found.xyxy == pytest.approx(expected)
 
 
-def test_a_diagonal_box_cut_by_the_image_border_has_the_2d_box_of_its_visible_part() -> None:
-    turned = cv2.Rodrigues(np.array([0.0, 0.0, np.pi / 4]))[0]
-    stick = OrientedBox.from_parts(np.array([0.0, 1.0, 3.0]), turned, np.array([3.0, 0.01, 0.01]))
-    found = box_on_image(CAMERA, stick, "stick")
-    px = surface_px(CAMERA, stick, 401)
-    assert found is not None
-    np.testing.assert_allclose(found.xyxy, np.concatenate([px.min(axis=0), px.max(axis=0)]), atol=0.5)
-    assert found.x_max < 160
-
-
-def test_the_2d_box_of_a_box_around_the_camera_is_the_whole_image() -> None:
-    for camera in (CAMERA, DISTORTED):
-        found = box_on_image(camera, straight_box((0.0, 0.0, 0.0), (3.0, 3.0, 3.0)), "room")
-        assert found is not None
-        assert found.xyxy == pytest.approx((-0.5, -0.5, 199.5, 159.5))
-
-
 @pytest.mark.parametrize("center", [(0.0, 0.0, -3.0), (9.0, 0.0, 3.0), (0.0, -9.0, 3.0), (30.0, 0.0, 0.2)], ids=str)
 @pytest.mark.parametrize("camera", [CAMERA, DISTORTED, FOLDING], ids=["ideal", "distorted", "folding"])
 def test_objects_outside_the_image_have_no_box(camera: Camera, center: tuple[float, ...]) -> None:
@@ -131,14 +105,3 @@ def test_the_2d_box_of_points_contains_those_on_the_image() -> None:
     assert found is not None and found.xyxy == pytest.approx((99.5, 79.5, 129.5, 94.5), abs=1e-4)
     assert points_on_image(CAMERA, xyz[2:], "a") is None
     assert points_on_image(CAMERA, xyz[:1], "a") is None
-
-
-def test_a_polygon_is_cut_by_half_planes() -> None:
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    assert cut_polygon(square, np.array([[1.0, 0.0, -1.0]])) is square
-    np.testing.assert_allclose(
-        cut_polygon(square, np.array([[1.0, 0.0, 0.25]])), [[0.25, 0.0], [1.0, 0.0], [1.0, 1.0], [0.25, 1.0]]
-    )
-    diagonal = cut_polygon(square, np.array([[-1.0, -1.0, -0.5]]))
-    np.testing.assert_allclose(diagonal, [[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
-    assert cut_polygon(square, np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 0.5]])).shape == (0, 2)

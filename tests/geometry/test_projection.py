@@ -9,7 +9,7 @@ from geometry_strategies import cameras
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.geometry.projection import pixel_colors, pixel_rays, project, undistort_px, unproject_depth
+from annotator.geometry.projection import pixel_colors, project, unproject_depth
 from annotator.types import Camera
 from annotator.types.errors import GeometryError
 
@@ -74,14 +74,6 @@ def test_a_point_beyond_the_lens_models_range_is_not_folded_back_into_the_image(
     assert np.isnan(project(camera, far_aside)).all()
 
 
-@settings(deadline=None, max_examples=60)
-@given(cameras())
-def test_undistort_px_gives_the_ray_of_a_pixel(camera: Camera) -> None:
-    px = np.array([[0.0, 0.0], [camera.width_px - 1, 0.0], [10.25, 20.75], [camera.cx, camera.cy]])
-    rays = np.concatenate([undistort_px(camera, px), np.ones((4, 1))], axis=1)
-    np.testing.assert_allclose(project(camera, rays * 5.0), px, atol=1e-6)
-
-
 def test_pixels_beyond_the_lens_models_range_have_no_point() -> None:
     camera = Camera(64, 48, 25.0, 25.0, 31.5, 23.5, (-0.3, 0.0, 0.0, 0.0))
     xyz, pixel = unproject_depth(camera, np.ones((48, 64), np.float32))
@@ -97,23 +89,9 @@ def test_negative_and_infinite_depth_values_are_ignored() -> None:
     np.testing.assert_allclose(xyz, [[0, 0, 1], [2, 2, 2]])
 
 
-def test_an_empty_depth_image_has_no_points() -> None:
-    xyz, pixel = unproject_depth(PINHOLE, np.zeros((480, 640), np.float32))
-    assert xyz.shape == (0, 3)
-    assert pixel.shape == (0,)
-
-
 def test_depth_of_another_size_is_refused() -> None:
     with pytest.raises(GeometryError, match="320 x 240 px, the camera 640 x 480"):
         unproject_depth(PINHOLE, np.ones((240, 320), np.float32))
-
-
-def test_rays_are_cached_per_camera_and_read_only() -> None:
-    rays = pixel_rays(PINHOLE)
-    assert pixel_rays(Camera(640, 480, 500.0, 510.0, 319.5, 239.5)) is rays
-    assert pixel_rays(Camera(640, 480, 500.0, 511.0, 319.5, 239.5)) is not rays
-    with pytest.raises(ValueError, match="read-only"):
-        rays[0, 0] = 1.0
 
 
 def test_colours_are_those_of_the_points_pixels() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
-from annotator.geometry.outline import CHUNK, rectangle_intersection_pairs
+from annotator.geometry.outline import rectangle_intersection_pairs
 from annotator.types import OrientedBox
 
 Rectangle = tuple[tuple[float, float], float, tuple[float, float]]
@@ -62,14 +62,3 @@ def test_areas_give_the_exact_3d_iou_of_upright_boxes(a: Rectangle, b: Rectangle
 )
 def test_known_areas_with_a_unit_square(b: Rectangle, expected: float) -> None:
     assert area(((0.0, 0.0), 0.0, (1.0, 1.0)), b) == pytest.approx(expected, abs=1e-12)
-
-
-def test_many_pairs_are_computed_as_single_ones() -> None:
-    rng = np.random.default_rng(0)
-    count = CHUNK + 7
-    sides = [(rng.normal(size=(count, 2)), rng.uniform(0, 7, count), rng.uniform(0.3, 2, (count, 2))) for _ in "ab"]
-    areas = rectangle_intersection_pairs(*sides[0], *sides[1])
-    for index in (0, CHUNK - 1, CHUNK, count - 1):
-        one = [tuple(values[index : index + 1] for values in side) for side in sides]
-        assert rectangle_intersection_pairs(*one[0], *one[1])[0] == areas[index]
-    assert rectangle_intersection_pairs(*(values[:0] for side in sides for values in side)).shape == (0,)

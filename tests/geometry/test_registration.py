@@ -78,13 +78,6 @@ def test_with_a_vertical_the_rotation_stays_about_it() -> None:
     np.testing.assert_allclose(pose[0] @ UP, UP, atol=1e-12)
 
 
-def test_a_mirror_image_is_not_a_rotation() -> None:
-    points = corner(np.random.default_rng(5))
-    pose = register(points, KDTree(points * [1.0, -1.0, 1.0]), (np.eye(3), np.zeros(3)), 0.35)
-    assert pose is not None
-    assert np.linalg.det(pose[0]) == pytest.approx(1.0)
-
-
 def test_points_without_a_cloud_nearby_have_no_pose() -> None:
     points = corner(np.random.default_rng(6))
     assert register(points, KDTree(points + 5.0), (np.eye(3), np.zeros(3)), 0.35) is None
@@ -108,11 +101,6 @@ def test_a_surface_that_turns_is_turned_all_the_way_by_planes() -> None:
     error = pose_error(by_planes, turn, np.zeros(3))
     assert error[0] < 0.02 and error[1] < 0.01
     assert error[0] < 0.2 * pose_error(by_points, turn, np.zeros(3))[0]
-
-
-def test_a_surface_far_away_is_not_registered() -> None:
-    points = corner(np.random.default_rng(0))
-    assert register_surface(points, KDTree(points + 5.0), points, (np.eye(3), np.zeros(3)), 0.1) is None
 
 
 @pytest.mark.parametrize("up", [None, UP])

@@ -56,15 +56,6 @@ def test_a_room_tells_its_up_direction_whatever_the_tilt(roll_deg: int, pitch_de
     assert found.certainty > LEAST_CERTAINTY
 
 
-def test_two_walls_without_a_floor_are_enough():
-    up = Rotation.from_euler("x", 8, degrees=True).apply(LEVEL)
-    found = estimate_up(planes_frame(up, floor=False))
-    assert found is not None
-    assert degrees(found.up, up) < 1
-    assert found.certainty > LEAST_CERTAINTY
-    assert found.level_share < 0.02 < found.upright_share
-
-
 def test_one_wall_alone_is_refused():
     rgb = np.zeros((240, 320, 3), np.uint8)
     depth = np.random.default_rng(0).normal(2, 0.004, (240, 320)).astype(np.float32)

@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.rcv.known_objects import first_views
 from annotator.rcv.pseudo_view import is_deep
 from annotator.rcv.recursion import plan_step, start
-from annotator.types import Box2D, Camera, Frame, PointCloud
+from annotator.types import Box2D, PointCloud
 
 CONFIG = RcvConfig(view=ViewConfig(size_px=96, deep_size_px=224, deep=2.0))
 
@@ -48,20 +47,3 @@ def test_all_points_of_a_frustum_are_drawn() -> None:
     shown = {tuple(np.rint((front.axes[:2] @ p - front.origin_m) / front.metres_per_px).astype(int)) for p in far}
     assert len(shown) > 300
     assert all((front.rgb[y, x] == red[0]).all() for x, y in shown)
-
-
-def test_deep_views_are_not_drawn_smaller_than_other_views() -> None:
-    large = CONFIG.model_copy(update={"view": ViewConfig(size_px=320)})
-    views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), frustum(60.0), None, large), large).views
-    assert {(max(view.rgb.shape), view.look_px) for view in views} == {(320, 224)}
-
-
-def test_first_views_have_the_detection_size_of_the_recursion() -> None:
-    camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
-    box = Box2D("a", 20.0, 15.0, 40.0, 30.0)
-    for depth_m, look_px in ((2.0, 0), (60.0, 224)):
-        z = np.linspace(5.0, 5.0 + depth_m, 40)
-        cloud = PointCloud(np.stack([np.linspace(-0.5, 0.5, 40), np.zeros(40), z], axis=1).astype(np.float32))
-        views = first_views(Frame("0", 0, camera, np.zeros((48, 64, 3), np.uint8), cloud), box, CONFIG)
-        assert views is not None
-        assert [view.look_px for view in views] == [look_px, look_px]

@@ -73,12 +73,6 @@ def test_a_disagreeing_second_object_is_dropped_but_never_the_best(frame: Frame)
     assert len(result(frame, both[:1], min_image_agreement=1.0)) == 1, "the only object of its frustum is kept"
 
 
-def test_equal_image_boxes_belong_to_two_objects(frame: Frame) -> None:
-    """Two equal detections may be of different objects."""
-    states = [ended(frame, seen(frame, OWN), OWN), ended(frame, seen(frame, OWN), OTHER)]
-    assert len(result(frame, states, min_image_agreement=1.0)) == 2
-
-
 @pytest.mark.parametrize("order", [1, -1])
 def test_of_duplicates_the_one_from_the_objects_own_frustum_is_kept(frame: Frame, order: int) -> None:
     own, neighbours = seen(frame, OWN), seen(frame, OTHER)

@@ -77,14 +77,6 @@ def test_a_box_touches_the_planes_of_its_outline_from_inside() -> None:
     assert planes.sigma_m[:, 1] == pytest.approx(2 * 2.0 / 260, rel=0.1)
 
 
-def test_edges_at_the_image_border_bound_nothing() -> None:
-    outline = Box2D("object", -0.5, 20.0, 319.5, 239.5)
-    planes = image_planes(CAMERA, Outline(outline, np.full(4, 2.0)), 2.0)
-    assert len(planes.directions) == 1
-    assert planes.directions[0, 1] < 0  # the upper edge
-    assert image_planes(CAMERA, Outline(Box2D("object", -0.5, -0.5, 319.5, 239.5), np.full(4, 2.0)), 2.0) is None
-
-
 def test_the_outline_of_a_whole_box_lies_outside_what_is_seen() -> None:
     config, image_box = RcvConfig(), Box2D("object", 100.0, 50.0, 200.0, 239.0)
     for image_kind, kind in ((BoxKind.BOX, BoxKind.BOX), (BoxKind.SILHOUETTE, BoxKind.SILHOUETTE)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 
-import fit_reference
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from annotator.geometry.iou import iou_3d
 from annotator.rcv.axes import BOX_SYMMETRIES
-from annotator.rcv.config import FitConfig
-from annotator.rcv.interval_fit import Edges, Intervals, fit_box
-from annotator.rcv.rotations import cheapest_distinct, free_grid, neighbours, rotation_costs, spread_rotations, yaw_grid
+from annotator.rcv.interval_fit import Intervals, fit_box
+from annotator.rcv.rotations import cheapest_distinct, free_grid, neighbours, spread_rotations
 from annotator.types import OrientedBox
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -147,63 +145,3 @@ def test_starts_are_distinct_and_sorted_by_cost() -> None:
         turned = np.einsum("sij,jk->sik", BOX_SYMMETRIES, grid[i].T @ grid[j])
         assert Rotation.from_matrix(turned).magnitude().min() > limit
     assert len(cheapest_distinct(costs[:3], np.ones((3, 3), bool), 8)) == 1
-
-
-def hard_intervals(seed: int, upright: bool) -> Intervals:
-    """Intervals along random directions with various noise, outliers and unknown ends."""
-    rng = np.random.default_rng(seed)
-    box = random_box(rng, upright)
-    directions = rng.normal(size=(rng.integers(12, 40), 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    intervals = measure(box, directions, rng.choice([0.0, 0.005, 0.05]), seed)
-    count = len(directions)
-    ends, sigma = intervals.ends_m.copy(), intervals.sigma_m * rng.uniform(0.5, 2.0, (count, 2))
-    ends[rng.choice(count, count // 8), rng.integers(2)] += rng.choice([-0.3, 0.3])
-    sigma[rng.choice(count, count // 8), rng.integers(2)] = np.inf
-    return Intervals(directions, ends, sigma)
-
-
-@pytest.mark.parametrize("upright", [False, True])
-def test_the_search_solves_least_squares_for_each_rotation(upright: bool) -> None:
-    config, grid = FitConfig(), yaw_grid(UP) if upright else free_grid()
-    for seed in range(5):
-        intervals = hard_intervals(seed, upright)
-        costs = rotation_costs(intervals.directions, intervals.ends_m, intervals.sigma_m, grid, config)
-        first, second = (
-            np.array([fit_reference.size_cost(intervals, rotation, config, rounds) for rotation in grid])
-            for rounds in (1, 2)
-        )
-        refined = np.sort(np.argsort(first)[: len(grid) if upright else len(grid) // 4])
-        np.testing.assert_array_equal(np.flatnonzero(np.isfinite(costs)), refined)
-        np.testing.assert_allclose(costs[refined], second[refined], rtol=1e-9)
-
-
-@pytest.mark.parametrize("upright", [False, True])
-def test_the_refinement_agrees_with_the_reference_implementation(upright: bool) -> None:
-    config = FitConfig()
-    for seed in range(30):
-        intervals = hard_intervals(seed, upright)
-        edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, config)
-        starts = (yaw_grid(UP) if upright else free_grid())[seed::7][:5]
-        found = edges.refine(starts, held=upright)
-        centred = Intervals(edges.direction, edges.ends, intervals.sigma_m)
-        center, rotation, size, cost = fit_reference.refined(centred, starts, upright, config)
-        expected = OrientedBox.from_parts(center + edges.shift, rotation, size)
-        assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-12)
-        # starts may converge to the same box with permuted axes
-        assert iou_3d(expected, box_of(found)) == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("held", [False, True])
-def test_a_box_is_determined_if_the_smallest_singular_value_is_large_enough(held: bool) -> None:
-    answers = set()
-    for seed in range(20):
-        intervals = hard_intervals(seed, held)
-        edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, FitConfig())
-        fit = edges.refine(np.eye(3)[None], held)
-        exact = fit_reference.smallest_singular_value(intervals, fit.rotation, fit.size_m, held)
-        for factor in (0.999, 1.001):
-            config = FitConfig(min_determinacy=exact * factor)
-            edges = Edges.of(intervals.directions, intervals.ends_m, intervals.sigma_m, config)
-            answers.add((factor, edges.determine(fit, held)))
-    assert answers == {(0.999, True), (1.001, False)}

@@ -101,8 +101,3 @@ def test_too_few_points_give_no_views() -> None:
     assert [box.label for box in found.on_image] == ["thing", "b"]
     assert [item.image_box.label for item in found.objects] == ["thing"]
     assert found.without_views == ("b",)
-
-
-def test_a_frame_without_objects_has_no_boxes() -> None:
-    found, _ = known()
-    assert (found.on_image, found.objects, found.outside) == ((), (), ())

@@ -9,7 +9,6 @@ import pytest
 from scenes import CAMERA, frame_with, some_box
 
 from annotator.detection.perfect import PerfectDetector
-from annotator.rcv.axes import frame_with_normals
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.known_objects import LABELLED_STEPS, DrawnObject, cut_out, draw_object, first_views, next_views
 from annotator.rcv.propose import propose_from_boxes
@@ -17,7 +16,6 @@ from annotator.rcv.teach import project_box
 from annotator.types import Box2D, Frame, Image, PseudoView
 
 UP = np.array([0.0, -1.0, 0.0])
-TILTED_UP = np.array([0.0, -np.cos(0.3), -np.sin(0.3)])
 BOX = some_box([-0.3, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])
 CONFIG = RcvConfig(orientation=Orientation.UPRIGHT)
 OBJECT = slice(0, 800)
@@ -64,16 +62,6 @@ def test_the_first_views_are_along_the_camera_axes_and_show_the_whole_frustum() 
     shown = {tuple(point) for point in views[0].xyz_m}
     assert all(tuple(point) in shown for point in frame.cloud.xyz_m[OBJECT])
     assert len(shown) > 800, "the wall behind the object is also in its frustum"
-
-
-def test_upright_first_views_are_level() -> None:
-    frame, _ = frame_with([BOX], up=TILTED_UP)
-    views = first_views(frame, image_box(frame), CONFIG)
-    assert views is not None
-    np.testing.assert_allclose(views[0].axes[1], -TILTED_UP, atol=1e-12)
-    free = first_views(frame, image_box(frame), RcvConfig(orientation=Orientation.FREE))
-    assert free is not None
-    np.testing.assert_allclose(free[0].axes, np.eye(3), atol=1e-12)
 
 
 @pytest.mark.parametrize("orientation", list(Orientation))
@@ -131,36 +119,12 @@ def test_a_box_cut_off_by_the_picture_gets_a_larger_margin_in_the_second_step() 
     assert extents[3] > 1.3 * extents[2]
 
 
-def test_normals_are_estimated_once_per_frame() -> None:
-    frame, _ = frame_with([BOX], up=UP)
-    ready = frame_with_normals(frame, [image_box(frame)], CONFIG)
-    assert ready.cloud.normals is not None
-    assert frame_with_normals(ready, [image_box(frame)], CONFIG) is ready
-    assert frame_with_normals(frame, [], CONFIG) is frame
-    first = spans(drawn(frame))[:2]
-    one, other = (next_views(given, image_box(frame), first, CONFIG) for given in (frame, ready))
-    assert one is not None
-    assert other is not None
-    np.testing.assert_array_equal(one[0].rgb, other[0].rgb)
-
-
 def test_the_drawn_boxes_select_the_objects_points() -> None:
     frame, _ = frame_with([BOX, some_box([0.9, 0, 2.0], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP)
     mask = cut_out(frame, image_box(frame), [(span, 1e-3) for span in spans(drawn(frame))])
     assert mask.shape == (len(frame.cloud),)
     assert mask[OBJECT].mean() > 0.99
     assert not mask[800:].any()
-
-
-def test_the_margin_of_a_drawn_box_is_in_metres() -> None:
-    frame, _ = frame_with([BOX], up=UP)
-    narrow = (np.eye(3), np.array([[-0.30, -0.25], [-9.0, 9.0]]))
-    everything = Box2D("thing", -1.0, -1.0, 641.0, 481.0)
-    for margin_m in (0.0, 0.1):
-        mask = cut_out(frame, everything, [(narrow, margin_m)])
-        x = frame.cloud.xyz_m[:, 0].astype(float)
-        expected = (x >= -0.30 - margin_m) & (x <= -0.25 + margin_m) & (frame.cloud.xyz_m[:, 2] > 0)
-        np.testing.assert_array_equal(mask, expected)
 
 
 @pytest.mark.parametrize("unseen", [0, 1, 2, 3])

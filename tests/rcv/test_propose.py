@@ -14,7 +14,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners, contains
 from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.propose import propose
-from annotator.types import Box2D, BoxKind, Frame, Image, PseudoView, StopReason, Truth
+from annotator.types import Box2D, BoxKind, Image, StopReason, Truth
 
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])
@@ -227,22 +227,6 @@ def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:
         assert a.proposals[0].trace == b.proposals[0].trace
 
 
-def test_the_first_views_show_the_frustum_and_later_ones_less() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    seen: list[int] = []
-
-    class Watching(Counting):
-        def detect(self, images: Sequence[Image]) -> list[list[Box2D]]:
-            seen.extend(len(view.xyz_m) for view in images if isinstance(view, PseudoView))
-            return super().detect(images)
-
-    perfect = PerfectDetector.for_frame(frame, truths)
-    propose([frame], perfect, Watching(perfect), RcvConfig())
-    assert isinstance(frame, Frame)
-    assert 800 <= seen[0] < len(frame.cloud)
-    assert seen[2] < seen[0]
-
-
 def test_an_object_without_points_at_its_lower_end_keeps_its_height() -> None:
     """A LiDAR often misses the foot of an object: its true box then extends below all points, and every picture cuts
     it off. Cut ends were once ignored, and the box collapsed."""
@@ -269,11 +253,3 @@ def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:
     config = RcvConfig(orientation=Orientation.UPRIGHT, box_kind=BoxKind.SILHOUETTE)
     (found,) = propose([frame], perfect, OneSmall(perfect), config)[0].proposals
     assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
-
-
-def test_an_object_without_enough_points_is_not_proposed() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    perfect = PerfectDetector.for_frame(frame, truths)
-    result = propose([frame], perfect, perfect, RcvConfig(min_points=900))[0]
-    assert result.proposals == ()
-    assert result.lost[0].trace[-1].stop is StopReason.TOO_FEW_POINTS

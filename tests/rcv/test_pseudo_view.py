@@ -35,24 +35,6 @@ def test_every_point_is_drawn_at_its_pixel(seed: int, count: int) -> None:
             assert tuple(view.rgb[pixel_of(view, point)]) == (7, 7, 7)
 
 
-def test_the_nearest_point_is_drawn_in_both_views() -> None:
-    near, far = [255, 0, 0], [0, 0, 255]
-    cloud = cloud_of([[0, 0, 1], [0, 0, 2], [1, 0, 1.5], [-1, 0, 1.5]], [near, far, far, near])
-    front, side = render_pairs(cloud, [np.eye(3)], VIEW)
-    assert tuple(front.rgb[pixel_of(front, [0, 0, 1])]) == tuple(near)
-    # the side view looks along -x: the point with the larger x is nearer
-    assert tuple(side.rgb[pixel_of(side, [1, 0, 1.5])]) == tuple(far)
-
-
-def test_front_and_side_share_the_second_axis() -> None:
-    frame = Rotation.from_rotvec([0.3, -0.4, 0.2]).as_matrix().T
-    front, side = render_pairs(cloud_of([[0, 0, 1], [1, 1, 2]]), [frame], VIEW)
-    np.testing.assert_allclose(front.axes, frame)
-    np.testing.assert_allclose(side.axes, [frame[2], frame[1], -frame[0]])
-    for view in (front, side):
-        assert np.linalg.det(view.axes) == pytest.approx(1)
-
-
 @given(st.floats(-0.5, 60), st.floats(-0.5, 60), st.floats(1, 30), st.floats(1, 30))
 def test_conversion_to_metres_and_back_keeps_a_box(x: float, y: float, width: float, height: float) -> None:
     front, _ = render_pairs(cloud_of([[0, 0, 1], [1, 2, 2]]), [np.eye(3)], VIEW)
@@ -106,13 +88,6 @@ def test_a_dense_cloud_is_thinned_and_looks_the_same() -> None:
     assert drawn_points(len(numbers), VIEW) is drawn_points(len(cloud), all_of) is None
 
 
-def test_a_near_splat_covers_a_far_one() -> None:
-    colors = [[255, 0, 0], [0, 255, 0], [9, 9, 9], [9, 9, 9]]
-    points = [[0.5, 0.5, 1], [0.51, 0.5, 2], [0, 0, 3], [1, 1, 3]]
-    front = render_pairs(cloud_of(points, colors), [np.eye(3)], VIEW)[0]
-    assert tuple(front.rgb[pixel_of(front, points[1])]) == (255, 0, 0)
-
-
 def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
     points = np.array([[0, 0, 1], [1, 1, 3]], np.float32)
     by_depth = render_pairs(PointCloud(points), [np.eye(3)], VIEW)[0]
@@ -121,9 +96,3 @@ def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
     shown = render_pairs(cloud, [np.eye(3)], VIEW)[0]
     assert shown.rgb[pixel_of(shown, points[0])][0] < shown.rgb[pixel_of(shown, points[1])][0]
     assert shown.rgb[0, -1, 0] == BACKGROUND
-
-
-def test_a_single_point_gives_a_picture() -> None:
-    front, side = render_pairs(cloud_of([[0, 0, 1]]), [np.eye(3)], VIEW)
-    assert front.rgb.shape == side.rgb.shape == (100, 100, 3)
-    np.testing.assert_allclose(front.extent_m, VIEW.min_extent_m * 1.1, rtol=0.05)

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import frame_with, some_box
-from scipy.spatial.transform import Rotation
 
 from annotator.geometry.oriented_box import contains
 from annotator.rcv import teach
 from annotator.rcv.config import RcvConfig, ViewConfig
-from annotator.rcv.teach import TaughtObject, TaughtView, project_box, span_on_view, teach_views
+from annotator.rcv.teach import TaughtObject, TaughtView, project_box, teach_views
 from annotator.types import BoxKind, Frame, OrientedBox, PseudoView
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -84,19 +83,6 @@ def test_silhouettes_contain_the_objects_drawn_points() -> None:
             assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own.astype(float))), abs=1e-3)
 
 
-def test_given_points_replace_those_in_the_box() -> None:
-    frame, objects = two()
-    half = np.zeros(len(frame.cloud), bool)
-    half[:800] = frame.cloud.xyz_m[:800, 1] < 0.1
-    given_points = TaughtObject("left", BOXES[0], half)
-    for item in taught(frame, [given_points], BoxKind.SILHOUETTE):
-        shown = {tuple(point) for point in item.view.xyz_m}
-        own = np.array([point for point in frame.cloud.xyz_m[half] if tuple(point) in shown], float)
-        for box in item.boxes:
-            assert box.xyxy == pytest.approx(clipped(item.view, on_picture(item.view, own)), abs=1e-3)
-    assert objects
-
-
 def test_boxes_stay_on_the_picture() -> None:
     frame, objects = two()
     for kind in BoxKind:
@@ -149,13 +135,6 @@ def test_an_object_with_few_points_is_left_out() -> None:
     few = np.zeros(len(frame.cloud), bool)
     few[: teach.MIN_POINTS - 1] = True
     assert taught(frame, [TaughtObject("left", BOXES[0], few)]) == []
-
-
-def test_the_given_number_of_view_pairs_is_drawn() -> None:
-    frame, objects = two()
-    assert len(taught(frame, objects[:1], draws=9)) == 2 * 9
-    assert len(taught(frame, objects, draws=4)) == 2 * 2 * 4
-    assert taught(frame, []) == []
 
 
 @given(turn=st.integers(0, 2**32 - 1))
@@ -214,27 +193,6 @@ def test_a_projected_box_is_clipped_to_the_view(center: list[float], expected: t
         assert found is not None
         assert found.xyxy == pytest.approx(expected)
         assert found.label == "a"
-
-
-def test_points_without_extent_have_no_box() -> None:
-    view = view_of(100, 60, (-0.495, -0.295), 0.01)
-    assert span_on_view(view, np.array([[0.0, 0.0, 1.0]]), "a") is None
-    assert span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]]), "a") is None
-    assert span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.001, 0.001, 1.0]]), "a") is None
-    found = span_on_view(view, np.array([[0.0, 0.0, 1.0], [0.1, 0.1, 1.0]]), "a")
-    assert found is not None
-    assert found.xyxy == pytest.approx((49.5, 29.5, 59.5, 39.5))
-
-
-def test_a_rotated_box_has_the_extent_of_its_corners() -> None:
-    view = view_of(100, 60, (-0.495, -0.295), 0.01)
-    turned = OrientedBox.from_parts(
-        np.array([0.0, 0.0, 3.0]), Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix(), np.array([0.2, 0.2, 0.1])
-    )
-    found = project_box(view, turned, "a")
-    assert found is not None
-    assert found.width_px == pytest.approx(20 * np.sqrt(2))
-    assert found.height_px == pytest.approx(20 * np.sqrt(2))
 
 
 def test_views_that_show_a_doubtful_object_are_left_out() -> None:

@@ -18,7 +18,7 @@ from annotator.rcv.interval_fit import Intervals
 from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.recursion import start
 from annotator.rcv.starts import TYPICAL_SIZE
-from annotator.rcv.typical_size import BY_SCORE, MARGIN, Candidates, Evidence, best_expected, changed, distinct, place
+from annotator.rcv.typical_size import BY_SCORE, MARGIN, Candidates, Evidence, best_expected, place
 from annotator.recordings import open_recording
 from annotator.types import Box2D, BoxKind, Camera, Frame, Image, OrientedBox, PointCloud
 from annotator.workflows.detectors import Detectors
@@ -164,21 +164,6 @@ def test_of_two_depths_the_one_that_fits_the_typical_size_is_taken() -> None:
         assert evidence is not None
         best = place(evidence).boxes[0]
         assert iou_3d(best, truth) > 0.6
-
-
-def test_distinct_boxes_overlap_little() -> None:
-    candidates = moved(BOX, (0, 0, 0), (0.01, 0, 0), (0, 0, 1.0), (0, 0, 1.01), (0, 0, 2.0))
-    chosen = distinct(candidates, 3, 0.5)
-    assert [box.center_m[2] for box in chosen] == pytest.approx([3.0, 4.0, 5.0])
-    assert len(distinct(candidates, 2, 0.5)) == 2
-
-
-def test_changed_boxes_stay_upright_and_near() -> None:
-    new = changed(Candidates.of([BOX]), evidence_of(BOX), 50, 1.0, np.random.default_rng(0))
-    assert len(new) == 50
-    assert new.rotation[:, :, 2] @ UP == pytest.approx(np.ones(50))
-    assert np.linalg.norm(new.center_m - BOX.center_m, axis=1).max() < BOX.size_m.max()
-    assert np.abs(np.log(new.size_m / BOX.size_m)).max() < 0.4
 
 
 def test_a_given_size_counts_more_than_the_name() -> None:

@@ -101,12 +101,6 @@ def test_a_longer_recording_begins_like_a_shorter_one(generated: dict[str, Path]
         assert contents(tmp_path / "short")[name] == contents(generated["hands"])[name]
 
 
-def test_progress_is_reported(tmp_path: Path):
-    seen: list[tuple[int, int]] = []
-    write_generated(tmp_path / "r", "hands", 2, 0, 32, 24, report=lambda done, all_: seen.append((done, all_)))
-    assert seen == [(1, 2), (2, 2)]
-
-
 def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
     def interrupt(done: int, frames: int) -> None:
         raise KeyboardInterrupt
