@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from annotator.rcv.config import ViewConfig
-from annotator.rcv.pseudo_view import BACKGROUND, drawn_points, render_pairs
+from annotator.rcv.config import RcvConfig, ViewConfig
+from annotator.rcv.pseudo_view import (
+    BACKGROUND,
+    KeyLayout,
+    draw_views,
+    drawn_points,
+    fit_windows,
+    is_deep,
+    pack_colors,
+    render_pairs,
+    splat_px,
+)
+from annotator.rcv.recursion import plan_step, start
 from annotator.types import Box2D, PointCloud
 
 VIEW = ViewConfig(size_px=100, padding=0.05)
@@ -96,3 +108,108 @@ def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
     shown = render_pairs(cloud, [np.eye(3)], VIEW)[0]
     assert shown.rgb[pixel_of(shown, points[0])][0] < shown.rgb[pixel_of(shown, points[1])][0]
     assert shown.rgb[0, -1, 0] == BACKGROUND
+
+
+# TODO-MERGED docstring of test_drawing.py:
+# The compiled drawing, compared with plain numpy and OpenCV.
+
+
+VIEWS = 3
+
+
+def reference(xyz, rgb, axes, window, largest_splat_px):
+    """The picture of one view, point by point from far to near."""
+    right, down, depth = axes @ xyz
+    left, top = (window.origin_m - window.metres_per_px / 2).astype(np.float32)
+    scale = np.float32(1 / window.metres_per_px)
+    column = np.clip(((right - left) * scale).astype(int), 0, window.width_px - 1)
+    row = np.clip(((down - top) * scale).astype(int), 0, window.height_px - 1)
+    n, layout = len(depth), KeyLayout.of(len(depth))
+    near = depth.min()
+    level = ((depth - near) * np.float32(layout.scale(float(near), float(depth.max())))).astype(int)
+    order = np.lexsort([-np.arange(n), -level])
+    first = np.full((window.height_px, window.width_px), n, np.float64)
+    rank = np.empty(n)
+    rank[order] = np.arange(n)[::-1]  # the nearest is 0
+    for i in order:
+        first[row[i], column[i]] = rank[i]
+    side = splat_px(n, window, largest_splat_px)
+    first = cv2.erode(first, np.ones((side, side), np.uint8)).astype(int)
+    by_rank = np.append(order[::-1], n)[first]
+    if rgb is not None:
+        return np.concatenate([rgb, np.full((1, 3), BACKGROUND)])[by_rank]
+    grey = 250 - 190 * (np.append(level, 0)[by_rank].astype(np.float32) / layout.levels)
+    return np.repeat(np.where(by_rank == n, BACKGROUND, grey.astype(int))[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize("colored", [True, False])
+@pytest.mark.parametrize("n", [1, 40, 700, 6000])
+def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> None:
+    rng = np.random.default_rng(n)
+    xyz = rng.normal(size=(3, n)).astype(np.float32) * np.float32([[1], [0.3], [0.6]])
+    rgb = rng.integers(0, 255, (n, 3)).astype(np.uint8) if colored else None
+    axes = Rotation.random(VIEWS, rng=rng).as_matrix().astype(np.float32)
+    along = axes @ xyz
+    config = ViewConfig(size_px=64)
+    windows = fit_windows(
+        along[:, :2].min(axis=2).astype(np.float64), along[:, :2].max(axis=2).astype(np.float64), config
+    )
+    depths = np.stack([along[:, 2].min(axis=1), along[:, 2].max(axis=1)], axis=1)
+    pictures = draw_views(xyz, pack_colors(rgb, n), axes, windows, depths, config.max_splat_px)
+    for picture, rows, window in zip(pictures, axes, windows, strict=True):
+        wanted = reference(xyz, rgb, rows, window, config.max_splat_px)
+        assert picture.shape == wanted.shape
+        # another order of summation may move a point across the border of a pixel or depth level
+        differ = (picture != wanted).any(axis=2).mean()
+        assert differ <= 0.002, f"{differ:.2%} of the pixels"
+
+
+def test_points_outside_a_window_are_drawn_at_its_border() -> None:
+    (window,) = fit_windows(np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]]), ViewConfig(size_px=32))
+    xyz = np.array([[50.0, -50], [-50, 50], [2, 1]], np.float32)
+    packed = pack_colors(np.array([[1, 2, 3], [4, 5, 6]], np.uint8), 2)
+    (picture,) = draw_views(xyz, packed, np.eye(3, dtype=np.float32)[None], [window], np.array([[1.5, 1.5]]), 1)
+    assert tuple(picture[0, -1]) == (1, 2, 3)
+    assert tuple(picture[-1, 0]) == (4, 5, 6)
+
+
+# TODO-MERGED docstring of test_deep_frustums.py:
+# The first step's pictures of frustums that are much deeper than wide.
+
+
+CONFIG = RcvConfig(view=ViewConfig(size_px=96, deep_size_px=224, deep=2.0))
+
+
+def frustum(depth_m: float) -> PointCloud:
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-1, 1) for z in (5.0, 5.0 + depth_m)])
+    return PointCloud(corners.astype(np.float32))
+
+
+@pytest.mark.parametrize(("depth_m", "size_px", "look_px"), [(3.9, 96, 0), (4.1, 224, 224), (60.0, 224, 224)])
+def test_a_deep_frustum_is_drawn_and_detected_at_a_larger_size(depth_m: float, size_px: int, look_px: int) -> None:
+    cloud = frustum(depth_m)
+    assert is_deep(cloud, CONFIG) == (size_px == 224)
+    views = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, CONFIG), CONFIG).views
+    assert {(max(view.rgb.shape), view.look_px) for view in views} == {(size_px, look_px)}
+
+
+@pytest.mark.parametrize("degrees", [-60, -35, 0, 35, 60])
+@pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
+def test_depth_is_measured_along_the_frustum(degrees: float, axis: list[float]) -> None:
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array(axis)).as_matrix().astype(np.float32)
+    for depth_m, deep in ((3.0, False), (6.0, True), (60.0, True)):
+        assert is_deep(PointCloud(frustum(depth_m).xyz_m @ turn.T), CONFIG) == deep
+
+
+def test_all_points_of_a_frustum_are_drawn() -> None:
+    """Thinning must not remove any pixel of a far object of few points behind many near points."""
+    near = np.random.default_rng(0).uniform([-0.5, -1, 5], [-0.1, 1, 5.1], (100_000, 3))
+    row, column = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(0.1, 0.5, 10))
+    far = np.stack([column, row, np.full_like(row, 6.0)], axis=-1).reshape(-1, 3)
+    blue, red = np.full((len(near), 3), [0, 0, 255], np.uint8), np.full((len(far), 3), [255, 0, 0], np.uint8)
+    cloud = PointCloud(np.concatenate([near, far]).astype(np.float32), np.concatenate([blue, red]))
+    sparse = CONFIG.model_copy(update={"view": ViewConfig(size_px=96, points_per_px=1.0)})
+    front, _ = plan_step(start(0, Box2D("a", 0.0, 0.0, 9.0, 9.0), cloud, None, sparse), sparse).views
+    shown = {tuple(np.rint((front.axes[:2] @ p - front.origin_m) / front.metres_per_px).astype(int)) for p in far}
+    assert len(shown) > 300
+    assert all((front.rgb[y, x] == red[0]).all() for x, y in shown)
