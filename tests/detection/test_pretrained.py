@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import annotator
 from annotator.detection.config import TrainingConfig
 from annotator.detection.pretrained import check_model_name, check_start, find_starting_point
+from annotator.detection.trained import read_trained
 from annotator.detection.ultralytics_api import api
+from annotator.rcv.config import AGNOSTIC_LABELS
 from annotator.types.errors import ConfigError
+from annotator.workflows.training.base_detector import MANIFEST_FILE, BaseManifest
 
 
 @pytest.fixture
@@ -128,3 +133,23 @@ def test_unusable_initial_weights_are_an_error(downloads: list[str], tmp_path: P
         check_start(TrainingConfig(pretrained=tmp_path / ("n" * 300)))
     with pytest.raises(ConfigError, match="last layer Segment"):
         check_start(TrainingConfig(pretrained=save_model(tmp_path / "seg.pt", "yolo11n-seg")))
+
+
+# TODO-MERGED docstring of test_shipped_base.py:
+# The base detector's files in the package.
+
+
+# tests replace `base_detector.FOLDER`
+FOLDER = Path(annotator.__file__).parent / "detection" / "base"
+MOST_BYTES = 8_000_000
+
+
+def test_the_package_has_the_weights_that_its_manifest_describes() -> None:
+    manifest = BaseManifest.model_validate_json((FOLDER / MANIFEST_FILE).read_bytes())
+    trained = read_trained(FOLDER)
+    content = trained.weights.read_bytes()
+    assert hashlib.sha256(content).hexdigest() == manifest.weights_sha256
+    assert len(content) < MOST_BYTES
+    assert trained.classes == tuple(AGNOSTIC_LABELS.values())
+    assert trained.image_size_px == manifest.image_size_px
+    assert set(trained.edge_errors) == set(trained.classes)
