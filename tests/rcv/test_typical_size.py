@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_first_look import AnyClass
+from test_warm_start import AnyClass
 
 from annotator.geometry.iou import iou_3d
 from annotator.geometry.outline import box_on_image
