@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,12 @@ import pytest
 
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
-from annotator.detection.backends.choose import open_network
 from annotator.detection.backends.export import export
-from annotator.detection.backends.network import Network
 from annotator.detection.backends.openvino_network import OpenVinoNetwork
 from annotator.detection.config import Backend, DetectorConfig
 from annotator.detection.trained import TrainedModel
 from annotator.types.errors import ConfigError
-from tests.detection.test_backends import batches, untrained
+
 
 SIZE_PX = 96
 
@@ -35,10 +32,6 @@ def bfloat16() -> None:
 
 def config(backend: Backend, **settings: Any) -> DetectorConfig:
     return DetectorConfig(**{"image_size_px": SIZE_PX, "device": "cpu", "backend": backend, **settings})
-
-
-def opened(weights: Path, backend: Backend, threads: int | None = None) -> Network:
-    return open_network(weights, hashlib.sha256(weights.read_bytes()).hexdigest(), config(backend, threads=threads))
 
 
 @pytest.mark.usefixtures("bfloat16")
@@ -99,9 +92,9 @@ def test_the_last_convolutions_are_computed_in_single_precision(tmp_path: Path, 
 
 
 @pytest.mark.usefixtures("bfloat16")
-def test_output_does_not_depend_on_the_batch(tiny_model: TrainedModel) -> None:
+def test_output_in_bfloat16_does_not_depend_on_the_batch(tiny_model: TrainedModel) -> None:
     many = np.random.default_rng(0).integers(0, 256, (19, 64, 64, 3), np.uint8)
-    two, one = (opened(tiny_model.weights, "openvino-bf16", threads) for threads in (2, 1))
+    two, one = (opened(tiny_model.weights, "openvino-bf16", threads=threads) for threads in (2, 1))
     together = two.predict([many])[0]
     np.testing.assert_array_equal(one.predict([many])[0], together)
     np.testing.assert_array_equal(two.predict([many[4:5]])[0], together[4:5])
