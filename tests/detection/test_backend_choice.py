@@ -177,7 +177,6 @@ def test_a_stored_export_runs_without_torch_and_network_access(
     assert list(home.iterdir()) == []
 
 
-# TODO-MERGED docstring of test_export_cache.py:
 # Each trained model is exported once, and again if the stored export is damaged or stale.
 
 

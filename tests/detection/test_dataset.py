@@ -207,7 +207,6 @@ def test_a_missing_or_damaged_manifest_is_an_error(tmp_path: Path) -> None:
         read_manifest(tmp_path)
 
 
-# TODO-MERGED docstring of test_tiles.py:
 # Cutting images into tiles where detection uses a larger scale than training.
 
 

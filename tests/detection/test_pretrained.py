@@ -135,11 +135,10 @@ def test_unusable_initial_weights_are_an_error(downloads: list[str], tmp_path: P
         check_start(TrainingConfig(pretrained=save_model(tmp_path / "seg.pt", "yolo11n-seg")))
 
 
-# TODO-MERGED docstring of test_shipped_base.py:
 # The base detector's files in the package.
 
 
-# tests replace `base_detector.FOLDER`
+# tests replace `pretrained.FOLDER`
 FOLDER = Path(annotator.__file__).parent / "detection" / "base"
 MOST_BYTES = 8_000_000
 

@@ -1,4 +1,4 @@
-"""From raw predictions to candidates: small examples, and a property test against a loop."""
+"""From images to canvases, and from raw predictions to boxes: small examples, and property tests against loops."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from annotator.detection.yolo import (
     to_pictures,
 )
 
-# TODO-MERGED docstring of test_letterbox.py:
 # Scaling images to canvases, and boxes back to images.
 
 
@@ -116,7 +115,6 @@ def test_spreads_go_with_their_boxes_and_are_no_classes(end2end: bool) -> None:
     assert candidates(raw[:, :6], end2end, 0.35).spreads is None
 
 
-# TODO-MERGED docstring of test_suppression.py:
 # Greedy suppression of overlapping boxes.
 
 

@@ -264,7 +264,6 @@ def test_augmented_boxes_still_fit_their_object(tiny_dataset: Path, tmp_path: Pa
         np.testing.assert_allclose([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2], want, atol=1.3)
 
 
-# TODO-MERGED docstring of test_muon.py:
 # The Muon optimiser.
 
 

@@ -115,7 +115,6 @@ def test_unknown_devices_are_errors() -> None:
             pick_device(name)
 
 
-# TODO-MERGED docstring of test_torch_import.py:
 # Importing torch must not disturb the other threads of a server.
 
 

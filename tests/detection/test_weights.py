@@ -1,4 +1,4 @@
-"""Files of networks: nothing in them is run, and what does not fit is refused."""
+"""Weights: nothing in a file is run, what does not fit is refused, and no pickle takes time or memory."""
 
 from __future__ import annotations
 
@@ -218,7 +218,6 @@ def test_no_description_in_the_working_folder_is_read(tmp_path: Path, monkeypatc
     assert not trap.exists()
 
 
-# TODO-MERGED docstring of test_hostile_pickles.py:
 # Weights whose pickle is small, but takes exponential time or memory to hash, compare, print or read.
 
 

@@ -214,7 +214,6 @@ def test_invalid_boxes_are_refused(which: int, value: float) -> None:
         intersection_volume_pairs(*broken, *parts([UNIT]))
 
 
-# TODO-MERGED docstring of test_nms.py:
 # Class-wise greedy suppression.
 
 

@@ -146,7 +146,6 @@ def test_an_aligned_box_has_a_minimum_size_and_needs_a_point() -> None:
         aligned_box(np.zeros((0, 3)), np.eye(3))
 
 
-# TODO-MERGED docstring of test_nearest_upright.py:
 # The nearest upright box, compared with a search over all yaws, and for boxes that are already upright.
 
 
@@ -209,7 +208,6 @@ def test_a_box_that_stands_on_end_has_its_length_as_height(pitch: float) -> None
     np.testing.assert_allclose(found.rotation[:, 2], UP, atol=1e-9)
 
 
-# TODO-MERGED docstring of test_tightest_box.py:
 # The box of least volume around points.
 
 
@@ -236,7 +234,6 @@ def test_points_in_a_plane_have_a_flat_box() -> None:
     assert contains(tightest_box(points, yaw_grid(UP), UP), points, 1e-6).all()
 
 
-# TODO-MERGED docstring of test_correction.py:
 # Frames with a corrected calibration.
 
 
@@ -307,7 +304,6 @@ def test_another_image_colours_the_cloud_in_its_place(frame: Frame):
     assert shown.depth_m is not None
 
 
-# TODO-MERGED docstring of test_common_axis.py:
 # The common axis of boxes, and how alike they are turned about it.
 
 

@@ -120,7 +120,6 @@ def test_the_2d_box_of_points_contains_those_on_the_image() -> None:
     assert points_on_image(CAMERA, xyz[:1], "a") is None
 
 
-# TODO-MERGED docstring of test_edges.py:
 # The visible parts of the edges of boxes on the image.
 
 
@@ -201,7 +200,6 @@ def test_a_heading_that_reaches_behind_the_camera_has_no_arrow() -> None:
     assert heading_px(EDGE_CAMERA, near, 10.0).shape == (0, 2, 2)
 
 
-# TODO-MERGED docstring of test_rectangles.py:
 # Intersection areas of rectangles, compared with known values and with the exact 3D IoU.
 
 

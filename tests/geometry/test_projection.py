@@ -116,7 +116,6 @@ def test_colours_are_those_of_the_points_pixels() -> None:
             pixel_colors(rgb, np.array([0, wrong], np.int32))
 
 
-# TODO-MERGED docstring of test_distortion.py:
 # The lens model against OpenCV's.
 
 
@@ -153,7 +152,6 @@ def test_strong_barrel_distortion_is_inverted_up_to_its_turning_point() -> None:
     assert np.isnan(undistort(barrel, np.array([[1.5, 0.0]]))).all()
 
 
-# TODO-MERGED docstring of test_depth_values.py:
 # What is no measurement in a depth image, for each type of number.
 
 
@@ -177,7 +175,6 @@ def test_depths_in_metres(kind: str, raw: list[float], units: list[float], units
         assert depth_m.dtype == np.float32
 
 
-# TODO-MERGED docstring of test_frustum.py:
 # The points in the frustum of a 2D box.
 
 
@@ -214,7 +211,6 @@ def test_points_folded_back_by_the_lens_model_are_outside_the_frustum() -> None:
     assert in_frustum(camera, np.array([[0.5, 0.0, 1.0], [3.0, 0.0, 1.0]]), everywhere).tolist() == [True, False]
 
 
-# TODO-MERGED docstring of test_thinning.py:
 # Thinning of point clouds.
 
 
@@ -242,7 +238,6 @@ def test_thinning_is_even_and_deterministic() -> None:
     np.testing.assert_array_equal(keep, again)
 
 
-# TODO-MERGED docstring of test_occlusion.py:
 # Occlusion of boxes in scenes with a known result, and undistorted images.
 
 

@@ -152,7 +152,6 @@ def test_starts_are_distinct_and_sorted_by_cost() -> None:
     assert len(cheapest_distinct(costs[:3], np.ones((3, 3), bool), 8)) == 1
 
 
-# TODO-MERGED docstring of test_fit_uncertainty.py:
 # The expected IoU loss of a fitted box, compared with simulated errors.
 
 
@@ -229,7 +228,6 @@ def test_the_loss_is_between_zero_and_one() -> None:
     assert expected_iou_loss(directions, weights, box.rotation, box.size_m, True) == 1.0
 
 
-# TODO-MERGED docstring of test_spans.py:
 # Numbers of points between pairs of planes, compared with masks.
 
 

@@ -26,7 +26,6 @@ from annotator.rcv.propose import propose_from_boxes
 from annotator.rcv.teach import project_box
 from annotator.types import Box2D, Frame, Image, OrientedBox, PseudoView, Truth
 
-# TODO-MERGED docstring of test_operator.py:
 # The labelling procedure: five boxes per object, which select the object's points.
 
 

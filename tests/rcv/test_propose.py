@@ -258,7 +258,6 @@ def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:
     assert contains(found.box, frame.cloud.xyz_m[:800], 0.02).mean() > 0.95
 
 
-# TODO-MERGED docstring of test_finish.py:
 # The selection of a frame's final boxes by their agreement with the image boxes.
 
 

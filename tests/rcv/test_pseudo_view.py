@@ -110,7 +110,6 @@ def test_points_without_colour_are_shaded_by_depth_or_reflectance() -> None:
     assert shown.rgb[0, -1, 0] == BACKGROUND
 
 
-# TODO-MERGED docstring of test_drawing.py:
 # The compiled drawing, compared with plain numpy and OpenCV.
 
 
@@ -173,7 +172,6 @@ def test_points_outside_a_window_are_drawn_at_its_border() -> None:
     assert tuple(picture[-1, 0]) == (4, 5, 6)
 
 
-# TODO-MERGED docstring of test_deep_frustums.py:
 # The first step's pictures of frustums that are much deeper than wide.
 
 

@@ -1,4 +1,4 @@
-"""Warm starts: a correct start box saves steps, a wrong one costs only time."""
+"""Warm starts from an earlier box, and the first look of a class-agnostic detector."""
 
 from __future__ import annotations
 
@@ -170,7 +170,6 @@ def test_an_object_without_view_detections_is_lost_despite_a_warm_start() -> Non
     assert lost.trace[0].fallback == (f"{WARM_START}: the views do not show the object",)
 
 
-# TODO-MERGED docstring of test_first_look.py:
 # The first look of a class-agnostic detector: crops along the depth, bounds from the image box, choice of a rival.
 
 
