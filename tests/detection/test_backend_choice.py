@@ -22,7 +22,7 @@ from annotator.detection import ultralytics_api
 from annotator.detection.backends import choose, openvino_network
 from annotator.detection.backends import export as export_module
 from annotator.detection.backends.choose import open_network
-from annotator.detection.backends.export import Export, export_key, find_export, keep_export
+from annotator.detection.backends.export import Export, find_export, keep_export
 from annotator.detection.backends.network import ExportKind, Network, NetworkFacts, side_by_side, usable_cores
 from annotator.detection.backends.torch_network import TorchNetwork
 from annotator.detection.config import Backend, DetectorConfig
@@ -299,16 +299,3 @@ def test_only_one_of_several_workers_exports(
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(opened_onnx, [own_weights] * 3))
     assert exports == ["onnxruntime"]
-
-
-def test_two_processes_may_export_at_once(own_weights: Path, exports: list[str], tmp_path: Path) -> None:
-    """The second process finds the export of the first one when it stores its own, and does not replace it."""
-    opened_onnx(own_weights)
-    (folder,) = exports_folder(tmp_path).iterdir()
-    before = (folder / "export.json").stat().st_ino
-    key = export_key("onnxruntime", "digest")
-    cached = find_export("onnxruntime", key)
-    assert cached is not None
-    keep_export("onnxruntime", key, Export(cached.facts, cached.parts))
-    assert (folder / "export.json").stat().st_ino == before
-    assert len(list(exports_folder(tmp_path).iterdir())) == 1

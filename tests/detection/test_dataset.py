@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annotator.detection.dataset import TrainingSample, is_held_out, read_manifest, tiled, write_dataset, yolo_line
+from annotator.detection.dataset import TrainingSample, read_manifest, tiled, write_dataset, yolo_line
 from annotator.types import Box2D, BoxKind
 from annotator.types.errors import ConfigError, DetectionError, FormatError
 
@@ -71,14 +71,6 @@ def test_held_out_views_only_validate(
     manifest = write_dataset(folder / "a", samples, ["hand"], held.__contains__)
     assert {entry.group for entry in manifest.entries if entry.split == "val"} == set(groups) & held
     assert manifest.measured_on == ("val" if set(groups) & held & labelled else "train")
-
-
-def test_about_a_fifth_is_held_out_whatever_else_there_is() -> None:
-    keys = [f"{number:06d}" for number in range(2000)]
-    held = {key for key in keys if is_held_out(key)}
-    assert 0.17 < len(held) / len(keys) < 0.23
-    assert held & set(keys[:100]) == {key for key in keys[:100] if is_held_out(key)}
-    assert {key for key in keys if is_held_out(key, 0.05)} < held
 
 
 def test_without_held_out_groups_the_training_images_validate(tmp_path: Path) -> None:
@@ -151,16 +143,6 @@ def test_images_may_be_functions_or_files(tmp_path: Path) -> None:
         np.testing.assert_array_equal(stored[:, :, ::-1], picture(seed))
 
 
-def test_images_can_be_jpegs(tmp_path: Path) -> None:
-    smooth = np.broadcast_to(np.arange(64, dtype=np.uint8)[None, :, None] * 3, (48, 64, 3)).copy()
-    samples = [TrainingSample(smooth, (BOX,), str(i), "drawn") for i in range(2)]
-    manifest = write_dataset(tmp_path / "set", samples, ["hand"], image_format="jpg")
-    assert all(entry.image.endswith(".jpg") for entry in manifest.entries)
-    stored = cv2.imread(str(tmp_path / "set" / manifest.entries[0].image))
-    assert stored is not None
-    assert np.abs(stored.astype(int) - smooth).max() < 8
-
-
 @pytest.mark.parametrize(
     ("samples", "classes", "expected"),
     [
@@ -227,11 +209,6 @@ def white(rgb: np.ndarray) -> tuple[float, ...]:
     return columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5
 
 
-def test_images_with_the_scale_of_training_are_not_cut() -> None:
-    samples = [TrainingSample(picture_with_box(40, 224), (), "g", "drawn", look_px=look) for look in (0, 32, SIZE_PX)]
-    assert list(tiled(samples, SIZE_PX)) == samples
-
-
 @settings(deadline=None, max_examples=60)
 @given(st.integers(20, 224), st.integers(2, 60), st.integers(2, 60), st.data())
 def test_a_tile_contains_its_object_at_the_scale_of_detection(
@@ -266,15 +243,6 @@ def test_objects_of_any_size_and_position_fit_into_their_tile(x: float, y: float
     assert shown.width_px == pytest.approx(box.width_px)
     assert -0.5 - 1e-9 <= shown.x_min < shown.x_max <= width - 0.5 + 1e-9
     assert -0.5 - 1e-9 <= shown.y_min < shown.y_max <= height - 0.5 + 1e-9
-
-
-def test_boxes_scale_with_the_rounded_size_of_the_image() -> None:
-    """61 rows become 53 rows, not 53.4."""
-    box = Box2D("a", 99.5, 40.5, 119.5, 60.5)
-    sample = TrainingSample(picture_with_box(61, 256, box), (box,), "g", "drawn", look_px=224)
-    around = next(tiled([sample], SIZE_PX))
-    assert around.load().shape[0] == 53
-    assert around.boxes[0].y_max == pytest.approx(52.5)
 
 
 def test_a_cut_neighbour_is_labelled_only_if_enough_is_visible() -> None:

@@ -69,12 +69,6 @@ def test_view_silhouette_spans_the_drawn_points() -> None:
     np.testing.assert_allclose(view.interval_m(box), np.stack([along.min(axis=0), along.max(axis=0)], axis=1))
 
 
-def test_boxes_are_clipped_to_the_view() -> None:
-    frame = make_frame([NEAR], [50])
-    (box,) = PerfectDetector.for_frame(frame, [NEAR]).detect([make_view(frame.cloud.xyz_m, (20, 14), 0.02)])[0]
-    assert box.xyxy == (-0.5, -0.5, 19.5, 13.5)
-
-
 @pytest.mark.parametrize(("drawn", "found"), [(0, 0), (2, 0), (4, 0), (5, 1), (50, 1)])
 def test_objects_with_too_few_drawn_points_are_not_detected(drawn: int, found: int) -> None:
     frame = make_frame([NEAR], [50])
@@ -119,13 +113,6 @@ def test_jitter_has_the_given_spread_and_depends_only_on_the_image() -> None:
     other = PerfectDetector.for_frame(frame, [NEAR], jitter=0.02, seed=4)
     assert other.detect(views[:1]) != noisy[:1]
     assert again.fingerprint != other.fingerprint
-
-
-def test_views_of_several_frames_in_one_batch_are_matched_to_their_frames() -> None:
-    first, second = make_frame([NEAR], [50], "000001"), make_frame([FAR], [50], "000002")
-    detector = PerfectDetector([Scene.of(first, [NEAR]), Scene.of(second, [FAR])])
-    views = [make_view(f.cloud.select(np.arange(10, 40)).xyz_m, (300, 300)) for f in (second, first)]
-    assert [[b.label for b in boxes] for boxes in detector.detect([first, *views])] == [["Car"], ["Van"], ["Car"]]
 
 
 def test_unknown_frames_and_unsupported_images_are_errors() -> None:

@@ -72,15 +72,6 @@ def test_downloaded_weights_are_used(downloads: list[str], monkeypatch: pytest.M
     assert "downloaded" in start.note
 
 
-def test_without_pretrained_weights_or_network_access_there_is_no_download(
-    downloads: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(api(), "user_offline", True)
-    assert "YOLO_OFFLINE" in find_starting_point(TrainingConfig()).note
-    assert not find_starting_point(TrainingConfig(pretrained="never")).pretrained
-    assert downloads == []
-
-
 def test_weights_from_a_file(downloads: list[str], tmp_path: Path) -> None:
     own = tmp_path / "own.pt"
     with pytest.raises(ConfigError, match=r"own\.pt"):

@@ -56,13 +56,6 @@ def test_boxes_on_the_canvas_map_back_to_the_image(height: int, width: int, side
     np.testing.assert_allclose(got, want, atol=0.8 * max(scale, 1))
 
 
-def test_boxes_are_clipped_to_their_own_image() -> None:
-    placements = [place((100, 50), 64, 32), place((30, 60), 64, 32)]
-    boxes = np.array([[-9.0, -9, 900, 900], [-9, -9, 900, 900]])
-    got = to_pictures(boxes, np.array([1, 0]), placements)
-    assert got.tolist() == [[-0.5, -0.5, 59.5, 29.5], [-0.5, -0.5, 49.5, 99.5]]
-
-
 def test_centre_and_size_become_edges_and_the_best_class_counts() -> None:
     raw = np.zeros((2, 6, 4), np.float32)
     raw[0, :, 3] = [10, 20, 4, 6, 0.4, 0.3]
@@ -84,12 +77,6 @@ def test_an_end_to_end_box_may_be_a_candidate_of_two_classes() -> None:
         (0, 4),
         (1, 3),
     ]
-
-
-def test_scores_below_the_threshold_give_no_candidates() -> None:
-    selected = candidates(np.zeros((3, 5, 7), np.float32), False, 0.0)
-    assert selected.boxes.shape == (0, 4)
-    assert len(selected.picture) == len(selected.scores) == len(selected.numbers) == 0
 
 
 @pytest.mark.parametrize("end2end", [False, True])
@@ -145,8 +132,3 @@ def test_suppression_agrees_with_the_definition(seed: int, count: int, iou: floa
     scores = np.round(rng.random(count), 1 if ties else 6)
     groups = rng.integers(0, 3, count)
     assert suppress(boxes, scores, groups, iou).tolist() == suppress_in_loops(boxes, scores, groups, iou)
-
-
-def test_only_boxes_of_the_same_group_suppress_each_other() -> None:
-    boxes = np.array([[0.0, 0, 10, 10], [1, 0, 11, 10], [0, 0, 10, 10]])
-    assert suppress(boxes, np.array([0.5, 0.9, 0.3]), np.array([0, 0, 1]), 0.5).tolist() == [1, 2]

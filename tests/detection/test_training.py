@@ -148,6 +148,7 @@ def test_pauses_are_no_training_time(tmp_path: Path) -> None:
     assert trainer.train_time_start == pytest.approx(100.6, abs=0.15)
 
 
+@pytest.mark.slow
 def test_other_settings_or_a_damaged_checkpoint_restart_the_training(tiny_dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
 
@@ -178,19 +179,6 @@ def test_other_settings_or_a_damaged_checkpoint_restart_the_training(tiny_datase
     assert first_epoch(SHORT.model_copy(update={"seed": 1})) == 0
 
 
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_detector(tiny_dataset: Path, tmp_path: Path) -> None:
-    config = SHORT.model_copy(update={"epochs": 1})
-    losses = []
-    for name in "ab":
-        train_detector(tiny_dataset, tmp_path / name, config)
-        with (tmp_path / name / "curves.csv").open() as file:
-            row = next(csv.DictReader(file))
-        losses.append({key: float(value) for key, value in row.items() if key.startswith("train/")})
-    assert losses[0]
-    assert losses[0] == pytest.approx(losses[1], rel=1e-3)
-
-
 def test_unusable_arguments_are_errors(tiny_dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="training set"):
         train_detector(tmp_path, tmp_path / "run", SHORT)
@@ -216,13 +204,6 @@ def test_only_augmentations_that_keep_boxes_tight_are_used() -> None:
     own = Augmentation(mosaic=1.0, mosaic_off_epochs=3)
     settings = trainer_settings(TrainingConfig(augmentation=own), DetectorKind.VIEW, 10, "cpu", Path("out"))
     assert (settings["mosaic"], settings["close_mosaic"]) == (1.0, 3)
-
-
-@pytest.mark.parametrize(("images", "epochs"), [(10, 300), (100, 60), (300, 20), (6000, 10)])
-def test_the_number_of_epochs_depends_on_the_number_of_images(images: int, epochs: int) -> None:
-    config = TrainingConfig(pictures_seen=6000)
-    assert config.epochs_for(images) == epochs
-    assert TrainingConfig(epochs=7).epochs_for(images) == 7
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 3])
@@ -285,30 +266,6 @@ def test_singular_values_approach_one_and_vectors_stay(shape: tuple[int, int]) -
     product = matrix.transpose(1, 2) @ result
     assert torch.allclose(product, product.transpose(1, 2), atol=1e-3)
     assert (torch.linalg.eigvalsh(product) > -1e-3).all()
-
-
-def test_the_optimiser_solves_a_least_squares_problem() -> None:
-    torch = api().torch
-    from annotator.detection.trainer import MuonSgd
-
-    torch.manual_seed(0)
-    goal, inputs = torch.randn(6, 5), torch.randn(64, 5)
-    weight = torch.nn.Parameter(torch.zeros(6, 5))
-    bias = torch.nn.Parameter(torch.zeros(6))
-    optimizer = MuonSgd(
-        [
-            {"params": [weight], "use_muon": True, "lr": 0.1, "momentum": 0.9, "weight_decay": 0.0},
-            {"params": [bias], "use_muon": False, "lr": 0.1, "momentum": 0.9, "weight_decay": 0.0},
-        ]
-    )
-    losses = []
-    for _ in range(150):
-        loss = ((inputs @ weight.T + bias - inputs @ goal.T - 1) ** 2).mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        losses.append(loss.item())
-    assert losses[-1] < 0.01 * losses[0]
 
 
 def test_the_state_of_the_optimiser_can_be_saved_and_restored() -> None:

@@ -16,7 +16,7 @@ from annotator.detection.trained import TrainedModel
 from annotator.detection.ultralytics_api import api
 from annotator.detection.weights import load_weights
 from annotator.detection.yolo import YoloDetector
-from annotator.types import PseudoView, Region
+from annotator.types import PseudoView
 from annotator.types.errors import DetectionError
 
 pytestmark = pytest.mark.slow
@@ -83,15 +83,6 @@ def test_a_view_is_scaled_to_its_own_size(detector: YoloDetector, scene: Callabl
     assert asked == expected != plain
 
 
-def test_a_region_is_scaled_as_a_part_of_its_image(detector: YoloDetector, scene: Callable[..., Any]) -> None:
-    own = scene(102)
-    whole = np.full((150, 192, 3), 114, np.uint8)
-    whole[40:136, 60:156] = own.rgb
-    region = Region(Picture(whole), 60, 40, 96, 96)
-    (detected,) = make(detector.weights, image_size_px=192, confidence=ANY).detect([region])
-    assert detected == make(detector.weights, confidence=ANY).detect([own])[0] != []
-
-
 def test_detections_agree_with_ultralytics_own_predictor(
     tiny_model: TrainedModel, scene: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,11 +121,6 @@ def test_boxes_scale_with_the_image(detector: YoloDetector, scene: Callable[...,
     assert small
     for a, b in zip(small[:1], large[:1], strict=True):
         np.testing.assert_allclose(np.array(b.xyxy) + 0.5, 2 * (np.array(a.xyxy) + 0.5), atol=1.0)
-
-
-def test_an_empty_batch_and_a_blank_image_are_accepted(detector: YoloDetector) -> None:
-    assert detector.detect([]) == []
-    assert len(detector.detect([Picture(np.full((1, 300, 3), 114, np.uint8))])) == 1
 
 
 @pytest.mark.parametrize(

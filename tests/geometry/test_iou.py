@@ -104,15 +104,6 @@ def test_iou_is_symmetric_and_within_0_and_1(a: OrientedBox, b: OrientedBox) -> 
     assert iou_3d(a, b) == pytest.approx(iou_3d(b, a), abs=1e-10)
 
 
-@settings(deadline=None, max_examples=100)
-@given(boxes())
-def test_a_box_with_permuted_axes_has_an_iou_of_1(a: OrientedBox) -> None:
-    assert iou_3d(a, a) == pytest.approx(1.0, abs=1e-12)
-    for turn in RELABELLINGS:
-        renamed = box(a.center_m, np.abs(turn.T) @ a.size_m, a.rotation @ turn)
-        assert iou_3d(a, renamed) == pytest.approx(1.0, abs=1e-12)
-
-
 corner = st.tuples(*[st.integers(-3, 3)] * 3)
 extent = st.tuples(*[st.integers(1, 4)] * 3)
 
@@ -182,14 +173,6 @@ def test_known_volumes_with_a_unit_box(b: OrientedBox, expected: float) -> None:
     tolerance = 1e-9 * min(1.0, b.volume_m3)
     for pair in (([UNIT], [b]), ([b], [UNIT])):
         assert volumes(*pair)[0] == pytest.approx(expected, rel=1e-6, abs=tolerance)
-
-
-@pytest.mark.parametrize("scale", [1e-4, 1e-2, 1e2, 1e4])
-def test_volumes_scale_with_the_third_power(scale: float) -> None:
-    a, b = parts(random_boxes(50, 5)), parts(random_boxes(50, 6))
-    expected = intersection_volume_pairs(*a, *b)
-    scaled = intersection_volume_pairs(a[0] * scale, a[1], a[2] * scale, b[0] * scale, b[1], b[2] * scale)
-    np.testing.assert_allclose(scaled / scale**3, expected, rtol=1e-9, atol=1e-13)
 
 
 def test_matrix_and_chosen_pairs_agree_with_pairs() -> None:

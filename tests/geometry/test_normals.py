@@ -81,18 +81,6 @@ def test_normals_change_only_at_a_crease() -> None:
     assert degrees_off(normals[:, :75], -right).max() < 0.5
 
 
-def test_normals_average_a_depth_camera_s_noise() -> None:
-    normal = unit(np.array([0.3, -0.4, 1.0]))
-    depth = plane_depth(Camera(640, 480, 525.0, 525.0, 319.5, 239.5), normal, 0.8)
-    noisy = depth + np.random.default_rng(0).normal(size=depth.shape) * 0.0015 * depth**2
-    steps = (np.round(noisy * 1000.0) / 1000.0).astype(np.float32)
-    normals = normals_from_depth(Camera(640, 480, 525.0, 525.0, 319.5, 239.5), steps)
-    off = degrees_off(normals[known(normals)], -normal)
-    assert np.median(off) < 4.0
-    assert np.percentile(off, 95) < 9.0
-    assert known(normals).mean() > 0.99
-
-
 def test_pixels_without_neighbours_have_no_normal() -> None:
     depth = np.zeros((120, 160), np.float32)
     depth[60, 80] = 1.0  # alone

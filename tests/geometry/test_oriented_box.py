@@ -24,7 +24,6 @@ from annotator.geometry.oriented_box import (
     corrected,
     nearest_upright,
     tightest_box,
-    with_image,
 )
 from annotator.geometry.projection import project, unproject_depth
 from annotator.rcv.rotations import free_grid, yaw_grid
@@ -229,11 +228,6 @@ def test_an_upright_box_turns_about_the_vertical_only() -> None:
     assert contains(found, points, 1e-6).all()
 
 
-def test_points_in_a_plane_have_a_flat_box() -> None:
-    points = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 2.0, 1.0], [0.0, 2.0, 1.0]])
-    assert contains(tightest_box(points, yaw_grid(UP), UP), points, 1e-6).all()
-
-
 # Frames with a corrected calibration.
 
 
@@ -295,15 +289,6 @@ def test_labels_of_the_recordings_files_move_along(frame: Frame):
     assert corrected(frame, TURN).T_camera_label is not None
 
 
-def test_another_image_colours_the_cloud_in_its_place(frame: Frame):
-    shown = with_image(frame, 255 - frame.rgb)
-    assert frame.cloud.rgb is not None
-    assert shown.cloud.rgb is not None
-    assert (shown.cloud.rgb == 255 - frame.cloud.rgb).all()
-    assert (shown.cloud.xyz_m == frame.cloud.xyz_m).all()
-    assert shown.depth_m is not None
-
-
 # The common axis of boxes, and how alike they are turned about it.
 
 
@@ -331,9 +316,3 @@ def test_boxes_that_do_not_turn_are_alike() -> None:
     turns = 0.3 + np.pi / 2 * np.arange(10)
     found = common_axis(standing(np.array([0.0, -1.0, 0.0]), turns, 1.0, 0))
     assert found.alike > 0.95
-
-
-def test_boxes_in_all_directions_have_a_wide_spread() -> None:
-    for seed in range(20):
-        turned = Rotation.random(8, random_state=seed).as_matrix()
-        assert np.degrees(common_axis(turned).spread_rad) > 20

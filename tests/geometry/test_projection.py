@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annotator.geometry.distortion import distort, radius_limit_squared, undistort
-from annotator.geometry.occlusion import Hidden, Sight
+from annotator.geometry.occlusion import Sight
 from annotator.geometry.projection import (
     in_frustum,
     in_metres,
@@ -91,13 +91,6 @@ def test_pixels_beyond_the_lens_models_range_have_no_point() -> None:
     assert 0 < len(xyz) < 64 * 48
     assert np.isfinite(xyz).all()
     assert 0 not in pixel
-
-
-def test_negative_and_infinite_depth_values_are_ignored() -> None:
-    depth = np.array([[1.0, -1.0], [np.inf, 2.0]], np.float32)
-    xyz, pixel = unproject_depth(Camera(2, 2, 1.0, 1.0, 0.0, 0.0), depth)
-    assert pixel.tolist() == [0, 3]
-    np.testing.assert_allclose(xyz, [[0, 0, 1], [2, 2, 2]])
 
 
 def test_depth_of_another_size_is_refused() -> None:
@@ -227,17 +220,6 @@ def test_thinning_keeps_the_given_number_of_points_in_order(n_points: int, most:
     assert keep[-1] < n_points
 
 
-def test_thinning_is_even_and_deterministic() -> None:
-    keep = thin(1_000_000, 1000)
-    assert keep is not None
-    counts, _ = np.histogram(keep, bins=100, range=(0, 1_000_000))
-    assert counts.min() >= 9
-    assert counts.max() <= 11
-    again = thin(1_000_000, 1000)
-    assert again is not None
-    np.testing.assert_array_equal(keep, again)
-
-
 # Occlusion of boxes in scenes with a known result, and undistorted images.
 
 
@@ -264,13 +246,6 @@ def test_nearer_points_hide_a_box(left_m: float, right_m: float, margin_m: float
     hidden = Sight(points(depth)).hidden(BOX, margin_m)
     assert hidden.rays == 400  # 20 x 20 pixels: the front face is 2 m at 4 m
     assert hidden.share == pytest.approx(share)
-
-
-def test_the_hidden_share_is_nan_without_points() -> None:
-    assert Sight(np.zeros((0, 3), np.float32)).hidden(BOX) == Hidden(0, 0)
-    assert np.isnan(Hidden(0, 0).share)
-    behind = OrientedBox.from_parts(np.array([0.0, 0.0, -5.0]), np.eye(3), np.ones(3))
-    assert Sight(points(np.full(len(PIXELS), 2.0))).hidden(behind).rays == 0
 
 
 def test_a_box_around_the_camera_is_not_hidden() -> None:

@@ -14,7 +14,6 @@ from annotator.rcv.axes import (
     BOX_SYMMETRIES,
     axes_angle_rad,
     axial_kmeans,
-    camera_axes,
     find_axes,
     match_axes,
     upright_axes,
@@ -100,9 +99,3 @@ def test_antipodal_normals_are_one_direction() -> None:
     assert sorted(counts.tolist()) == [40, 60]
     assert abs(centres[order[0]] @ [0, 0, 1]) > 0.999
     assert abs(centres[order[1]] @ [1, 0, 0]) > 0.999
-
-
-def test_camera_axes_are_levelled_by_gravity() -> None:
-    tilt = Rotation.from_rotvec([0.2, 0, 0]).as_matrix()
-    axes = camera_axes(tilt @ UP)
-    np.testing.assert_allclose(axes, tilt.T, atol=1e-9)

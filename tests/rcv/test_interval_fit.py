@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,7 @@ from annotator.rcv.axes import BOX_SYMMETRIES
 from annotator.rcv.config import RcvConfig
 from annotator.rcv.fit_kernels import count_within
 from annotator.rcv.interval_fit import BoxFit, Intervals, expected_iou_loss, fit_box
-from annotator.rcv.rotations import cheapest_distinct, free_grid, near_axes, neighbours, spread_rotations, wide_axes
+from annotator.rcv.rotations import near_axes, spread_rotations, wide_axes
 from annotator.types import OrientedBox
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -81,17 +80,6 @@ def test_noise_is_averaged_out() -> None:
     assert np.mean(ious) > 0.9
 
 
-def test_ends_cut_off_by_the_picture_are_not_used() -> None:
-    box = random_box(np.random.default_rng(4), upright=True)
-    intervals = measure(box, upright_directions())
-    ends, sigma = intervals.ends_m.copy(), intervals.sigma_m.copy()
-    ends[0, 1] -= 0.3
-    sigma[0, 1] = np.inf
-    fit = fit_box(Intervals(intervals.directions, ends, sigma), UP)
-    assert fit is not None
-    assert iou_3d(box, box_of(fit)) > 0.999
-
-
 def test_too_few_intervals_determine_no_box() -> None:
     box = random_box(np.random.default_rng(5), upright=False)
     assert fit_box(measure(box, np.eye(3)), None) is None
@@ -137,19 +125,6 @@ def test_several_outlier_intervals_do_not_shift_the_box(upright: bool) -> None:
     fit = fit_box(Intervals(directions, ends.reshape(-1, 2), sigma.reshape(-1, 2)), UP if upright else None)
     assert fit is not None
     assert iou_3d(box, box_of(fit)) > 0.98
-
-
-def test_starts_are_distinct_and_sorted_by_cost() -> None:
-    grid = free_grid()
-    costs = np.random.default_rng(0).random(len(grid))
-    limit = np.deg2rad(20)
-    chosen = cheapest_distinct(costs, neighbours(grid, limit), 8)
-    assert chosen[0] == np.argmin(costs)
-    assert (np.diff(costs[chosen]) > 0).all()
-    for i, j in itertools.combinations(chosen, 2):
-        turned = np.einsum("sij,jk->sik", BOX_SYMMETRIES, grid[i].T @ grid[j])
-        assert Rotation.from_matrix(turned).magnitude().min() > limit
-    assert len(cheapest_distinct(costs[:3], np.ones((3, 3), bool), 8)) == 1
 
 
 # The expected IoU loss of a fitted box, compared with simulated errors.

@@ -116,23 +116,6 @@ def test_the_second_step_shows_the_same_views_as_the_recursion() -> None:
         np.testing.assert_array_equal(drawn_on.xyz_m, met.xyz_m)
 
 
-def test_a_box_cut_off_by_the_picture_gets_a_larger_margin_in_the_second_step() -> None:
-    frame, _ = frame_with([BOX], up=UP)
-    shown = [(item.view, item.view.interval_m(item.box)) for item in drawn(frame).views[:2]]
-    (front, front_span), (side, side_span) = shown
-    cut = front_span.copy()
-    cut[0, 0] = front.origin_m[0] - 0.5 * front.metres_per_px  # the left edge of the picture
-    extents = []
-    for span in (front_span, cut):
-        for room in (1.0, 2.0):
-            config = CONFIG.model_copy(update={"cut_room": room})
-            views = next_views(frame, image_box(frame), [(front.axes, span), (side.axes, side_span)], config)
-            assert views is not None
-            extents.append(views[0].extent_m.max())
-    assert extents[0] == extents[1]
-    assert extents[3] > 1.3 * extents[2]
-
-
 def test_the_drawn_boxes_select_the_objects_points() -> None:
     frame, _ = frame_with([BOX, some_box([0.9, 0, 2.0], [0, 0.2, 0], [0.4, 0.5, 0.3])], up=UP)
     mask = cut_out(frame, image_box(frame), [(span, 1e-3) for span in spans(drawn(frame))])
@@ -152,15 +135,6 @@ def test_an_object_that_is_missing_in_one_view_is_not_finished(unseen: int) -> N
 
     assert draw_object(frame, image_box(frame), draw, CONFIG) is None
     assert len(asked) == (2 if unseen < 2 else 4), "both views of the step are shown, and no later view"
-
-
-def test_a_frustum_or_crop_with_too_few_points_ends_the_procedure() -> None:
-    frame, _ = frame_with([BOX], up=UP)
-    corner = Box2D("thing", -0.5, -0.5, 1.0, 1.0)
-    assert first_views(frame, corner, CONFIG) is None
-    assert draw_object(frame, corner, lambda view: project_box(view, BOX, "thing"), CONFIG) is None
-    nowhere = [(axes, span + 50.0) for axes, span in spans(drawn(frame))[:2]]
-    assert next_views(frame, image_box(frame), nowhere, CONFIG) is None
 
 
 NEAR = some_box([-0.1, 0.1, 2.2], [0, 0.5, 0], [0.6, 0.8, 0.3])

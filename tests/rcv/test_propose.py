@@ -17,7 +17,7 @@ from annotator.rcv.config import Orientation, RcvConfig, Strategy
 from annotator.rcv.finish import finish, image_agreement
 from annotator.rcv.propose import propose
 from annotator.rcv.recursion import ObjectState
-from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, StopReason, Truth
+from annotator.types import Box2D, BoxKind, Frame, Image, OrientedBox, StopReason
 
 FREE_BOX = some_box([0.2, 0.1, 2.0], [0.5, 0.6, -0.4], [0.5, 0.3, 0.2])
 UP = np.array([0.0, -1.0, 0.0])
@@ -181,14 +181,6 @@ def test_the_step_limit_holds(limit: int) -> None:
     assert found.trace[-1].stop is StopReason.STEP_LIMIT
 
 
-def test_frames_without_detections_and_an_empty_batch_give_no_proposals() -> None:
-    frame, truths = frame_with([FREE_BOX])
-    nothing = PerfectDetector.for_frame(frame, [])
-    assert propose([frame], nothing, nothing, RcvConfig())[0].proposals == ()
-    assert propose([], nothing, nothing, RcvConfig()) == []
-    assert truths
-
-
 def test_the_trace_maps_the_box_back_as_in_equation_1() -> None:
     """B_o = prod_i T_i^{i+1} B_N with the homogeneous 4 x 4 transforms between the frames of successive steps."""
     frame, truths = frame_with([FREE_BOX])
@@ -228,17 +220,6 @@ def test_results_do_not_depend_on_the_rest_of_the_batch() -> None:
     for a, b in zip(together, alone, strict=True):
         np.testing.assert_array_equal(box_corners(a.proposals[0].box), box_corners(b.proposals[0].box))
         assert a.proposals[0].trace == b.proposals[0].trace
-
-
-def test_an_object_without_points_at_its_lower_end_keeps_its_height() -> None:
-    """A LiDAR often misses the foot of an object: its true box then extends below all points, and every picture cuts
-    it off. Cut ends were once ignored, and the box collapsed."""
-    frame, _ = frame_with([UPRIGHT_BOX], up=UP)
-    upper = frame.cloud.xyz_m[:, 1] < 0.1
-    kept = replace(frame, cloud=frame.cloud.select(upper))
-    perfect = PerfectDetector.for_frame(kept, [Truth("thing", UPRIGHT_BOX)])
-    (found,) = propose([kept], perfect, perfect, RcvConfig(orientation=Orientation.UPRIGHT))[0].proposals
-    assert iou_3d(found.box, UPRIGHT_BOX) > 0.9
 
 
 def test_a_silhouette_that_misses_a_part_does_not_shrink_the_box() -> None:

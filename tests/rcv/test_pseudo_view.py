@@ -55,13 +55,6 @@ def test_conversion_to_metres_and_back_keeps_a_box(x: float, y: float, width: fl
     assert again.xyxy == pytest.approx(box.xyxy, abs=1e-9)
 
 
-def test_scale_is_uniform_and_the_longer_side_fills_the_picture() -> None:
-    front, _ = render_pairs(cloud_of([[0, 0, 1], [4, 1, 1]]), [np.eye(3)], VIEW)
-    assert front.rgb.shape[1] == VIEW.size_px
-    assert front.rgb.shape[0] == pytest.approx(VIEW.size_px / 4, abs=2)
-    np.testing.assert_allclose(front.extent_m[0], 4 * 1.1, rtol=1e-6)
-
-
 def test_additional_points_lie_within_the_view() -> None:
     corners = np.array([[-3.0, 0, 1], [3, 0, 1]])
     front, _ = render_pairs(cloud_of([[0, 0, 1], [0.1, 0.1, 1]]), [np.eye(3)], VIEW, corners)
@@ -161,15 +154,6 @@ def test_pictures_agree_with_those_of_a_plain_loop(n: int, colored: bool) -> Non
         # another order of summation may move a point across the border of a pixel or depth level
         differ = (picture != wanted).any(axis=2).mean()
         assert differ <= 0.002, f"{differ:.2%} of the pixels"
-
-
-def test_points_outside_a_window_are_drawn_at_its_border() -> None:
-    (window,) = fit_windows(np.array([[-1.0, -1.0]]), np.array([[1.0, 1.0]]), ViewConfig(size_px=32))
-    xyz = np.array([[50.0, -50], [-50, 50], [2, 1]], np.float32)
-    packed = pack_colors(np.array([[1, 2, 3], [4, 5, 6]], np.uint8), 2)
-    (picture,) = draw_views(xyz, packed, np.eye(3, dtype=np.float32)[None], [window], np.array([[1.5, 1.5]]), 1)
-    assert tuple(picture[0, -1]) == (1, 2, 3)
-    assert tuple(picture[-1, 0]) == (4, 5, 6)
 
 
 # The first step's pictures of frustums that are much deeper than wide.

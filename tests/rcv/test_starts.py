@@ -115,11 +115,3 @@ def test_a_box_that_does_not_agree_with_the_image_is_not_used(placed: list[int])
     wrong = PerfectDetector.for_frame(frame, [Truth(AGNOSTIC_LABELS[BoxKind.BOX], half)])
     _, notes, _ = found(frame, wrong, config_for(FREE, [TYPICAL], True))
     assert placed and starts.NOT_SEEN in notes
-
-
-def test_the_settings_tell_whether_the_detector_is_trained() -> None:
-    assert "trained" not in config_for(FREE, [TYPICAL], False).record()
-    assert config_for(FREE, [TYPICAL], True).record()["trained"] is True
-    assert not RcvConfig().for_detector(BoxKind.BOX, class_agnostic=False, trained=True).trained
-    silhouettes = RcvConfig().for_detector(BoxKind.SILHOUETTE, class_agnostic=True, trained=True)
-    assert "trained" not in silhouettes.record()  # it changes nothing there

@@ -187,15 +187,6 @@ def test_an_image_box_where_the_distortion_has_no_inverse_gives_no_evidence() ->
     assert np.isfinite(inner.score(Candidates.of([BOX]))).all()
 
 
-def test_sizes_are_recorded_only_if_they_are_used() -> None:
-    config = config_for(TYPICAL).model_copy(update={"reviewed_sizes": (TYPICAL,)})
-    assert "typical_sizes" in config.record()
-    assert "reviewed_sizes" not in config.record()
-    for unused in (config_for(TYPICAL, use=False), config.for_detector(BoxKind.SILHOUETTE, True)):
-        assert "typical_sizes" not in unused.record()
-        assert unused.typical_size("crate") is None
-
-
 class Blind:
     """A class-agnostic detector that detects nothing."""
 

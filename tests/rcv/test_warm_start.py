@@ -15,7 +15,7 @@ from annotator.geometry.iou import iou_3d
 from annotator.geometry.oriented_box import box_corners
 from annotator.geometry.outline import box_on_image
 from annotator.rcv.config import AGNOSTIC_LABELS, FirstLookConfig, Orientation, RcvConfig, Strategy
-from annotator.rcv.first_look import Outline, depth_crops, expected_outline, image_planes, width_at
+from annotator.rcv.first_look import Outline, depth_crops, expected_outline, image_planes
 from annotator.rcv.propose import propose, propose_from_boxes
 from annotator.rcv.starts import WARM_START, WarmStart, is_warm, match_warm_starts
 from annotator.recordings import open_recording
@@ -149,12 +149,6 @@ def test_tilted_start_boxes_give_upright_boxes_from_silhouettes(strategy: Strate
     assert abs(found.box.rotation[:, 2] @ UP) > 1 - 1e-9
 
 
-def test_an_object_without_points_around_the_start_box_starts_from_its_frustum() -> None:
-    found, _ = run(changed(BOX, [0.0, 0.0, 8.0]), RcvConfig.model_validate({"warm": {"min_image_iou": 0.01}}))
-    assert "too few" in found.trace[0].fallback[0]
-    assert iou_3d(found.box, BOX) > 0.99
-
-
 def test_an_object_without_view_detections_is_lost_despite_a_warm_start() -> None:
     frame, truths = frame_with([BOX])
     perfect = PerfectDetector.for_frame(frame, truths)
@@ -210,14 +204,6 @@ def test_each_layer_of_depth_gets_a_crop() -> None:
     crops = depth_crops(SQUARE_CAMERA, xyz, image_box, FirstLookConfig(), 5)
     assert [sorted(set(xyz[crop, 2].tolist())) for crop in crops] == [[depth] for depth in layers]
     assert depth_crops(SQUARE_CAMERA, xyz, image_box, FirstLookConfig(), len(xyz)) == []
-
-
-def test_a_crop_is_as_long_as_the_image_box_is_wide_there() -> None:
-    image_box = Box2D("object", 100.0, 90.0, 165.0, 116.0)
-    assert width_at(SQUARE_CAMERA, image_box, 2.0) == pytest.approx(0.5)
-    xyz = np.column_stack([np.zeros((400, 2)), np.linspace(1, 5, 400)]).astype(np.float32)
-    (crop,) = depth_crops(SQUARE_CAMERA, xyz, image_box, FirstLookConfig(depth_percentiles=(50.0,), lengths=(1.0,)), 5)
-    assert np.ptp(xyz[crop, 2]) == pytest.approx(width_at(SQUARE_CAMERA, image_box, 3.0), abs=0.03)
 
 
 def test_a_box_touches_the_planes_of_its_outline_from_inside() -> None:
@@ -299,8 +285,3 @@ def test_a_dropped_start_box_is_followed_by_a_first_look(generated, knowing: Cal
         (result,) = propose_from_boxes([frame], [[image_box]], view, config, [[start]])
         assert iou_3d(result.proposals[0].box, truth.box) > 0.85
         assert result.proposals[0].trace[0].fallback[0].startswith("warm start: ") == dropped
-
-
-def test_settings_of_the_first_look_are_recorded_only_if_they_apply() -> None:
-    assert "first_look" not in RcvConfig().record()
-    assert RcvConfig().for_detector(BoxKind.BOX, class_agnostic=True).record()["class_agnostic"] is True

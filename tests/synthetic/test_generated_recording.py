@@ -95,12 +95,6 @@ def test_equal_seeds_give_equal_bytes_and_other_seeds_do_not(generated: dict[str
     assert one != other
 
 
-def test_a_longer_recording_begins_like_a_shorter_one(generated: dict[str, Path], tmp_path: Path):
-    write_generated(tmp_path / "short", "hands", 1, seed=3, **SIZE)
-    for name in ("color/000000.jpg", "depth/000000.png", "truth/mask/000000.png"):
-        assert contents(tmp_path / "short")[name] == contents(generated["hands"])[name]
-
-
 def test_an_interrupted_recording_leaves_nothing(tmp_path: Path):
     def interrupt(done: int, frames: int) -> None:
         raise KeyboardInterrupt

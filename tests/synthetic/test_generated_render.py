@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from annotator.geometry.oriented_box import contains
-from annotator.synthetic.hands import GESTURES, hand_mesh, hand_pose
-from annotator.synthetic.materials import Lights, Material, Palette, Pattern
+from annotator.synthetic.materials import Lights, Material, Palette
 from annotator.synthetic.mesh import Blobs, Mesh, box_mesh, joined
-from annotator.synthetic.render import Rendering, Sensor, Stage, colour_image, depth_image, silhouette
+from annotator.synthetic.render import Rendering, Sensor, Stage, depth_image, silhouette
 from annotator.synthetic.scene import Actor
 from annotator.synthetic.writer import actor_box, true_objects
 from annotator.types import Camera
@@ -172,33 +171,3 @@ def test_depth_is_lost_at_edges_grazing_angles_and_out_of_range():
     assert (depth[20:40, :40] > 0).mean() < 0.25
     assert 0.3 < (depth[45:85, 49:51] > 0).mean() < 0.6
     assert (depth[45:85, 60:] > 0).mean() > 0.98
-
-
-def test_the_colour_image_keeps_uniform_colours_up_to_noise():
-    flat = np.full((60, 80, 3), (200, 100, 50), np.uint8)
-    ones = np.ones((60, 80), np.float32)
-    rgb = colour_image(Rendering(flat, ones, np.zeros((60, 80), np.int16), ones), Sensor(), np.random.default_rng(0))
-    np.testing.assert_allclose(rgb[25:35, 35:45].mean(axis=(0, 1)), (200, 100, 50), atol=1.5)
-    assert 1 < rgb[25:35, 35:45].astype(float).std(axis=(0, 1)).mean() < 4
-
-
-def test_patterns_contain_exactly_their_two_colours():
-    for pattern in (Pattern.STRIPES, Pattern.CHECKS):
-        made = Palette()
-        row = made.add(Material((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), pattern, 0.1, 2, grain=0.0))
-        places = np.random.default_rng(0).uniform(-1, 1, (2000, 3)).astype(np.float32)
-        albedo = made.albedo(np.full(2000, row, np.int16), places)
-        share = albedo[:, 2].mean()
-        assert set(map(tuple, albedo.round(3).tolist())) == {(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)}
-        assert share == pytest.approx(0.4 if pattern is Pattern.STRIPES else 0.5, abs=0.05)
-        along_z = made.albedo(np.full(2000, row, np.int16), places + np.float32([0, 0, 0.2]))
-        assert (np.abs(along_z - albedo).max(axis=1) > 0.01).mean() < 0.02  # the same after two periods
-
-
-def test_an_open_hand_has_a_realistic_length_and_a_fist_is_shorter():
-    open_hand, fist = (hand_mesh(hand_pose(GESTURES[i]), 1.0, 0, 0, 1, left=False) for i in (0, 2))
-    lengths = [float(np.ptp(mesh.vertices[:, 0])) for mesh in (open_hand, fist)]
-    assert 0.17 < lengths[0] < 0.22
-    assert lengths[1] < 0.75 * lengths[0]
-    # fingers bend to the palm's side
-    assert fist.vertices[:, 2].min() < open_hand.vertices[:, 2].min() - 0.02
